@@ -1,0 +1,196 @@
+"""The whole chain for one press: tube, indentation, lumen, waves, signals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import jax
+import numpy as np
+import xarray as xr
+
+from acoustube import record, signals
+from acoustube.air import Air, air_at
+from acoustube.config import Config
+from acoustube.indentation import indent
+from acoustube.lumen import Lumen, lumen
+from acoustube.tube import Tube, shear_modulus_from_shore
+from acoustube.waves import (
+    Pulse,
+    Recording,
+    attenuation,
+    cut_cells,
+    cut_ons_in_band,
+    grid_spacing,
+    propagate,
+)
+from acoustube.waves.scheme import SourceEnd
+
+SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
+"""Both choices of the source end are computed: a real one lies between them."""
+
+BAND_EDGE = -20.0
+"""Level in dB under the pulse's spectral peak down to which a mode's cut-on is warned of."""
+
+Report = Callable[[str, float], None]
+"""Called with the name of a stage and the fraction of it that is done."""
+
+
+def tube_from(config: Config) -> Tube:
+    """Return the tube that the settings describe, in SI units."""
+    settings = config.tube
+    if settings.shear_modulus_mpa is not None:
+        shear_modulus = 1e6 * settings.shear_modulus_mpa
+    else:
+        assert settings.shore_a is not None  # the settings ensure that one of the two is given
+        shear_modulus = shear_modulus_from_shore(settings.shore_a)
+    return Tube(
+        inner_diameter=1e-3 * settings.inner_diameter_mm,
+        wall_thickness=1e-3 * settings.wall_mm,
+        length=1e-2 * settings.length_cm,
+        shear_modulus=shear_modulus,
+        poisson_ratio=settings.poisson_ratio,
+    )
+
+
+def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
+    """Press a tube once, send a pulse through it, and find the press by its echo.
+
+    Parameters
+    ----------
+    config : Config, optional
+        The settings; see :func:`acoustube.load_config`. The paper's tube and a 25 mm rod by
+        default.
+    report : callable, optional
+        Called with the name of a stage and the fraction of it that is done.
+
+    Returns
+    -------
+    xarray.Dataset
+        Every stage's arrays, in SI units, with both choices of the source end along the dimension
+        ``source_end``. ``distance`` and ``amplitude`` are those of the chosen one.
+
+    Raises
+    ------
+    SimulationError
+        If a stage cannot finish.
+
+    Notes
+    -----
+    The stages are functions of their own: :func:`acoustube.indentation.indent`,
+    :func:`acoustube.lumen.lumen`, :func:`acoustube.waves.cut_cells`,
+    :func:`acoustube.waves.propagate`, :func:`acoustube.signals.process`.
+    """
+    config = config or Config()
+    report = report or _silent
+    seconds: dict[str, float] = {}
+    tube, air = tube_from(config), air_at(config.waves.temperature_c)
+
+    with _stage("indentation", seconds, report) as progress:
+        indentation = indent(
+            tube,
+            rod_diameter=1e-3 * config.indentation.indenter_mm,
+            depth=1e-3 * config.indentation.depth_mm,
+            support=config.indentation.support,
+            progress=progress,
+        )
+    with _stage("lumen", seconds, report):
+        space = lumen(indentation, 1e-2 * config.indentation.position_cm)
+    with _stage("waves", seconds, report) as progress:
+        recordings = _listen(config, space, air, progress)
+    with _stage("signals", seconds, report):
+        rangings = {end: _range(config, tube, r) for end, r in recordings.items()}
+
+    return record.dataset(
+        config,
+        indentation,
+        space,
+        recordings,
+        rangings,
+        sound_speed=air.sound_speed,
+        seconds=seconds,
+        warnings=warnings_for(config),
+        device=jax.devices()[0].device_kind,
+    )
+
+
+def warnings_for(config: Config) -> list[str]:
+    """Return one sentence for each way in which the settings leave the model's range."""
+    waves, radius = config.waves, 0.5e-3 * config.tube.inner_diameter_mm
+    air, pulse = air_at(waves.temperature_c), _pulse(config)
+    found = [
+        f"Mode ({mode.m},{mode.n}) cuts on at {1e-3 * mode.cut_on:.2f} kHz, inside the pulse's "
+        "band: small errors of bore or temperature decide whether it propagates."
+        for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
+    ]
+    path = 2e-2 * (config.indentation.position_cm - waves.probe_cm)
+    if path < air.sound_speed * pulse.duration:
+        found.append("The echo comes back while the pulse is still being sent; move the press on.")
+    loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
+    found.append(
+        f"The walls are rigid and lossless; boundary layers would lower this echo by {loss:.1f} dB."
+    )
+    return found
+
+
+def _pulse(config: Config) -> Pulse:
+    return Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
+
+
+def _listen(
+    config: Config, space: Lumen, air: Air, progress: Callable[[float], None]
+) -> dict[SourceEnd, Recording]:
+    """Return the probe's recording for each choice of the source end."""
+    probe, length = 1e-2 * config.waves.probe_cm, 1e-2 * config.tube.length_cm
+    spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
+    # The press and its supports are symmetric about x = 0.
+    cells = cut_cells(space.surface, spacing, half=True)
+    pulse = _pulse(config)
+    # Long enough for the middle of an echo from the far end.
+    duration = 2 * length / air.sound_speed + 0.5 * pulse.duration
+    recordings: dict[SourceEnd, Recording] = {}
+    for done, source_end in enumerate(SOURCE_ENDS):
+        recordings[source_end] = propagate(
+            cells,
+            air,
+            pulse,
+            duration=duration,
+            probes=(probe,),
+            source_end=source_end,
+            progress=_share_of(progress, done),
+        )
+    return recordings
+
+
+def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:
+    """Return a progress function for one of the runs, `done` of which are over."""
+    return lambda part: progress((done + part) / len(SOURCE_ENDS))
+
+
+def _range(config: Config, tube: Tube, recording: Recording) -> signals.Ranging:
+    return signals.process(
+        recording.time,
+        recording.pressure[0],
+        pulse_duration=_pulse(config).duration,
+        probe_position=recording.probes[0],
+        temperature=config.waves.temperature_c,
+        cutoff=1e3 * config.signals.lowpass_khz,
+        prominence=config.signals.prominence,
+        farthest=tube.length,
+    )
+
+
+def _silent(_stage: str, _fraction: float) -> None:
+    """Report nothing."""
+
+
+@contextmanager
+def _stage(
+    name: str, seconds: dict[str, float], report: Report
+) -> Iterator[Callable[[float], None]]:
+    start = time.perf_counter()
+    report(name, 0.0)
+    yield lambda fraction: report(name, fraction)
+    report(name, 1.0)
+    seconds[name] = time.perf_counter() - start

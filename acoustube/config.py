@@ -1,0 +1,333 @@
+"""User settings: what a person may ask for, in human units, checked before anything is computed.
+
+Each section is a frozen dataclass whose fields carry their own rule (range or choice), so that one
+check serves them all; :class:`Config` adds the checks that need more than one section. This module
+imports nothing heavy: wrong settings are refused at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from acoustube.air import sound_speed
+from acoustube.errors import ConfigError
+from acoustube.limits import LARGEST_CLOSING, pressed_reach
+from acoustube.rules import Choice, Number, Section, setting, short
+
+CELLS_PER_WAVELENGTH = 8
+"""Coarsest grid of the wave stage."""
+
+MOST_CELLS = 200_000_000
+"""Largest grid of the wave stage: each of its arrays then takes 0.8 GB."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeSettings(Section):
+    """The tube. The defaults are the paper's silicone tube.
+
+    The material is given by its hardness or by its shear modulus, not both; with neither, the
+    hardness is 35 Shore A.
+    """
+
+    inner_diameter_mm: float = setting(7.9, Number(1, 50, "mm", "diameter of the bore"))
+    wall_mm: float = setting(1.6, Number(0.2, 20, "mm", "wall thickness"))
+    length_cm: float = setting(40.0, Number(5, 1000, "cm", "length of the tube"))
+    shore_a: float | None = setting(None, Number(10, 90, "Shore A", "hardness of the wall"))
+    shear_modulus_mpa: float | None = setting(
+        None, Number(0.01, 20, "MPa", "shear modulus of the wall, in place of shore_a")
+    )
+    poisson_ratio: float = setting(0.49, Number(0.2, 0.499, "", "Poisson's ratio of the wall"))
+
+    def __post_init__(self) -> None:
+        if self.shore_a is None and self.shear_modulus_mpa is None:
+            object.__setattr__(self, "shore_a", 35.0)
+        super().__post_init__()
+        if self.shore_a is not None and self.shear_modulus_mpa is not None:
+            raise ConfigError(
+                f"shore_a = {self.shore_a:g} and shear_modulus_mpa = {self.shear_modulus_mpa:g} "
+                "both describe the wall's stiffness; give one of the two"
+            )
+
+    @property
+    def outer_diameter_mm(self) -> float:
+        """Outer diameter in mm."""
+        return self.inner_diameter_mm + 2 * self.wall_mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndentationSettings(Section):
+    """The press: a rigid cylinder that lies across the tube, and what the tube rests on."""
+
+    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing cylinder"))
+    depth_mm: float = setting(4.0, Number(0.05, 50, "mm", "how far it is pressed in"))
+    position_cm: float = setting(
+        20.0, Number(0.1, 1000, "cm", "distance of the press from the source end")
+    )
+    support: Literal["held", "free"] = setting(
+        "held",
+        Choice(
+            ("held", "free"),
+            "bottom line held down along its length, or resting on a floor with free ends",
+        ),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveSettings(Section):
+    """The sound in the lumen, and the grid on which it is computed."""
+
+    frequency_khz: float = setting(42.0, Number(5, 100, "kHz", "carrier of the pulse"))
+    cycles: int = setting(11, Number(1, 100, "", "carrier cycles in the pulse", whole=True))
+    temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
+    resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))
+    source_end: Literal["release", "absorbing"] = setting(
+        "release",
+        Choice(("release", "absorbing"), "what the source end does once the pulse has left"),
+    )
+    probe_cm: float = setting(
+        2.0, Number(0.1, 100, "cm", "distance of the listening plane from the source end")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalSettings(Section):
+    """The processing from pressure to distance."""
+
+    lowpass_khz: float = setting(
+        10.0, Number(0.5, 50, "kHz", "cut-off of the low-pass that makes the envelope")
+    )
+    prominence: float = setting(
+        0.01, Number(0.0001, 1, "", "least prominence of an echo, as a share of the send pulse")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """All settings of one simulation.
+
+    Parameters
+    ----------
+    tube, indentation, waves, signals : section
+        The sections; each is checked on its own before the checks across sections are made here.
+
+    Raises
+    ------
+    ConfigError
+        If the sections contradict each other: a press past the floor or deeper than the solver
+        follows, too near an end, or a grid that is too coarse for the sound or too large.
+    """
+
+    tube: TubeSettings = TubeSettings()
+    indentation: IndentationSettings = IndentationSettings()
+    waves: WaveSettings = WaveSettings()
+    signals: SignalSettings = SignalSettings()
+
+    def __post_init__(self) -> None:
+        _check_depth(self.tube, self.indentation)
+        _check_position(self)
+        _check_resolution(self.tube, self.waves)
+        _check_lowpass(self.waves, self.signals)
+
+
+def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
+    """Refuse a press past the floor, or so deep that the walls meet."""
+    depth, outer = indentation.depth_mm, tube.outer_diameter_mm
+    deepest = _round_down(LARGEST_CLOSING * tube.inner_diameter_mm)
+    if depth > outer:
+        reason = f"is past the floor (outer diameter {outer:g} mm)"
+    elif depth > deepest:
+        reason = (
+            f"would close the lumen (inner diameter {tube.inner_diameter_mm:g} mm), "
+            "which is not supported yet"
+        )
+    else:
+        return
+    raise ConfigError(f"depth_mm = {short(depth)} {reason}; use at most {deepest:g}")
+
+
+def _check_position(config: Config) -> None:
+    """Refuse a press whose bent part reaches the listening plane or the far end."""
+    tube, position = config.tube, config.indentation.position_cm
+    reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / 10
+    nearest = _round_up(config.waves.probe_cm + reach)
+    farthest = _round_down(tube.length_cm - reach)
+    bends = f"the press bends the tube for {reach:.4g} cm to each side"
+    if nearest > farthest:
+        shortest = _round_up(nearest + reach)
+        raise ConfigError(
+            f"length_cm = {short(tube.length_cm)} is too short: {bends} and the listening plane "
+            f"is at {config.waves.probe_cm:g} cm; use at least {shortest:g}"
+        )
+    if not nearest <= position <= farthest:
+        end = "source" if position < nearest else "far"
+        raise ConfigError(
+            f"position_cm = {short(position)} is too near the {end} end: {bends}; "
+            f"use {nearest:g} to {farthest:g}"
+        )
+
+
+def _check_resolution(tube: TubeSettings, waves: WaveSettings) -> None:
+    """Refuse a grid that cannot carry the sound, or that no computer will hold."""
+    bore = tube.inner_diameter_mm
+    wavelength_mm = sound_speed(waves.temperature_c) / waves.frequency_khz
+    coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
+    if waves.resolution < coarsest:
+        raise ConfigError(
+            f"resolution = {waves.resolution} is too coarse for {waves.frequency_khz:g} kHz in a "
+            f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
+            f"use at least {coarsest}"
+        )
+    cells = waves.resolution**3 * 10 * tube.length_cm / bore
+    if cells > MOST_CELLS:
+        finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
+        raise ConfigError(
+            f"resolution = {waves.resolution} makes {cells:.1e} grid cells in "
+            f"{tube.length_cm:g} cm of tube, more than {MOST_CELLS:.0e}; "
+            f"use at most {finest} or a shorter tube"
+        )
+
+
+def _check_lowpass(waves: WaveSettings, signals: SignalSettings) -> None:
+    """Refuse an envelope filter that would let the carrier through."""
+    # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
+    highest = waves.frequency_khz / 2
+    if signals.lowpass_khz > highest:
+        raise ConfigError(
+            f"lowpass_khz = {short(signals.lowpass_khz)} lets the rectified "
+            f"{waves.frequency_khz:g} kHz carrier through; use at most {_round_down(highest):g}, "
+            "under [signals] in a --config file"
+        )
+
+
+def _round_up(value: float) -> float:
+    """Return the value rounded up to two decimals, so that the advice itself is allowed."""
+    return math.ceil(round(value * 100, 6)) / 100
+
+
+def _round_down(value: float) -> float:
+    """Return the value rounded down to two decimals, so that the advice itself is allowed."""
+    return math.floor(round(value * 100, 6)) / 100
+
+
+_SECTIONS: dict[str, type[Any]] = {
+    "tube": TubeSettings,
+    "indentation": IndentationSettings,
+    "waves": WaveSettings,
+    "signals": SignalSettings,
+}
+_SECTION_OF = {
+    field.name: name for name, section in _SECTIONS.items() for field in dataclasses.fields(section)
+}
+
+
+def load_config(path: str | Path | None = None, **overrides: Any) -> Config:
+    """Build the settings from the defaults, then a file, then single values.
+
+    Parameters
+    ----------
+    path : str or path, optional
+        A TOML file with any of the sections ``[tube]``, ``[indentation]``, ``[waves]`` and
+        ``[signals]``; what it does not mention keeps its default.
+    **overrides
+        Settings by name, such as ``depth_mm=3``; they win over the file. None means not given.
+
+    Returns
+    -------
+    Config
+        The checked settings.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a section, a name or a value is wrong.
+
+    Examples
+    --------
+    >>> load_config(indenter_mm=10).indentation.indenter_mm
+    10.0
+    """
+    given = _read(Path(path)) if path is not None else {name: {} for name in _SECTIONS}
+    for name, value in overrides.items():
+        if name not in _SECTION_OF:
+            raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
+        if value is not None:
+            given[_SECTION_OF[name]][name] = value
+    return Config(**{name: _SECTIONS[name](**values) for name, values in given.items()})
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the values that a TOML file gives, by section."""
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is not a text file in UTF-8; give a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"{path} cannot be read ({reason}); check the name of the file"
+        ) from error
+    for section, values in document.items():
+        _check_names(path, section, values)
+    return {name: dict(document.get(name, {})) for name in _SECTIONS}
+
+
+def _check_names(path: Path, section: str, values: Any) -> None:
+    """Refuse what is not a known section with known settings in it."""
+    if not isinstance(values, dict):
+        home = f" under [{_SECTION_OF[section]}]" if section in _SECTION_OF else ""
+        advice = f"; put it{home}" if home else _nearest(section, _SECTION_OF)
+        raise ConfigError(f"{path}: {section} stands outside a section{advice}")
+    if section not in _SECTIONS:
+        raise ConfigError(f"{path}: [{section}] is not a section{_nearest(section, _SECTIONS)}")
+    known = [field.name for field in dataclasses.fields(_SECTIONS[section])]
+    for name in values:
+        if name not in known:
+            advice = _nearest(name, known)
+            if name in _SECTION_OF:
+                advice = f"; it belongs under [{_SECTION_OF[name]}]"
+            raise ConfigError(f"{path}: [{section}] {name} is not a setting{advice}")
+
+
+def _nearest(name: str, known: Any) -> str:
+    """Return advice that names the nearest known word, or all of them when none is near."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean {near[0]}?"
+    return f"; known are {', '.join(known)}"
+
+
+def to_toml(config: Config) -> str:
+    """Return the settings as a TOML document that :func:`load_config` reads back as they are.
+
+    Parameters
+    ----------
+    config : Config
+        The settings.
+
+    Returns
+    -------
+    str
+        Every section and every setting that has a value, each with its meaning and its range as a
+        comment.
+    """
+    return "\n".join(_section_to_toml(name, getattr(config, name)) for name in _SECTIONS)
+
+
+def _section_to_toml(name: str, section: Any) -> str:
+    """Return one section as TOML."""
+    lines = [f"[{name}]"]
+    for field in dataclasses.fields(section):
+        value = getattr(section, field.name)
+        if value is not None:
+            rule = field.metadata["rule"]
+            text = f'"{value}"' if isinstance(value, str) else repr(value)
+            lines.append(f"{field.name} = {text}  # {rule.meaning}; {rule.allowed}")
+    return "\n".join(lines) + "\n"

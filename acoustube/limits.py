@@ -1,0 +1,24 @@
+"""What the model holds for: limits that the settings and the solvers share, in any unit."""
+
+LARGEST_CLOSING = 0.9
+"""Deepest press that is followed, as a share of the bore; soon after it the walls meet."""
+
+
+def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
+    """Return how far along the tube a press reaches, to each side.
+
+    Four outer diameters beyond the indenter's edge. At the end of it the paper's tube, held and
+    pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm but has its area to 0.1 %; modelling half
+    as much again changes the force by 0.2 %.
+
+    Parameters
+    ----------
+    outer_diameter, indenter_diameter : float
+        In the same unit, which is that of the result.
+
+    Returns
+    -------
+    float
+        Distance from the middle of the press.
+    """
+    return 4 * outer_diameter + indenter_diameter / 2

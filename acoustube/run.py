@@ -1,0 +1,172 @@
+"""A run as a person sees it: progress, a table, a folder with data, settings and a figure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from acoustube import __version__, scene
+from acoustube.chain import Report, simulate
+from acoustube.config import Config, to_toml
+from acoustube.io import write_dataset, write_folder
+
+REPORT_INTERVAL = 10.0
+"""Seconds between two lines of progress where there is no terminal."""
+
+
+def run(config: Config, folder: Path, console: Console) -> Path:
+    """Simulate one press, print what came of it and write it to a folder.
+
+    Parameters
+    ----------
+    config : Config
+        The settings.
+    folder : path
+        The folder to be made; it appears only when it is complete.
+    console : rich.console.Console
+        Where to print.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be made.
+    SimulationError
+        If a stage cannot finish.
+    """
+    started = time.perf_counter()
+    _print_header(config, console)
+    with write_folder(folder) as partial:
+        with _progress(console) as report:
+            dataset = simulate(config, report=report)
+        write_dataset(dataset, partial / "run.nc")
+        (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
+        drawn = _write_figure(dataset, partial)
+    _print_results(dataset, console)
+    if not drawn:
+        console.print(
+            "[yellow]The tube could not be drawn in 3-D: see 'The figure' in the README.[/]"
+        )
+    elapsed = time.perf_counter() - started
+    console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    return folder
+
+
+def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
+    """Write the figure, and tell whether the tube is drawn in it."""
+    from acoustube import plot
+
+    images = scene.draw(folder / "run.nc")
+    plot.save(plot.figure(dataset, images), folder / "figure.png")
+    return images is not None
+
+
+def _print_header(config: Config, console: Console) -> None:
+    tube, press, waves = config.tube, config.indentation, config.waves
+    hardness = (
+        f"{tube.shore_a:g} Shore A"
+        if tube.shore_a is not None
+        else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
+    )
+    console.print(
+        f"[bold]acoustube {__version__}[/] on the CPU, float64 in the wall, float32 in the air, "
+        f"{waves.resolution} cells across the bore"
+    )
+    console.print(
+        f"tube: bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, "
+        f"{tube.length_cm:g} cm long, {hardness}, Poisson's ratio {tube.poisson_ratio:g}"
+    )
+    console.print(
+        f"press: {press.indenter_mm:g} mm cylinder, {press.depth_mm:g} mm deep "
+        f"at {press.position_cm:g} cm, support {press.support}"
+    )
+    console.print(
+        f"sound: {waves.frequency_khz:g} kHz, {waves.cycles} cycles, {waves.temperature_c:g} degC, "
+        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}"
+    )
+
+
+def _print_results(dataset: xr.Dataset, console: Console) -> None:
+    last = dataset.isel(increment=-1)
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("force", f"{float(last['contact_force']):.3f} N")
+    table.add_row("lumen height at the press", f"{1e3 * float(last['lumen_height']):.3f} mm")
+    table.add_row("lumen area at the press", f"{1e6 * float(last['lumen_area']):.2f} mm2")
+    table.add_row("true distance", f"{100 * float(dataset['true_distance']):.2f} cm")
+    for end in dataset["source_end"].values:
+        table.add_row(f"estimated, {end} source end", _estimate(dataset.sel(source_end=end)))
+    times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
+    table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
+    console.print(table)
+    for warning in dataset.attrs["warnings"].splitlines():
+        console.print(f"[yellow]note:[/] {warning}")
+
+
+def _estimate(case: xr.Dataset) -> str:
+    distance, true = float(case["estimated_distance"]), float(case["true_distance"])
+    if not np.isfinite(distance):
+        return "no echo"
+    return (
+        f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "
+        f"echo {100 * float(case['echo_amplitude']):.2f} % of the send pulse"
+    )
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Report]:
+    """Yield a function that shows a bar per stage, or a line now and then without a terminal."""
+    if not console.is_terminal:
+        yield _lines(console)
+        return
+    columns = (
+        TextColumn("{task.description:12}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def report(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=fraction)
+
+        yield report
+
+
+def _lines(console: Console) -> Report:
+    start = last = time.perf_counter()
+    stage_now = ""
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal start, last, stage_now
+        now = time.perf_counter()
+        if stage != stage_now:
+            stage_now, start, last = stage, now, now
+        elif now - last > REPORT_INTERVAL and 0 < fraction < 1:
+            left = (now - start) * (1 - fraction) / fraction
+            console.print(f"{stage} {100 * fraction:.0f} %, {left:.0f} s left")
+            last = now
+
+    return report

@@ -1,0 +1,28 @@
+"""Sound in a lumen: cut-cell finite differences in the time domain."""
+
+from acoustube.waves.cells import CutCells, cut_cells
+from acoustube.waves.fdtd import Recording, grid_spacing, propagate
+from acoustube.waves.modes import (
+    Mode,
+    attenuation,
+    cut_on_frequency,
+    cut_ons_in_band,
+    modes_below,
+)
+from acoustube.waves.pulse import Pulse
+from acoustube.waves.stability import stable_step
+
+__all__ = [
+    "CutCells",
+    "Mode",
+    "Pulse",
+    "Recording",
+    "attenuation",
+    "cut_cells",
+    "cut_on_frequency",
+    "cut_ons_in_band",
+    "grid_spacing",
+    "modes_below",
+    "propagate",
+    "stable_step",
+]

@@ -1,0 +1,209 @@
+"""The discrete problem: grid with its ends, coefficients and state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+
+from acoustube.air import Air
+from acoustube.waves.absorber import Absorber, absorber, absorber_layers
+from acoustube.waves.cells import CutCells, with_straight_ends
+from acoustube.waves.small_cells import share_small_volumes
+from acoustube.waves.stability import marching_step
+from acoustube.waves.wave_operator import (
+    Operator,
+    assemble,
+    dispersion_coefficient,
+    with_halo,
+)
+
+SourceEnd = Literal["release", "absorbing", "rigid"]
+FarEnd = Literal["absorbing", "rigid"]
+
+
+class State(NamedTuple):
+    """What changes from step to step.
+
+    Attributes
+    ----------
+    pressure : Array
+        With halo, (nx+2, ny+2, nz+4), in Pa.
+    change : Array
+        Pressure change over the last step, sources excluded, (nx, ny, nz), in Pa.
+    before, behind : Absorber or None
+        Absorbing layers at the source end and at the far end.
+    """
+
+    pressure: jax.Array
+    change: jax.Array
+    before: Absorber | None
+    behind: Absorber | None
+
+
+class Scheme(NamedTuple):
+    """What stays during a run.
+
+    Attributes
+    ----------
+    operator : Operator
+        Spatial operator.
+    step_squared : Array
+        Time step squared in s2.
+    keep, source : Array
+        The source layer becomes keep * pressure + source * signal; scalar and (nx, ny).
+    probe_layers : Array
+        Layer indices of the probes, (n_probes,).
+    probe_weights : Array
+        Volume weights of the plane average, (nx, ny, n_probes).
+    """
+
+    operator: Operator
+    step_squared: jax.Array
+    keep: jax.Array
+    source: jax.Array
+    probe_layers: jax.Array
+    probe_weights: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Setup:
+    """A lumen with its ends, ready to march.
+
+    Attributes
+    ----------
+    cells : CutCells
+        The grid as marched: small cells relieved, absorbers appended.
+    scheme : Scheme
+        Coefficients.
+    state : State
+        Silence, with the absorbers' coefficients.
+    time_step : float
+        In s.
+    source_layer : int
+        Index of the layer at z = 0.
+    probes : tuple of float
+        Positions of the probed layers in m.
+    """
+
+    cells: CutCells
+    scheme: Scheme
+    state: State
+    time_step: float
+    source_layer: int
+    probes: tuple[float, ...]
+
+
+def prepare(
+    cells: CutCells,
+    air: Air,
+    *,
+    probes: tuple[float, ...],
+    source_end: SourceEnd = "release",
+    far_end: FarEnd = "absorbing",
+    absorber_thickness: float = 0.02,
+    time_step: float | None = None,
+    dtype: DTypeLike = jnp.float32,
+) -> Setup:
+    """Build the discrete problem.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The lumen, exact fractions.
+    air : Air
+        Gas in the lumen.
+    probes : tuple of float
+        Probe positions in m; each is moved to the nearest cell layer.
+    source_end : {"release", "absorbing", "rigid"}
+        Prescribed pressure at z = 0; a source at z = 0 that launches one wave into the tube and
+        absorbs what returns; or a rigid cap half a cell before z = 0, for problems that start
+        from an initial pressure.
+    far_end : {"absorbing", "rigid"}
+        Straight continuation into an absorber, or a cap at z = L.
+    absorber_thickness : float
+        In m.
+    time_step : float, optional
+        In s; the default is `stable_step`.
+    dtype : dtype
+        Precision of the fields.
+
+    Returns
+    -------
+    Setup
+        Coefficients and silence.
+
+    Raises
+    ------
+    ValueError
+        If an end is unknown or a probe lies outside the tube.
+    """
+    _check_ends(source_end, far_end)
+    layers = absorber_layers(absorber_thickness, cells.spacing[2])
+    ahead = layers if source_end == "absorbing" else 0
+    behind = layers if far_end == "absorbing" else None
+    nodes = [_layer(cells, probe) for probe in probes]
+    whole = share_small_volumes(with_straight_ends(cells, ahead, behind))
+    step = marching_step(whole, air) if time_step is None else time_step
+    across, dz = whole.shape[:2], cells.spacing[2]
+    ends = [
+        absorber(across, layers, dz, step, air.sound_speed, at_source=at_source, dtype=dtype)
+        if present
+        else None
+        for at_source, present in ((True, bool(ahead)), (False, behind is not None))
+    ]
+    silence = jnp.zeros(whole.shape, dtype)
+    return Setup(
+        cells=whole,
+        scheme=_scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype),
+        state=State(with_halo(silence), silence, *ends),
+        time_step=step,
+        source_layer=ahead,
+        probes=tuple(k * dz for k in nodes),
+    )
+
+
+def _scheme(
+    cells: CutCells,
+    air: Air,
+    step: float,
+    source_end: SourceEnd,
+    source_layer: int,
+    probe_layers: list[int],
+    dtype: DTypeLike,
+) -> Scheme:
+    """Return the coefficients of a grid whose ends are in place."""
+    operator = assemble(cells, air, dispersion_coefficient(cells, air, step), dtype=dtype)
+    released = source_end == "release"
+    if released:  # the prescribed layer shall not answer to its neighbour
+        inverse = operator.inverse_volume.at[:, :, source_layer].set(0.0)
+        operator = operator._replace(inverse_volume=inverse)
+    volume = cells.volume_fraction
+    lit = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
+    weights = volume[:, :, probe_layers]
+    return Scheme(
+        operator=operator,
+        step_squared=jnp.asarray(step**2, dtype),
+        keep=jnp.asarray(0.0 if released else 1.0, dtype),
+        source=jnp.asarray(lit, dtype),
+        probe_layers=jnp.asarray(probe_layers, jnp.int32),
+        probe_weights=jnp.asarray(weights / weights.sum(axis=(0, 1)), dtype),
+    )
+
+
+def _check_ends(source_end: str, far_end: str) -> None:
+    """Refuse ends that do not exist."""
+    if source_end not in ("release", "absorbing", "rigid"):
+        raise ValueError(f'source_end = "{source_end}"; use "release", "absorbing" or "rigid"')
+    if far_end not in ("absorbing", "rigid"):
+        raise ValueError(f'far_end = "{far_end}"; use "absorbing" or "rigid"')
+
+
+def _layer(cells: CutCells, probe: float) -> int:
+    """Return the cell layer nearest to a probe."""
+    if not 0.0 <= probe <= cells.length:
+        raise ValueError(f"probe = {probe} m lies outside the tube; use 0 to {cells.length:.4g} m")
+    return min(round(probe / cells.spacing[2]), cells.shape[2] - 1)

@@ -1,0 +1,65 @@
+"""Sphinx settings."""
+
+import pkgutil
+import shutil
+from pathlib import Path
+
+import acoustube
+
+project = "acoustube"
+author = "acoustube developers"
+copyright = f"2026, {author}"
+release = acoustube.__version__
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+exclude_patterns = ["_build"]
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+# The settings of a section are its attributes, documented by `configuration.md`.
+numpydoc_show_class_members = False
+
+html_theme = "furo"
+html_title = f"acoustube {release}"
+
+# The order of the data, which the alphabet does not know; what is not named here comes last.
+ORDER = (
+    "config",
+    "rules",
+    "air",
+    "tube",
+    "indentation",
+    "lumen",
+    "waves",
+    "signals",
+    "simulate",
+    "io",
+    "plot",
+    "errors",
+    "cli",
+)
+
+
+def place(name):
+    """Return the sorting key of a module's name."""
+    first = name.split(".")[1]
+    return (ORDER.index(first) if first in ORDER else len(ORDER), name)
+
+
+def write_reference(folder):
+    """Write one page per module."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    found = (module.name for module in pkgutil.walk_packages(acoustube.__path__, "acoustube."))
+    names = sorted((name for name in found if "._" not in name), key=place)
+    for name in names:
+        page = f"{name}\n{'=' * len(name)}\n\n.. automodule:: {name}\n"
+        (folder / f"{name}.rst").write_text(page, encoding="utf-8")
+    entries = "\n".join(f"   {name}" for name in names)
+    index = (
+        "Reference\n=========\n\n"
+        "The modules in the order of the data: each takes what the one before it returns.\n\n"
+        f".. toctree::\n   :maxdepth: 1\n\n{entries}\n"
+    )
+    (folder / "index.rst").write_text(index, encoding="utf-8")
+
+
+write_reference(Path(__file__).parent / "_generated")

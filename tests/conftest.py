@@ -1,0 +1,18 @@
+"""Settings for all tests."""
+
+import os
+
+import pytest
+
+# Read by jax when it is first imported: an accidental broadcast between ranks fails instead of
+# passing with the wrong shape. Set here and not through jax.config, so that tests which need no jax
+# do not import it.
+os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
+os.environ.setdefault("MPLBACKEND", "agg")
+os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+
+
+@pytest.fixture(autouse=True)
+def _in_empty_folder(tmp_path, monkeypatch):
+    """Run each test in a folder of its own, so that nothing is written to the checkout."""
+    monkeypatch.chdir(tmp_path)

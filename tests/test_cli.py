@@ -1,0 +1,210 @@
+"""The installed command: what it prints, refuses and costs."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import acoustube
+from acoustube import cli
+from acoustube.errors import SimulationError
+
+COMMAND = Path(sys.executable).with_name("acoustube")
+HEAVY = ("jax", "scipy", "xarray", "h5netcdf", "pyvista", "vtk", "trimesh", "matplotlib", "numpy")
+
+
+def call(*words, **environment):
+    """Run the installed command in the current, empty folder."""
+    return subprocess.run(
+        [COMMAND, *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=os.environ | environment,
+        check=False,
+    )
+
+
+def assert_refused(result, *parts):
+    """One line on standard error that holds the parts, exit code 2, nothing written."""
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("acoustube: ")
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.endswith("\n")
+    for part in parts:
+        assert part in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_version_is_the_packages():
+    assert call("--version").stdout.strip() == acoustube.__version__
+
+
+def test_help_names_every_option_with_its_unit():
+    text = call("simulate", "--help", COLUMNS="200").stdout
+    for option, unit in (
+        ("--indenter", "in mm"),
+        ("--depth", "in mm"),
+        ("--position", "in cm"),
+        ("--length", "in cm"),
+        ("--support", "held, free"),
+        ("--frequency", "in kHz"),
+        ("--temperature", "in degC"),
+        ("--resolution", "cells across the bore"),
+        ("--source-end", "release, absorbing"),
+        ("--config", "TOML"),
+        ("--out", "folder"),
+        ("--quiet", "nothing"),
+    ):
+        line = text[text.index(option) :]
+        assert unit in line[: line.find("--", 2)]
+
+
+@pytest.mark.parametrize(
+    "words", [["--help"], ["simulate", "--help"], ["simulate", "--depth", "12"]]
+)
+def test_help_and_refusals_import_nothing_heavy(words):
+    code = (
+        "import sys\n"
+        "from acoustube.cli import main\n"
+        f"main({words!r})\n"
+        f"print('heavy:', [name for name in {HEAVY!r} if name in sys.modules])\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert result.stdout.endswith("heavy: []\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--indenter", "-5"], ["indenter_mm = -5", "use 2 to 100 mm"]),
+        (["--indenter", "0"], ["indenter_mm = 0", "use 2 to 100 mm"]),
+        (["--indenter", "nan"], ["indenter_mm = nan"]),
+        (["--indenter", "1e9"], ["indenter_mm = 1000000000"]),
+        (["--depth", "-1"], ["depth_mm = -1"]),
+        (["--depth", "0"], ["depth_mm = 0"]),
+        (["--depth", "inf"], ["depth_mm = inf"]),
+        (["--depth", "12"], ["depth_mm = 12 is past the floor", "outer diameter 11.1 mm", "7.11"]),
+        (["--depth", "7.5"], ["would close the lumen", "use at most 7.11"]),
+        (["--position", "3"], ["too near the source end", "use 7.69 to 34.31"]),
+        (["--position", "39"], ["too near the far end", "use 7.69 to 34.31"]),
+        (["--position", "-3"], ["position_cm = -3"]),
+        (["--length", "0"], ["length_cm = 0"]),
+        (["--length", "1e6"], ["length_cm = 1000000"]),
+        (["--length", "9"], ["length_cm = 9 is too short", "use at least 13.38"]),
+        (["--frequency", "0"], ["frequency_khz = 0"]),
+        (["--frequency", "1000"], ["frequency_khz = 1000", "5 to 100 kHz"]),
+        (["--temperature", "-300"], ["temperature_c = -300"]),
+        (["--resolution", "0"], ["resolution = 0"]),
+        (["--resolution", "16.5"], ["resolution = 16.5 is not a whole number"]),
+        (["--resolution", "10000"], ["resolution = 10000"]),
+        (["--resolution", "8", "--frequency", "60"], ["too coarse", "use at least 12"]),
+        (["--support", "glued"], ["glued", "held", "free"]),
+        (["--source-end", "open"], ["open", "release", "absorbing"]),
+        (["--indenter", "wide"], ["wide", "--indenter"]),
+        (["--indenter"], ["--indenter", "requires an argument"]),
+        (["--indentor", "25"], ["--indentor", "did you mean --indenter"]),
+        (["--indenter", "10", "--indenter", "25"], ["--indenter", "multiple"]),
+        (["25"], ["25"]),
+        (["--config", "none.toml"], ["none.toml", "No such file"]),
+        (["--config", "."], ["Is a directory"]),
+        (["--out", "."], ["name a new folder"]),
+        (["--out", "/"], ["not empty"]),
+        (["--out", "/proc/acoustube"], ["/proc/acoustube cannot be written"]),
+    ],
+    ids=" ".join,
+)
+def test_bad_option_is_refused_in_one_sentence(tmp_path, words, parts):
+    assert_refused(call("simulate", *words), *parts)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[waves]\nfrequncy_khz = 42", "did you mean frequency_khz?"),
+        ("[wavs]\nfrequency_khz = 42", "did you mean waves?"),
+        ("[indentation]\ndepth_mm = '4'", "depth_mm = '4' is not a number"),
+        ('"a\\nb" = 1', "outside a section"),
+        ("[tube", "is not valid TOML"),
+        ("\xff", "is not a text file in UTF-8"),
+    ],
+)
+def test_bad_file_is_refused_in_one_sentence(tmp_path, text, part):
+    path = tmp_path / "a.toml"
+    path.write_text(text, encoding="latin-1")
+    assert_refused(call("simulate", "--config", "a.toml", "--out", "run"), part)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_unknown_command_is_refused_with_the_nearest():
+    assert_refused(call("simulat"), "simulat", "did you mean", "simulate")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read all")
+def test_unreadable_file_is_refused(tmp_path):
+    path = tmp_path / "a.toml"
+    path.touch(mode=0o000)
+    assert_refused(call("simulate", "--config", "a.toml"), "a.toml", "Permission denied")
+
+
+def test_folder_with_a_run_is_refused_and_kept(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "run.nc").write_text("kept")
+    assert_refused(call("simulate", "--out", "run"), "out = run is not empty")
+    assert (run / "run.nc").read_text() == "kept"
+
+
+def test_refusal_comes_before_any_solver_is_loaded():
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        assert_refused(call("simulate", "--depth", "12"))
+        times.append(time.perf_counter() - start)
+    # 0.2 s on a quiet core; jax alone would add more than a second.
+    assert min(times) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (SimulationError("the press did not converge. Use a smaller depth"), 1),
+        (OSError(28, "No space left on device"), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_failure_in_a_command_is_one_sentence_and_a_code(monkeypatch, capsys, error, code):
+    def fail(*_args, **_options):
+        raise error
+
+    monkeypatch.setattr(cli, "app", fail)
+    assert cli.main([]) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert ". " not in captured.err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
+def test_interrupt_leaves_nothing_under_the_final_name(tmp_path):
+    with subprocess.Popen(
+        [COMMAND, "simulate", "--resolution", "12", "--out", "run"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        time.sleep(5)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130, errors
+    assert errors == "acoustube: interrupted; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,266 @@
+"""Settings: ranges, contradictions, files, and the way back to a file."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from acoustube.config import (
+    Config,
+    IndentationSettings,
+    SignalSettings,
+    TubeSettings,
+    WaveSettings,
+    load_config,
+    to_toml,
+)
+from acoustube.errors import ConfigError
+from acoustube.limits import pressed_reach
+from acoustube.rules import Choice, Number
+
+ROOT = Path(__file__).parents[1]
+SECTIONS = (TubeSettings, IndentationSettings, WaveSettings, SignalSettings)
+NUMBERS = [
+    pytest.param(section, field.name, field.metadata["rule"], id=field.name)
+    for section in SECTIONS
+    for field in dataclasses.fields(section)
+    if isinstance(field.metadata["rule"], Number)
+]
+NUMBERS_BY_NAME = [pytest.param(*case.values[:2], id=case.id) for case in NUMBERS]
+CHOICES = [
+    pytest.param(section, field.name, field.metadata["rule"], id=field.name)
+    for section in SECTIONS
+    for field in dataclasses.fields(section)
+    if isinstance(field.metadata["rule"], Choice)
+]
+
+
+def test_defaults_are_the_papers():
+    config = Config()
+    assert config.tube.inner_diameter_mm == 7.9
+    assert config.tube.outer_diameter_mm == pytest.approx(11.1)
+    assert config.tube.shore_a == 35
+    assert config.tube.shear_modulus_mpa is None
+    assert config.waves.frequency_khz == 42
+    assert config.waves.cycles == 11
+    assert config.waves.probe_cm == 2
+
+
+@pytest.mark.parametrize(("section", "name", "rule"), NUMBERS)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, -1e9, 1e9, 10**400])
+def test_absurd_number_is_refused_with_name_and_range(section, name, rule, wrong):
+    with pytest.raises(ConfigError, match=f"^{name} = .* is out of range; use .*{rule.high:g}"):
+        section(**{name: wrong})
+
+
+@pytest.mark.parametrize(("section", "name"), NUMBERS_BY_NAME)
+@pytest.mark.parametrize("wrong", ["8", True, [8], 8j])
+def test_what_is_no_number_is_refused(section, name, wrong):
+    with pytest.raises(ConfigError, match=f"^{name} = .* is not a number; use "):
+        section(**{name: wrong})
+
+
+@pytest.mark.parametrize(("section", "name", "rule"), NUMBERS)
+def test_bounds_are_allowed_and_the_next_number_is_not(section, name, rule):
+    for bound, beyond in ((rule.low, -math.inf), (rule.high, math.inf)):
+        assert getattr(section(**{name: bound}), name) == bound
+        with pytest.raises(ConfigError):
+            section(**{name: math.nextafter(bound, beyond)})
+
+
+@pytest.mark.parametrize("name", ["cycles", "resolution"])
+def test_whole_number_takes_no_fraction(name):
+    assert getattr(WaveSettings(**{name: 24.0}), name) == 24
+    with pytest.raises(ConfigError, match=f"{name} = 24.5 is not a whole number"):
+        WaveSettings(**{name: 24.5})
+
+
+def test_numpy_numbers_become_plain_ones():
+    section = TubeSettings(inner_diameter_mm=np.float32(8), length_cm=np.int64(50))
+    assert type(section.inner_diameter_mm) is float
+    assert section.length_cm == 50
+
+
+@pytest.mark.parametrize(("section", "name", "rule"), CHOICES)
+@pytest.mark.parametrize("wrong", ["glued", "", None, 1, ["held"]])
+def test_unknown_choice_is_refused_with_the_choices(section, name, rule, wrong):
+    with pytest.raises(ConfigError, match=f"^{name} = .* is not a choice; use {rule.allowed}"):
+        section(**{name: wrong})
+
+
+def test_stiffness_is_hardness_or_modulus_but_not_both():
+    assert TubeSettings(shear_modulus_mpa=0.4).shore_a is None
+    with pytest.raises(ConfigError, match="give one of the two"):
+        TubeSettings(shear_modulus_mpa=0.4, shore_a=35)
+
+
+def test_depth_past_the_floor_says_how_deep_is_allowed():
+    message = r"^depth_mm = 12 is past the floor \(outer diameter 11.1 mm\); use at most 7.11$"
+    with pytest.raises(ConfigError, match=message):
+        load_config(depth_mm=12)
+
+
+def test_depth_that_closes_the_lumen_is_refused():
+    assert load_config(depth_mm=7.11).indentation.depth_mm == 7.11
+    with pytest.raises(ConfigError, match=r"would close the lumen .*; use at most 7.11"):
+        load_config(depth_mm=7.2)
+
+
+def test_pressed_part_stays_between_probe_and_far_end():
+    reach = pressed_reach(11.1, 25) / 10
+    assert reach == pytest.approx(5.69)
+    for allowed in (7.69, 34.31):
+        assert load_config(position_cm=allowed).indentation.position_cm == allowed
+    with pytest.raises(ConfigError, match=r"too near the source end.*use 7.69 to 34.31"):
+        load_config(position_cm=7.6)
+    with pytest.raises(ConfigError, match=r"too near the far end.*use 7.69 to 34.31"):
+        load_config(position_cm=34.4)
+
+
+def test_tube_too_short_for_any_press_says_how_long():
+    with pytest.raises(ConfigError, match=r"length_cm = 12 is too short.*use at least 13.38"):
+        load_config(length_cm=12, position_cm=6)
+    load_config(length_cm=13.38, position_cm=7.69)
+
+
+def test_grid_carries_eight_cells_per_wavelength():
+    # 343.2 m/s / 42 kHz = 8.17 mm; 8 x 7.9 / 8.17 = 7.73. A 20 mm bore needs 19.6.
+    load_config(resolution=8)
+    with pytest.raises(ConfigError, match=r"too coarse for 42 kHz.*use at least 20"):
+        Config(
+            tube=TubeSettings(inner_diameter_mm=20),
+            waves=WaveSettings(resolution=19),
+        )
+
+
+def test_grid_that_no_computer_holds_is_refused_with_one_it_does():
+    with pytest.raises(ConfigError, match="use at most 54 or a shorter tube"):
+        load_config(resolution=200, length_cm=1000)
+    load_config(resolution=54, length_cm=1000)
+
+
+def test_lowpass_stays_an_octave_below_the_carrier():
+    with pytest.raises(ConfigError, match=r"lowpass_khz = 10 .*use at most 7.5"):
+        load_config(frequency_khz=15)
+    load_config(frequency_khz=15, lowpass_khz=7.5)
+
+
+def test_flags_win_over_file_and_file_over_defaults(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("[indentation]\nindenter_mm = 10\ndepth_mm = 3\n")
+    config = load_config(path, depth_mm=2, position_cm=None)
+    assert config.indentation.indenter_mm == 10
+    assert config.indentation.depth_mm == 2
+    assert config.indentation.position_cm == 20
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[waves]\nfrequncy_khz = 42", r"\[waves\] frequncy_khz .*did you mean frequency_khz\?"),
+        ("[wave]\nfrequency_khz = 42", r"\[wave\] is not a section; did you mean waves\?"),
+        ("[tube]\ndepth_mm = 2", r"depth_mm .*; it belongs under \[indentation\]"),
+        ("depth_mm = 2", r"depth_mm stands outside a section; put it under \[indentation\]"),
+        ("[qqq]\nx = 1", "known are tube, indentation, waves, signals"),
+        ("[[tube]]\nwall_mm = 1", "tube stands outside a section"),
+        ("[tube\n", "is not valid TOML: "),
+        ("[tube]\nwall_mm = 1\nwall_mm = 2", "is not valid TOML: "),
+        ("[tube]\nwall_mm = nan", "^wall_mm = nan is out of range; use 0.2 to 20 mm"),
+        ("[tube]\nwall_mm = 1" + 5000 * "0", "cannot be read"),
+    ],
+)
+def test_wrong_file_is_refused_with_the_next_step(tmp_path, text, message):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_config(path)
+
+
+def test_missing_folder_or_binary_file_is_refused_by_name(tmp_path):
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe[tube]")
+    for path, reason in (
+        (tmp_path / "none.toml", "No such file"),
+        (tmp_path, "Is a directory"),
+        (binary, "not a text file in UTF-8"),
+        ("nul\0.toml", "null"),
+    ):
+        with pytest.raises(ConfigError, match=reason):
+            load_config(path)
+
+
+def test_unknown_override_names_the_nearest():
+    with pytest.raises(ConfigError, match=r"depth is not a setting; did you mean depth_mm\?"):
+        load_config(depth=3)
+
+
+def _section(cls):
+    """Draw every field of a section within its rule."""
+    rules = {field.name: field.metadata["rule"] for field in dataclasses.fields(cls)}
+    return st.fixed_dictionaries({name: _value(rule) for name, rule in rules.items()})
+
+
+def _value(rule):
+    if isinstance(rule, Choice):
+        return st.sampled_from(rule.options)
+    if rule.whole:
+        return st.integers(int(rule.low), int(rule.high))
+    return st.floats(rule.low, rule.high)
+
+
+# Only grids that are too coarse or too large are passed over.
+@settings(deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
+@given(
+    tube=_section(TubeSettings),
+    waves=_section(WaveSettings),
+    rest=_section(SignalSettings),
+    by_modulus=st.booleans(),
+    share=st.floats(0.05, 1),
+    along=st.floats(0, 1),
+    indenter=st.floats(2, 100),
+    support=st.sampled_from(["held", "free"]),
+)
+def test_written_configuration_reads_back_equal(
+    tmp_path_factory, tube, waves, rest, by_modulus, share, along, indenter, support
+):
+    tube["shore_a" if by_modulus else "shear_modulus_mpa"] = None
+    rest["lowpass_khz"] = min(rest["lowpass_khz"], waves["frequency_khz"] / 2 - 0.01)
+    bore, outer = tube["inner_diameter_mm"], tube["inner_diameter_mm"] + 2 * tube["wall_mm"]
+    reach = pressed_reach(outer, indenter) / 10
+    tube["length_cm"] = max(tube["length_cm"], min(1000, waves["probe_cm"] + 2 * reach + 1))
+    first, last = waves["probe_cm"] + reach + 0.02, tube["length_cm"] - reach - 0.02
+    try:
+        config = Config(
+            tube=TubeSettings(**tube),
+            indentation=IndentationSettings(
+                indenter_mm=indenter,
+                depth_mm=max(0.05, share * (0.9 * bore - 0.02)),
+                position_cm=first + along * (last - first),
+                support=support,
+            ),
+            waves=WaveSettings(**waves),
+            signals=SignalSettings(**rest),
+        )
+    except ConfigError as error:
+        assume("resolution" not in str(error))
+        raise
+    path = tmp_path_factory.mktemp("toml") / "config.toml"
+    path.write_text(to_toml(config), encoding="utf-8")
+    assert load_config(path) == config
+
+
+def test_documented_defaults_are_the_defaults():
+    assert (ROOT / "docs" / "defaults.toml").read_text(encoding="utf-8") == to_toml(Config())
+
+
+def test_every_shipped_tube_is_a_valid_configuration():
+    meshes = ROOT / "meshes"
+    tubes = sorted(meshes.glob("*.toml"))
+    assert len(tubes) == 6
+    for path in tubes:
+        load_config(path)
+    assert load_config(meshes / "paper_tube.toml") == Config()

@@ -1,0 +1,107 @@
+"""Folders: refused when taken, complete or absent when written."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from acoustube.errors import ConfigError
+from acoustube.io import check_out, fresh_folder, write_folder
+
+
+def test_new_nested_and_empty_folders_are_accepted_without_a_trace(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for name in ("new", "a/b/c", "empty"):
+        assert check_out(tmp_path / name) == tmp_path / name
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_taken_names_are_refused(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.nc").write_text("kept")
+    (tmp_path / "file").write_text("kept")
+    for name, reason in (
+        ("run", "is not empty"),
+        ("file", "is a file"),
+        ("file/run", "cannot be written"),
+        (".", "is not empty"),
+    ):
+        with pytest.raises(ConfigError, match=reason):
+            check_out(tmp_path / name)
+    assert (tmp_path / "run" / "run.nc").read_text() == "kept"
+
+
+def test_current_folder_is_refused_even_when_empty():
+    with pytest.raises(ConfigError, match="name a new folder inside it"):
+        check_out(".")
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that takes no files")
+def test_folder_that_even_root_cannot_write_is_refused():
+    with pytest.raises(ConfigError, match="cannot be written"):
+        check_out("/proc/run")
+
+
+@pytest.mark.parametrize("name", ["run", "a/run", "empty"])
+def test_folder_appears_when_the_block_ends(tmp_path, name):
+    (tmp_path / "empty").mkdir()
+    final = tmp_path / name
+    with write_folder(final) as partial:
+        (partial / "run.nc").write_text("data")
+        assert not (final / "run.nc").exists()
+        assert partial.parent == final.parent
+    assert [path.name for path in final.iterdir()] == ["run.nc"]
+    assert not partial.exists()
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_nothing_stays_when_the_block_is_left_by_an_exception(tmp_path, error):
+    with pytest.raises(error), write_folder(tmp_path / "run") as partial:
+        (partial / "run.nc").write_text("half")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_that_came_first_is_not_overwritten(tmp_path):
+    final = tmp_path / "run"
+    with pytest.raises(ConfigError, match="is not empty"), write_folder(final) as partial:
+        (partial / "run.nc").write_text("second")
+        final.mkdir()
+        (final / "run.nc").write_text("first")
+    assert (final / "run.nc").read_text() == "first"
+    assert not partial.exists()
+
+
+def test_rest_of_a_killed_run_is_named(tmp_path):
+    (tmp_path / f".run.partial-{os.getpid()}").mkdir()
+    with pytest.raises(ConfigError, match="left by a run that was killed"):
+        write_folder(tmp_path / "run").__enter__()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
+def test_interrupt_leaves_no_folder(tmp_path):
+    code = (
+        "import sys, time\n"
+        "from acoustube.io import write_folder\n"
+        "with write_folder('run') as partial:\n"
+        "    (partial / 'run.nc').write_text('half')\n"
+        "    print('writing', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline() == b"writing\n"
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fresh_folder_skips_what_is_there(tmp_path):
+    (tmp_path / "simulate-1").mkdir()
+    assert str(fresh_folder("simulate")) == "simulate-2"

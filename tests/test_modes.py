@@ -1,0 +1,96 @@
+"""Duct modes and the excitation against tabulated and closed-form values."""
+
+import numpy as np
+import pytest
+
+from acoustube.air import Air, air_at, sound_speed
+from acoustube.waves.modes import (
+    attenuation,
+    bessel_zero,
+    cut_on_frequency,
+    cut_ons_in_band,
+    modes_below,
+)
+from acoustube.waves.pulse import Pulse
+
+RADIUS = 3.95e-3
+
+
+def test_air_at_20_degrees_has_tabulated_properties():
+    """ISO 9613-1 rounds to 343.2 m/s; 1.204 kg/m3 is the standard's density."""
+    air = air_at(20.0)
+    assert air.sound_speed == pytest.approx(343.2, abs=0.05)
+    assert air.density == pytest.approx(1.204, abs=5e-4)
+    assert sound_speed(20.0) == air.sound_speed
+
+
+def test_impossible_temperatures_and_gases_are_refused():
+    with pytest.raises(ValueError, match="absolute zero"):
+        air_at(-300.0)
+    with pytest.raises(ValueError, match="density"):
+        Air(sound_speed=343.0, density=0.0)
+
+
+@pytest.mark.parametrize(
+    ("mode", "zero"),
+    [((0, 0), 0.0), ((1, 1), 1.8412), ((2, 1), 3.0542), ((0, 1), 3.8317), ((3, 1), 4.2012)],
+)
+def test_zeros_match_abramowitz_and_stegun(mode, zero):
+    """Table 9.5, four decimals."""
+    assert bessel_zero(*mode) == pytest.approx(zero, abs=5e-5)
+
+
+def test_modes_are_complete_and_sorted():
+    """All j'mn below 10 (Abramowitz and Stegun): 0 and fourteen more."""
+    modes = modes_below(cut_on_frequency(0, 0, RADIUS, 343.2) + 10 * 343.2 / (2 * np.pi * RADIUS),
+                        RADIUS, 343.2)  # fmt: skip
+    expected = {(0, 0), (1, 1), (2, 1), (0, 1), (3, 1), (4, 1), (1, 2), (5, 1), (2, 2), (0, 2),
+                (6, 1), (3, 2), (1, 3), (7, 1), (4, 2), (8, 1), (2, 3)}  # fmt: skip
+    expected = {mode for mode in expected if bessel_zero(*mode) < 10.0}
+    assert {(mode.m, mode.n) for mode in modes} == expected
+    cut_ons = [mode.cut_on for mode in modes]
+    assert cut_ons == sorted(cut_ons)
+
+
+def test_cut_on_of_21_lies_in_the_carrier_band():
+    """(2,1) cuts on 0.6 % above 42 kHz in this bore: the case that the caller must warn about."""
+    critical = cut_ons_in_band(Pulse(frequency=42e3).band(), RADIUS, 343.2)
+    assert [(mode.m, mode.n) for mode in critical] == [(2, 1)]
+    assert critical[0].cut_on == pytest.approx(42.24e3, rel=1e-3)
+
+
+def test_attenuation_matches_kirchhoff_to_first_order():
+    """Zwikker and Kosten give 1.537 Np/m; first order in the boundary layer, 1.540."""
+    air = air_at(20.0)
+    assert attenuation(0, 0, 42e3, RADIUS, air) == pytest.approx(1.540, abs=2e-3)
+    assert attenuation(1, 1, 42e3, RADIUS, air) == pytest.approx(2.266, abs=3e-3)
+
+
+def test_attenuation_below_cut_on_is_evanescent_decay():
+    """(0,1) at 42 kHz decays over 1.7 mm, 1 / sqrt((j'/R)^2 - k^2)."""
+    assert 1e3 / attenuation(0, 1, 42e3, RADIUS, air_at(20.0)) == pytest.approx(1.7, abs=0.1)
+
+
+def test_mode_without_nodal_circle_count_is_refused():
+    with pytest.raises(ValueError, match="no mode"):
+        bessel_zero(1, 0)
+
+
+def test_pulse_band_is_that_of_its_spectrum():
+    """The Gaussian's band against the sampled pulse's spectrum; the cut at 3 sigma costs 2 %."""
+    pulse = Pulse(frequency=42e3)
+    time = np.arange(0.0, 20 * pulse.duration, 1e-7)
+    spectrum = np.abs(np.fft.rfft(pulse(time)))
+    frequency = np.fft.rfftfreq(len(time), 1e-7)
+    above = frequency[spectrum > spectrum.max() * 0.5]
+    lowest, highest = pulse.band(-20 * np.log10(2))
+    assert above[0] == pytest.approx(lowest, abs=0.02 * (highest - lowest) + 100)
+    assert above[-1] == pytest.approx(highest, abs=0.02 * (highest - lowest) + 100)
+
+
+def test_pulse_starts_and_ends_in_silence():
+    """Zero outside its window, continuous at its ends, unit peak envelope inside."""
+    pulse = Pulse(frequency=42e3)
+    assert np.all(pulse([-1e-6, pulse.duration + 1e-6]) == 0.0)
+    assert np.abs(pulse([1e-12, pulse.duration - 1e-12])).max() < 1e-6
+    assert np.abs(pulse(np.linspace(0, pulse.duration, 10001))).max() == pytest.approx(1, abs=0.01)

@@ -1,0 +1,44 @@
+"""The package's own names: exported, loaded when used, and nothing heavy before."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import acoustube
+
+
+def loaded_by(statement):
+    """Return the names of all modules that a statement loads in a fresh interpreter."""
+    code = f"{statement}\nimport sys\nprint(*sys.modules)"
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+
+
+def test_exports_load_lazily_and_unknown_names_are_refused():
+    assert set(acoustube.__all__) == set(dir(acoustube))
+    assert acoustube.load_config().indentation.indenter_mm == 25
+    assert acoustube.Config() == acoustube.load_config()
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        _ = acoustube.simulat
+
+
+def test_importing_the_package_imports_nothing_of_it():
+    assert not [name for name in loaded_by("import acoustube") if name.startswith("acoustube.")]
+
+
+def test_signals_of_recordings_need_no_wave_solver():
+    loaded = loaded_by("import acoustube.signals")
+    assert "acoustube.signals" in loaded
+    assert not {"acoustube.waves", "jax"} & set(loaded)
+
+
+def test_readme_example_prints_what_it_says(capsys):
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    (example,) = [block for block in blocks if "signals.process" in block]
+    exec(example, {})
+    assert capsys.readouterr().out.strip() == example.rstrip().rpartition("# ")[2]
