@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube import record, signals
-from acoustube.air import Air, air_at
+from acoustube.air import air_at
 from acoustube.config import Config
 from acoustube.indentation import indent
 from acoustube.lumen import Lumen, lumen
@@ -98,9 +98,9 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     with _stage("lumen", seconds, report):
         space = lumen(indentation, 1e-2 * config.indentation.position_cm)
     with _stage("waves", seconds, report) as progress:
-        recordings = _listen(config, space, air, progress)
+        recordings = listen(config, space, progress)
     with _stage("signals", seconds, report):
-        rangings = {end: _range(config, tube, r) for end, r in recordings.items()}
+        rangings = {end: locate(config, recording) for end, recording in recordings.items()}
 
     return record.dataset(
         config,
@@ -124,7 +124,7 @@ def warnings_for(config: Config) -> list[str]:
         "band: small errors of bore or temperature decide whether it propagates."
         for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
     ]
-    path = 2e-2 * (config.indentation.position_cm - waves.probe_cm)
+    path = 2 * (1e-2 * config.indentation.position_cm - _probe(config))
     if path < air.sound_speed * pulse.duration:
         found.append("The echo comes back while the pulse is still being sent; move the press on.")
     loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
@@ -138,17 +138,30 @@ def _pulse(config: Config) -> Pulse:
     return Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
 
 
-def _listen(
-    config: Config, space: Lumen, air: Air, progress: Callable[[float], None]
+def listen(
+    config: Config, space: Lumen, progress: Callable[[float], None] | None = None
 ) -> dict[SourceEnd, Recording]:
-    """Return the probe's recording for each choice of the source end."""
-    probe, length = 1e-2 * config.waves.probe_cm, 1e-2 * config.tube.length_cm
+    """Send a pulse through a lumen and record it at the probe plane.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    space : Lumen
+        The lumen, symmetric about x = 0; half of it is computed.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    dict of Recording
+        For each choice of the source end.
+    """
+    air, pulse, probe = air_at(config.waves.temperature_c), _pulse(config), _probe(config)
     spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
-    # The press and its supports are symmetric about x = 0.
     cells = cut_cells(space.surface, spacing, half=True)
-    pulse = _pulse(config)
     # Long enough for the middle of an echo from the far end.
-    duration = 2 * length / air.sound_speed + 0.5 * pulse.duration
+    duration = 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse.duration
     recordings: dict[SourceEnd, Recording] = {}
     for done, source_end in enumerate(SOURCE_ENDS):
         recordings[source_end] = propagate(
@@ -158,7 +171,7 @@ def _listen(
             duration=duration,
             probes=(probe,),
             source_end=source_end,
-            progress=_share_of(progress, done),
+            progress=_share_of(progress or _ignore, done),
         )
     return recordings
 
@@ -168,17 +181,26 @@ def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float],
     return lambda part: progress((done + part) / len(SOURCE_ENDS))
 
 
-def _range(config: Config, tube: Tube, recording: Recording) -> signals.Ranging:
+def locate(config: Config, recording: Recording) -> signals.Ranging:
+    """Find the press in a recording by the settings' processing."""
     return signals.process(
         recording.time,
         recording.pressure[0],
         pulse_duration=_pulse(config).duration,
-        probe_position=recording.probes[0],
+        probe_position=_probe(config),
         temperature=config.waves.temperature_c,
         cutoff=1e3 * config.signals.lowpass_khz,
         prominence=config.signals.prominence,
-        farthest=tube.length,
+        farthest=1e-2 * config.tube.length_cm,
     )
+
+
+def _probe(config: Config) -> float:
+    return 1e-2 * config.waves.probe_cm
+
+
+def _ignore(_fraction: float) -> None:
+    """Report nothing."""
 
 
 def _silent(_stage: str, _fraction: float) -> None:

@@ -78,7 +78,7 @@ def cut_cells(
     CutCells
         Exact fractions. x = 0 and y = 0 are grid planes; cell centres lie at z = k dz. The first
         layer reaches from -dz/2 to dz/2; its outer half mirrors the inner one. The number of
-        cells across is a multiple of four, so that few array shapes occur.
+        cells across is even (in the half model along x, too), so that few array shapes occur.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def cut_cells(
     _check(surface, steps)
     length = float(surface.bounds[1, 2])
     reach = np.ceil(np.abs(surface.bounds).max(axis=0)[:2] / steps[:2] - SNAP)
-    half_x, half_y = 4 * int(np.ceil(reach[0] / 4)), 2 * int(np.ceil(reach[1] / 2))
+    half_x, half_y = 2 * int(np.ceil(reach[0] / 2)), int(np.ceil(reach[1]))
     shape = (half_x * (1 if half else 2), 2 * half_y, int(np.ceil(length / steps[2] + 0.5 - SNAP)))
     origin = steps * (0.0 if half else -half_x, -half_y, -0.5)
     parts = cut_polyhedron(np.asarray(surface.triangles), origin, steps, shape)

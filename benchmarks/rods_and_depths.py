@@ -1,0 +1,65 @@
+"""What do rods of 10, 25 and 35 mm give at depths of 2, 4 and 6 mm, and where is the error from?
+
+The paper's 40 cm tube, pressed in its middle, at full resolution (32 cells across the bore). One
+indentation per rod serves its three depths. Prints a table in Markdown, some eight minutes of work
+on two cores: ``python benchmarks/rods_and_depths.py [RESOLUTION [SUPPORT]]``.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from acoustube import load_config
+from acoustube.chain import listen, locate, tube_from
+from acoustube.indentation import indent
+from acoustube.lumen import deformed_wall, lumen, profile
+
+RODS_MM, DEPTHS_MM = (10.0, 25.0, 35.0), (2.0, 4.0, 6.0)
+PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
+
+
+def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
+    """Return one row per depth: mechanics, then distance, error and amplitude per source end."""
+    config = load_config(indenter_mm=rod_mm, resolution=resolution, support=support)
+    tube, position = tube_from(config), 1e-2 * config.indentation.position_cm
+    pressed = indent(
+        tube,
+        rod_diameter=1e-3 * rod_mm,
+        depth=[1e-3 * depth for depth in DEPTHS_MM],
+        support=config.indentation.support,
+    )
+    rows = []
+    for depth in DEPTHS_MM:
+        (increment,) = np.flatnonzero(pressed.depth == 1e-3 * depth)
+        section = profile(deformed_wall(pressed, increment), np.zeros(1))
+        row = [rod_mm, depth, pressed.contact_force[increment]]
+        row += [1e3 * section.height[0], 1e6 * section.area[0]]
+        recordings = listen(config, lumen(pressed, position, increment))
+        for recording in recordings.values():
+            ranging = locate(config, recording)
+            row += [
+                100 * float(ranging.distance),
+                100 * (float(ranging.distance) - position),
+                100 * float(ranging.amplitude),
+            ]
+        rows.append(row)
+    return rows
+
+
+if __name__ == "__main__":
+    resolution = int(sys.argv[1]) if len(sys.argv) > 1 else 32
+    support = sys.argv[2] if len(sys.argv) > 2 else "held"
+    print(f"support {support}, {resolution} cells across the bore\n")
+    print(
+        "| rod mm | depth mm | force N | height mm | area mm2 | release: estimate cm | error cm "
+        "| echo % | absorbing: estimate cm | error cm | echo % |"
+    )
+    print("|" + "---|" * 11)
+    for rod in RODS_MM:
+        for row in rows_of(rod, resolution, support):
+            print("| " + " | ".join(f"{value:.3g}" for value in row[:2]), end=" | ", flush=True)
+            print(" | ".join(f"{value:.3f}" for value in row[2:]), "|", flush=True)
+        mean, deviation = PAPER_CM[rod]
+        print(f"| {rod:g} | paper, mean absolute error | {mean} +- {deviation} cm |")

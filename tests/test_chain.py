@@ -1,0 +1,149 @@
+"""The whole chain through the installed command, once, on a coarse grid; and what it wrote."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from acoustube import Config, load_config, plot, scene
+from acoustube.chain import tube_from, warnings_for
+
+COMMAND = str(Path(sys.executable).with_name("acoustube"))
+OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Run the command; return its result and the folder."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    words = [word for name, value in OPTIONS.items() for word in (f"--{name}", str(value))]
+    result = subprocess.run(
+        [COMMAND, "simulate", *words, "--out", str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    return result, folder
+
+
+@pytest.fixture(scope="module")
+def dataset(finished):
+    with xr.open_dataset(finished[1] / "run.nc", engine="h5netcdf") as data:
+        return data.load()
+
+
+def test_folder_holds_data_settings_and_figure_and_nothing_else(finished):
+    _, folder = finished
+    assert {path.name for path in folder.iterdir()} == {"run.nc", "config.toml", "figure.png"}
+    assert [path.name for path in folder.parent.iterdir()] == ["run"]
+
+
+def test_printed_table_tells_what_the_file_holds(finished, dataset):
+    printed, last = finished[0].stdout, dataset.isel(increment=-1)
+    assert f"{float(last['contact_force']):.3f} N" in printed
+    assert f"{1e6 * float(last['lumen_area']):.2f} mm2" in printed
+    assert f"{100 * float(dataset['estimated_distance'][1]):.2f} cm" in printed
+    assert finished[0].stderr == ""
+
+
+def test_every_variable_has_a_unit_and_a_name(dataset):
+    bare = [
+        name
+        for name, variable in dataset.data_vars.items()
+        if not {"units", "long_name"} <= set(variable.attrs)
+    ]
+    assert bare == []
+
+
+def test_written_settings_are_those_asked_for_and_load_again(finished, dataset):
+    asked = load_config(indenter_mm=25, depth_mm=4, position_cm=18, resolution=12, temperature_c=25)
+    assert load_config(finished[1] / "config.toml") == asked
+    stored = json.loads(dataset.attrs["configuration"])
+    assert stored["indentation"]["position_cm"] == 18
+    assert stored["waves"]["temperature_c"] == 25
+
+
+def test_second_run_into_the_same_folder_is_refused_and_changes_nothing(finished):
+    _, folder = finished
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    again = subprocess.run(
+        [COMMAND, "simulate", "--out", str(folder)], capture_output=True, text=True, check=False
+    )
+    assert again.returncode == 2
+    assert "not empty" in again.stderr
+    assert before == {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+
+
+def test_force_and_section_follow_the_stages(dataset):
+    """Force rises with depth; the profile's least area is the section under the rod.
+
+    The profile is cut every 0.5 mm and one cut lies at the press, where both interpolate the same
+    rings: they agree to the rounding of the mirrored halves.
+    """
+    assert np.all(np.diff(dataset["contact_force"]) > 0)
+    at_press = float(dataset["lumen_area"][-1])
+    assert float(dataset["area_profile"].min()) == pytest.approx(at_press, rel=1e-9)
+    lowest = float(dataset["z"][np.argmin(dataset["area_profile"].values)])
+    assert lowest == pytest.approx(0.18, abs=1e-9)
+
+
+def test_absorbing_end_places_the_press_within_its_own_length(dataset):
+    """The echo comes from the 2.4 cm over which the lumen is narrower by more than a tenth."""
+    case = dataset.sel(source_end="absorbing")
+    assert float(case["estimated_distance"]) == pytest.approx(0.18, abs=0.012)
+    assert 0.005 < float(case["echo_amplitude"]) < 0.05
+
+
+def test_probe_sees_the_pulse_before_any_echo_alike_at_both_ends(dataset):
+    """Until the echo is back the source end has nothing to reflect.
+
+    The prescribed pressure and the launched wave differ in their discrete start by a percent.
+    """
+    silent = dataset["time"] < 2 * (0.18 - 0.06 - 0.02) / float(dataset["sound_speed"])
+    release, absorbing = dataset["pressure"].values[:, silent.values]
+    assert np.abs(release - absorbing).max() < 0.02
+
+
+def test_figure_shares_the_distance_and_marks_both_pulses(dataset, finished):
+    images = scene.draw(finished[1] / "run.nc")
+    assert images is not None
+    strip = images["strip"]
+    assert strip.shape == (scene.STRIP_PIXELS[1], scene.STRIP_PIXELS[0], 3)
+    # The wall reaches both edges, and the picture's lowest lumen is where the press is.
+    middle = strip[strip.shape[0] // 2].astype(int)
+    assert np.all(np.ptp(middle[[0, -1]], axis=1) > 10)
+    sheet = plot.figure(dataset, images)
+    shared = sheet.axes[1:]
+    assert {axes.get_xlim() for axes in shared} == {(0.0, 40.0)}
+    texts = " ".join(text.get_text() for text in sheet.axes[-1].texts)
+    assert "send pulse" in texts
+    assert "return pulse" in texts
+
+
+def test_figure_without_pictures_says_why(dataset):
+    sheet = plot.figure(dataset, None)
+    assert "VTK cannot draw" in sheet.axes[0].texts[0].get_text()
+
+
+def test_settings_become_si():
+    tube = tube_from(load_config(shear_modulus_mpa=0.4))
+    assert tube.shear_modulus == pytest.approx(0.4e6)
+    assert tube_from(Config()).shear_modulus == pytest.approx(0.5074e6, rel=1e-4)
+    assert tube.outer_diameter == pytest.approx(11.1e-3)
+
+
+def test_cut_on_inside_the_band_is_warned_of():
+    assert any("(2,1)" in line for line in warnings_for(load_config()))
+    assert not any("cuts on" in line for line in warnings_for(load_config(frequency_khz=20.5)))
+
+
+def test_loss_that_the_model_leaves_out_is_told():
+    """13.38 dB/m (1.540 Np/m, first-order boundary layers) over twice 18 cm is 4.8 dB."""
+    assert any("by 4.8 dB" in line for line in warnings_for(load_config()))

@@ -1,0 +1,42 @@
+"""Every example runs, and what it says is true."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture
+def run_example(tmp_path, monkeypatch):
+    """Run an example by its name where it may leave its picture, and return its variables."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name):
+        variables = runpy.run_path(str(EXAMPLES / f"{name}.py"))
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        return variables
+
+    return run
+
+
+def test_recorded_echo_is_ranged_to_a_millimetre(run_example):
+    # 26 dB of signal to noise; the envelope rises over 10 cm, so 1 mm is a hundredth of it.
+    assert abs(run_example("signals_where_did_the_recording_echo")["error"]) < 1e-3
+
+
+@pytest.mark.slow
+def test_held_tube_is_stiffer_by_what_the_reference_says(run_example):
+    # The independent solution: 3 to 4 % in force at 2 mm, under 0.1 mm2 in area.
+    variables = run_example("indentation_how_much_does_the_support_matter")
+    assert 0.03 < variables["stiffening"] < 0.045
+    assert abs(variables["area"]["held"] - variables["area"]["free"]) < 0.1e-6
+
+
+@pytest.mark.slow
+def test_release_end_adds_the_negative_of_the_echo(run_example):
+    # Exact for the plane wave; what is left is the delay's interpolation and the higher modes,
+    # which reach the end off their plane-wave delay.
+    variables = run_example("waves_why_does_the_echo_come_twice")
+    assert variables["mismatch"] < 0.05
