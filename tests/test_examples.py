@@ -40,3 +40,13 @@ def test_release_end_adds_the_negative_of_the_echo(run_example):
     # which reach the end off their plane-wave delay.
     variables = run_example("waves_why_does_the_echo_come_twice")
     assert variables["mismatch"] < 0.05
+
+
+@pytest.mark.slow
+def test_second_azimuthal_mode_is_locked_in_beside_a_deep_press(run_example):
+    # The round bore's 42.24 kHz to the cut cells' 0.2 % at 32 cells per bore; well below the
+    # carrier beside the rod, well above it under the rod.
+    variables = run_example("waves_where_is_sound_trapped")
+    assert abs(variables["third_khz"][0] / 42.24 - 1) < 2.5e-3
+    assert variables["lowest"] < 39
+    assert variables["under_the_rod"] > 55

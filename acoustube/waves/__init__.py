@@ -10,6 +10,7 @@ from acoustube.waves.modes import (
     modes_below,
 )
 from acoustube.waves.pulse import Pulse
+from acoustube.waves.section import section_cut_ons
 from acoustube.waves.stability import stable_step
 
 __all__ = [
@@ -24,5 +25,6 @@ __all__ = [
     "grid_spacing",
     "modes_below",
     "propagate",
+    "section_cut_ons",
     "stable_step",
 ]
