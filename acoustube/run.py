@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import jax
 import numpy as np
 import xarray as xr
 from rich.console import Console
@@ -64,7 +65,8 @@ def run(config: Config, folder: Path, console: Console) -> Path:
     _print_results(dataset, console)
     if not drawn:
         console.print(
-            "[yellow]The tube could not be drawn in 3-D: see 'The figure' in the README.[/]"
+            "[yellow]note:[/] The tube could not be drawn in 3-D: see 'The figure' in the README.",
+            soft_wrap=True,
         )
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
@@ -87,21 +89,24 @@ def _print_header(config: Config, console: Console) -> None:
         if tube.shore_a is not None
         else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
     )
-    console.print(
-        f"[bold]acoustube {__version__}[/] on the CPU, float64 in the wall, float32 in the air, "
-        f"{waves.resolution} cells across the bore"
-    )
+    cells = waves.resolution**3 * 10 * tube.length_cm / tube.inner_diameter_mm
+    where = f"{jax.devices()[0].device_kind}, float64 in the wall, float32 in the air"
+    grid = f"{waves.resolution} cells across the bore, {1e-6 * cells:.1f} million in the tube's box"
+    console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}", soft_wrap=True)
     console.print(
         f"tube: bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, "
-        f"{tube.length_cm:g} cm long, {hardness}, Poisson's ratio {tube.poisson_ratio:g}"
+        f"{tube.length_cm:g} cm long, {hardness}, Poisson's ratio {tube.poisson_ratio:g}",
+        soft_wrap=True,
     )
     console.print(
         f"press: {press.indenter_mm:g} mm cylinder, {press.depth_mm:g} mm deep "
-        f"at {press.position_cm:g} cm, support {press.support}"
+        f"at {press.position_cm:g} cm, support {press.support}",
+        soft_wrap=True,
     )
     console.print(
         f"sound: {waves.frequency_khz:g} kHz, {waves.cycles} cycles, {waves.temperature_c:g} degC, "
-        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}"
+        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}",
+        soft_wrap=True,
     )
 
 
@@ -112,13 +117,17 @@ def _print_results(dataset: xr.Dataset, console: Console) -> None:
     table.add_row("lumen height at the press", f"{1e3 * float(last['lumen_height']):.3f} mm")
     table.add_row("lumen area at the press", f"{1e6 * float(last['lumen_area']):.2f} mm2")
     table.add_row("true distance", f"{100 * float(dataset['true_distance']):.2f} cm")
-    for end in dataset["source_end"].values:
-        table.add_row(f"estimated, {end} source end", _estimate(dataset.sel(source_end=end)))
+    chosen = dataset["distance"].attrs["source_end"]
+    for end in sorted(dataset["source_end"].values, key=lambda end: end != chosen):
+        style = "bold" if end == chosen else ""
+        table.add_row(
+            f"estimate, {end} source end", _estimate(dataset.sel(source_end=end)), style=style
+        )
     times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
     console.print(table)
     for warning in dataset.attrs["warnings"].splitlines():
-        console.print(f"[yellow]note:[/] {warning}")
+        console.print(f"[yellow]note:[/] {warning}", soft_wrap=True)
 
 
 def _estimate(case: xr.Dataset) -> str:
