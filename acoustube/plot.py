@@ -54,7 +54,7 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
 def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> Axes:
     """Show the pressed part in true proportions, with force and section in the title."""
     axes.set_axis_off()
-    last = dataset.isel(increment=-1)
+    last = dataset.isel(depth=-1)
     axes.set_title(
         f"pressed {1e3 * float(last['indentation_depth']):.2f} mm deep: "
         f"force {float(last['contact_force']):.2f} N, "

@@ -94,30 +94,26 @@ def _pressed(indentation: Indentation) -> dict[str, Variable]:
 
     mesh, nodes = indentation.mesh, (len(indentation.depth), -1, 3)
     return {
-        "indentation_depth": variable("increment", indentation.depth, "m", "depth of the rod"),
+        "indentation_depth": variable("depth", indentation.depth, "m", "depth of the rod"),
         "contact_force": variable(
-            "increment", indentation.contact_force, "N", "force of the rod on the whole tube"
+            "depth", indentation.contact_force, "N", "force of the rod on the whole tube"
         ),
         "lumen_height": variable(
-            "increment", at_press("height"), "m", "height of the lumen at the press"
+            "depth", at_press("height"), "m", "height of the lumen at the press"
         ),
-        "lumen_width": variable(
-            "increment", at_press("width"), "m", "width of the lumen at the press"
-        ),
+        "lumen_width": variable("depth", at_press("width"), "m", "width of the lumen at the press"),
         "lumen_area": variable(
-            "increment", at_press("area"), "m2", "cross-section of the lumen at the press"
+            "depth", at_press("area"), "m2", "cross-section of the lumen at the press"
         ),
-        "newton_iterations": variable(
-            "increment", indentation.iterations, "1", "Newton iterations"
-        ),
+        "newton_iterations": variable("depth", indentation.iterations, "1", "Newton iterations"),
         "newton_residual": variable(
-            "increment", indentation.residual, "N", "norm of the out-of-balance nodal forces"
+            "depth", indentation.residual, "N", "norm of the out-of-balance nodal forces"
         ),
         "node_position": variable(
             "node xyz", mesh.points, "m", "nodes of the undeformed quarter, the press at z = 0"
         ),
         "node_displacement": variable(
-            "increment node xyz", indentation.displacement.reshape(nodes), "m", "displacement"
+            "depth node xyz", indentation.displacement.reshape(nodes), "m", "displacement"
         ),
         "element_node": variable(
             "element corner", mesh.elements, "1", "node numbers of the 27-node hexahedra"

@@ -111,7 +111,7 @@ def _print_header(config: Config, console: Console) -> None:
 
 
 def _print_results(dataset: xr.Dataset, console: Console) -> None:
-    last = dataset.isel(increment=-1)
+    last = dataset.isel(depth=-1)
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("force", f"{float(last['contact_force']):.3f} N")
     table.add_row("lumen height at the press", f"{1e3 * float(last['lumen_height']):.3f} mm")

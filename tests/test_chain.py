@@ -46,7 +46,7 @@ def test_folder_holds_data_settings_and_figure_and_nothing_else(finished):
 
 
 def test_printed_table_tells_what_the_file_holds(finished, dataset):
-    printed, last = finished[0].stdout, dataset.isel(increment=-1)
+    printed, last = finished[0].stdout, dataset.isel(depth=-1)
     assert f"{float(last['contact_force']):.3f} N" in printed
     assert f"{1e6 * float(last['lumen_area']):.2f} mm2" in printed
     assert f"{100 * float(dataset['estimated_distance'][1]):.2f} cm" in printed
