@@ -13,19 +13,21 @@ import xarray as xr
 from acoustube import record, signals
 from acoustube.air import air_at
 from acoustube.config import Config
+from acoustube.errors import SimulationError
 from acoustube.indentation import indent
 from acoustube.lumen import Lumen, lumen
+from acoustube.rules import filled
 from acoustube.tube import Tube, shear_modulus_from_shore
 from acoustube.waves import (
     Pulse,
     Recording,
+    SourceEnd,
     attenuation,
     cut_cells,
     cut_ons_in_band,
     grid_spacing,
     propagate,
 )
-from acoustube.waves.scheme import SourceEnd
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Both choices of the source end are computed: a real one lies between them."""
@@ -87,7 +89,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     seconds: dict[str, float] = {}
     tube, air = tube_from(config), air_at(config.waves.temperature_c)
 
-    with _stage("indentation", seconds, report) as progress:
+    with stage("indentation", seconds, report) as progress:
         indentation = indent(
             tube,
             rod_diameter=1e-3 * config.indentation.indenter_mm,
@@ -95,11 +97,11 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
             support=config.indentation.support,
             progress=progress,
         )
-    with _stage("lumen", seconds, report):
-        space = lumen(indentation, 1e-2 * config.indentation.position_cm)
-    with _stage("waves", seconds, report) as progress:
+    with stage("lumen", seconds, report):
+        space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
+    with stage("waves", seconds, report) as progress:
         recordings = listen(config, space, progress)
-    with _stage("signals", seconds, report):
+    with stage("signals", seconds, report):
         rangings = {end: locate(config, recording) for end, recording in recordings.items()}
 
     return record.dataset(
@@ -124,12 +126,17 @@ def warnings_for(config: Config) -> list[str]:
         "band: small errors of bore or temperature decide whether it propagates."
         for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
     ]
-    path = 2 * (1e-2 * config.indentation.position_cm - _probe(config))
-    if path < air.sound_speed * pulse.duration:
-        found.append("The echo comes back while the pulse is still being sent; move the press on.")
+    path = 2 * (1e-2 * filled(config.indentation.position_cm) - _probe(config))
+    blind = signals.blind_time(pulse.duration, 1e3 * filled(config.signals.lowpass_khz))
+    if path < air.sound_speed * blind:
+        found.append(
+            f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
+            "looked for: move the press away from the source or raise the low-pass."
+        )
     loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
     found.append(
-        f"The walls are rigid and lossless; boundary layers would lower this echo by {loss:.1f} dB."
+        "The walls are rigid and lossless; boundary layers of air at 20 degC would lower this "
+        f"echo by {loss:.1f} dB."
     )
     return found
 
@@ -163,6 +170,8 @@ def listen(
     # Long enough for the middle of an echo from the far end.
     duration = 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse.duration
     recordings: dict[SourceEnd, Recording] = {}
+    # Both on the time axis of the first: their limits differ by less than a permille.
+    time_step: float | None = None
     for done, source_end in enumerate(SOURCE_ENDS):
         recordings[source_end] = propagate(
             cells,
@@ -171,8 +180,10 @@ def listen(
             duration=duration,
             probes=(probe,),
             source_end=source_end,
+            time_step=time_step,
             progress=_share_of(progress or _ignore, done),
         )
+        time_step = recordings[source_end].time_step
     return recordings
 
 
@@ -189,7 +200,7 @@ def locate(config: Config, recording: Recording) -> signals.Ranging:
         pulse_duration=_pulse(config).duration,
         probe_position=_probe(config),
         temperature=config.waves.temperature_c,
-        cutoff=1e3 * config.signals.lowpass_khz,
+        cutoff=1e3 * filled(config.signals.lowpass_khz),
         prominence=config.signals.prominence,
         farthest=1e-2 * config.tube.length_cm,
     )
@@ -208,11 +219,15 @@ def _silent(_stage: str, _fraction: float) -> None:
 
 
 @contextmanager
-def _stage(
+def stage(
     name: str, seconds: dict[str, float], report: Report
 ) -> Iterator[Callable[[float], None]]:
+    """Report and time a stage; what it refuses in SI terms becomes a failure of that stage."""
     start = time.perf_counter()
     report(name, 0.0)
-    yield lambda fraction: report(name, fraction)
+    try:
+        yield lambda fraction: report(name, fraction)
+    except ValueError as error:
+        raise SimulationError(f"{name}: {error}") from error
     report(name, 1.0)
     seconds[name] = time.perf_counter() - start

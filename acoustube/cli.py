@@ -7,15 +7,17 @@ imports its solvers when its settings have been accepted.
 from __future__ import annotations
 
 import re
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from acoustube import __version__
-from acoustube.config import load_config
+from acoustube.config import describe, load_config
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_out, fresh_folder
 
@@ -29,19 +31,24 @@ app = App(
 )
 
 
+def _option(name: str) -> Parameter:
+    """Return an option that is helped by the setting's own meaning, default and range."""
+    return Parameter(help=describe(name), show_default=False)
+
+
 @app.command
 def simulate(
     *,
-    indenter: float | None = None,
-    depth: float | None = None,
-    position: float | None = None,
-    length: float | None = None,
-    support: Literal["held", "free"] | None = None,
-    frequency: float | None = None,
-    temperature: float | None = None,
+    indenter: Annotated[float | None, _option("indenter_mm")] = None,
+    depth: Annotated[float | None, _option("depth_mm")] = None,
+    position: Annotated[float | None, _option("position_cm")] = None,
+    length: Annotated[float | None, _option("length_cm")] = None,
+    support: Annotated[Literal["held", "free"] | None, _option("support")] = None,
+    frequency: Annotated[float | None, _option("frequency_khz")] = None,
+    temperature: Annotated[float | None, _option("temperature_c")] = None,
     # A float, because a whole number would be rounded from 3.5 without a word.
-    resolution: float | None = None,
-    source_end: Literal["release", "absorbing"] | None = None,
+    resolution: Annotated[float | None, _option("resolution")] = None,
+    source_end: Annotated[Literal["release", "absorbing"] | None, _option("source_end")] = None,
     config: Path | None = None,
     out: Path | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
@@ -53,30 +60,13 @@ def simulate(
 
     Parameters
     ----------
-    indenter : float
-        Diameter of the pressing cylinder in mm.
-    depth : float
-        How far it is pressed in, in mm.
-    position : float
-        Distance of the press from the source end in cm.
-    length : float
-        Length of the tube in cm.
-    support : {"held", "free"}
-        Bottom line held down along its length, or resting on a floor with free ends.
-    frequency : float
-        Carrier of the sound pulse in kHz.
-    temperature : float
-        Temperature of the air in degC.
-    resolution : int
-        Grid cells across the bore.
-    source_end : {"release", "absorbing"}
-        What the source end does once the pulse has left.
     config : Path
         A TOML file with settings; the options above win over it.
     out : Path
-        The folder to write, which must be new or empty.
+        The folder to write, which must be new or empty; simulate-1, simulate-2 and so on if not
+        given.
     quiet : bool
-        Print nothing.
+        Print nothing but what went wrong.
     """
     settings = load_config(
         config,
@@ -92,11 +82,25 @@ def simulate(
     )
     folder = check_out(out if out is not None else fresh_folder("simulate"))
 
-    from rich.console import Console
+    with _interrupts_held_back():
+        from rich.console import Console
 
-    from acoustube.run import run
+        from acoustube.run import run
 
     run(settings, folder, Console(quiet=quiet))
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Let an interrupt wait: inside an extension that is being loaded it becomes an ImportError."""
+    pending: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda number, _frame: pending.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if pending:
+        raise KeyboardInterrupt
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
@@ -114,18 +118,20 @@ def main(tokens: Sequence[str] | None = None) -> int:
     """
     try:
         app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-    except (ConfigError, CycloptsError) as error:
+    except CycloptsError as error:
+        # Several sentences are joined into one.
+        words = " ".join(str(error).split())
+        return _refuse(re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", words), 2)
+    except ConfigError as error:
         return _refuse(str(error), 2)
     except (SimulationError, OSError) as error:
         return _refuse(str(error), 1)
     except KeyboardInterrupt:
-        return _refuse("interrupted; nothing was written", 130)
+        return _refuse("interrupted; no incomplete run is left", 130)
     return 0
 
 
 def _refuse(message: str, code: int) -> int:
-    """Print one sentence on standard error and return the exit code."""
-    # Several sentences, some of them cyclopts' own, are joined into one, on one line.
-    joined = re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", " ".join(message.split()))
-    print(f"acoustube: {joined}", file=sys.stderr)
+    """Print one line on standard error and return the exit code."""
+    print(f"acoustube: {' '.join(message.split())}", file=sys.stderr)
     return code

@@ -17,14 +17,14 @@ from typing import Any, Literal
 
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
-from acoustube.limits import LARGEST_CLOSING, pressed_reach
-from acoustube.rules import Choice, Number, Section, setting, short
+from acoustube.limits import CLEARANCE, LARGEST_CLOSING, pressed_reach
+from acoustube.rules import Choice, Number, Section, filled, setting, short
 
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
 
-MOST_CELLS = 200_000_000
-"""Largest grid of the wave stage: each of its arrays then takes 0.8 GB."""
+MOST_CELLS = 50_000_000
+"""Largest grid of the wave stage, which then takes some 15 GB of memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +66,9 @@ class IndentationSettings(Section):
 
     indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing cylinder"))
     depth_mm: float = setting(4.0, Number(0.05, 50, "mm", "how far it is pressed in"))
-    position_cm: float = setting(
-        20.0, Number(0.1, 1000, "cm", "distance of the press from the source end")
+    position_cm: float | None = setting(
+        None,
+        Number(0.1, 1000, "cm", "distance of the press from the source end (the middle)"),
     )
     support: Literal["held", "free"] = setting(
         "held",
@@ -99,8 +100,14 @@ class WaveSettings(Section):
 class SignalSettings(Section):
     """The processing from pressure to distance."""
 
-    lowpass_khz: float = setting(
-        10.0, Number(0.5, 50, "kHz", "cut-off of the low-pass that makes the envelope")
+    lowpass_khz: float | None = setting(
+        None,
+        Number(
+            0.5,
+            50,
+            "kHz",
+            "cut-off of the envelope's low-pass (half of frequency_khz, at most 10)",
+        ),
     )
     prominence: float = setting(
         0.01, Number(0.0001, 1, "", "least prominence of an echo, as a share of the send pulse")
@@ -129,10 +136,22 @@ class Config:
     signals: SignalSettings = SignalSettings()
 
     def __post_init__(self) -> None:
+        for name, section in _SECTIONS.items():
+            if not isinstance(getattr(self, name), section):
+                raise ConfigError(f"{name} = {getattr(self, name)!r} must be a {section.__name__}")
+        self._fill("indentation", "position_cm", self.tube.length_cm / 2)
+        self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
         _check_depth(self.tube, self.indentation)
         _check_position(self)
         _check_resolution(self.tube, self.waves)
-        _check_lowpass(self.waves, self.signals)
+        _check_probe(self.tube, self.waves)
+        _check_lowpass(self)
+
+    def _fill(self, section: str, name: str, value: float) -> None:
+        """Give a setting that was left open the value that follows from the others."""
+        settings = getattr(self, section)
+        if getattr(settings, name) is None:
+            object.__setattr__(self, section, dataclasses.replace(settings, **{name: value}))
 
 
 def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
@@ -153,8 +172,9 @@ def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
 
 def _check_position(config: Config) -> None:
     """Refuse a press whose bent part reaches the listening plane or the far end."""
-    tube, position = config.tube, config.indentation.position_cm
+    tube, position = config.tube, filled(config.indentation.position_cm)
     reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / 10
+    reach += CLEARANCE * tube.outer_diameter_mm / 10
     nearest = _round_up(config.waves.probe_cm + reach)
     farthest = _round_down(tube.length_cm - reach)
     bends = f"the press bends the tube for {reach:.4g} cm to each side"
@@ -172,6 +192,11 @@ def _check_position(config: Config) -> None:
         )
 
 
+def grid_cells(tube: TubeSettings, waves: WaveSettings) -> float:
+    """Return the number of grid cells in the box around the tube's bore."""
+    return waves.resolution**3 * 10 * tube.length_cm / tube.inner_diameter_mm
+
+
 def _check_resolution(tube: TubeSettings, waves: WaveSettings) -> None:
     """Refuse a grid that cannot carry the sound, or that no computer will hold."""
     bore = tube.inner_diameter_mm
@@ -183,7 +208,7 @@ def _check_resolution(tube: TubeSettings, waves: WaveSettings) -> None:
             f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
             f"use at least {coarsest}"
         )
-    cells = waves.resolution**3 * 10 * tube.length_cm / bore
+    cells = grid_cells(tube, waves)
     if cells > MOST_CELLS:
         finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
         raise ConfigError(
@@ -193,13 +218,32 @@ def _check_resolution(tube: TubeSettings, waves: WaveSettings) -> None:
         )
 
 
-def _check_lowpass(waves: WaveSettings, signals: SignalSettings) -> None:
-    """Refuse an envelope filter that would let the carrier through."""
+def _check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
+    """Refuse a listening plane within the first layer of cells, where the pulse is set."""
+    nearest = _round_up(tube.inner_diameter_mm / waves.resolution / 10)
+    if waves.probe_cm < nearest:
+        raise ConfigError(
+            f"probe_cm = {short(waves.probe_cm)} lies in the first layer of cells; use at least "
+            f"{nearest:g} or a higher resolution"
+        )
+
+
+def _check_lowpass(config: Config) -> None:
+    """Refuse an envelope filter that lets the carrier through, or is slower than the record."""
+    waves, lowpass = config.waves, filled(config.signals.lowpass_khz)
     # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
     highest = waves.frequency_khz / 2
-    if signals.lowpass_khz > highest:
+    record_ms = 20 * config.tube.length_cm / sound_speed(waves.temperature_c)
+    # The filter continues the record at both ends by three periods of the cut-off.
+    lowest = _round_up(3 / record_ms)
+    if lowpass < lowest:
         raise ConfigError(
-            f"lowpass_khz = {short(signals.lowpass_khz)} lets the rectified "
+            f"lowpass_khz = {short(lowpass)} is too slow for the {record_ms:.2f} ms that a "
+            f"{config.tube.length_cm:g} cm tube takes to answer; use at least {lowest:g}"
+        )
+    if lowpass > highest:
+        raise ConfigError(
+            f"lowpass_khz = {short(lowpass)} lets the rectified "
             f"{waves.frequency_khz:g} kHz carrier through; use at most {_round_down(highest):g}, "
             "under [signals] in a --config file"
         )
@@ -264,7 +308,7 @@ def load_config(path: str | Path | None = None, **overrides: Any) -> Config:
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """Return the values that a TOML file gives, by section."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path} is not a text file in UTF-8; give a TOML file") from error
     except tomllib.TOMLDecodeError as error:
@@ -281,6 +325,10 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 def _check_names(path: Path, section: str, values: Any) -> None:
     """Refuse what is not a known section with known settings in it."""
+    if section in _SECTIONS and not isinstance(values, dict):
+        raise ConfigError(
+            f"{path}: {section} must be a section, written [{section}] above its settings"
+        )
     if not isinstance(values, dict):
         home = f" under [{_SECTION_OF[section]}]" if section in _SECTION_OF else ""
         advice = f"; put it{home}" if home else _nearest(section, _SECTION_OF)
@@ -302,6 +350,17 @@ def _nearest(name: str, known: Any) -> str:
     if near:
         return f"; did you mean {near[0]}?"
     return f"; known are {', '.join(known)}"
+
+
+def describe(name: str) -> str:
+    """Return what a setting means, its default and what it may be, in words."""
+    section = _SECTION_OF[name]
+    (field,) = (f for f in dataclasses.fields(_SECTIONS[section]) if f.name == name)
+    rule, default = field.metadata["rule"], getattr(getattr(Config(), section), name)
+    meaning = rule.meaning[0].upper() + rule.meaning[1:]
+    if isinstance(default, str):  # the choices are listed anyway
+        return f"{meaning}; default {default}."
+    return f"{meaning}: {rule.allowed}; default {short(default)}."
 
 
 def to_toml(config: Config) -> str:
@@ -326,8 +385,11 @@ def _section_to_toml(name: str, section: Any) -> str:
     lines = [f"[{name}]"]
     for field in dataclasses.fields(section):
         value = getattr(section, field.name)
-        if value is not None:
-            rule = field.metadata["rule"]
+        rule = field.metadata["rule"]
+        meaning = f"  # {rule.meaning}; {rule.allowed}"
+        if value is None:
+            lines.append(f"# {field.name} ={meaning}")
+        else:
             text = f'"{value}"' if isinstance(value, str) else repr(value)
-            lines.append(f"{field.name} = {text}  # {rule.meaning}; {rule.allowed}")
+            lines.append(f"{field.name} = {text}{meaning}")
     return "\n".join(lines) + "\n"

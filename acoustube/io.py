@@ -7,6 +7,7 @@ import itertools
 import os
 import shutil
 import tempfile
+import uuid
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,42 +78,72 @@ def _check_free(path: str | Path, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def write_folder(path: str | Path) -> Iterator[Path]:
-    """Write a folder aside and give it its name only when it is complete.
+def partial_folder(path: str | Path) -> Iterator[Path]:
+    """Make a temporary folder beside the one to be written, and leave nothing of it behind.
 
     Parameters
     ----------
     path : str or path
-        The folder to be made; see :func:`check_out`.
+        The folder to be made in the end, by :func:`publish`; see :func:`check_out`.
 
     Yields
     ------
     Path
-        A temporary folder beside it. When the block ends it is renamed; when the block is left by
-        an exception, an interrupt included, it is removed.
+        A temporary folder beside it. If it is still there when the block ends, by an exception,
+        an interrupt included, it is removed with the parents that were made for it.
 
     Raises
     ------
     ConfigError
-        If the folder cannot be made, also when another run has made it in the meantime.
+        If the folder is taken or cannot be made.
     """
     folder = check_out(path)
-    partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
+    partial = folder.parent / f".acoustube-partial-{uuid.uuid4().hex[:8]}"
     try:
-        partial.mkdir(parents=True)
-    except FileExistsError as error:
-        raise ConfigError(
-            f"{partial} is in the way, left by a run that was killed; remove it"
-        ) from error
-    try:
+        try:
+            partial.mkdir(parents=True)
+        except OSError as error:
+            raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
         yield partial
-        _check_free(path, folder)
-        with contextlib.suppress(FileNotFoundError):
-            folder.rmdir()  # only ever an empty one; not every system renames onto it
-        partial.rename(folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
+    finally:
+        if partial.exists():
+            shutil.rmtree(partial, ignore_errors=True)
+            for parent in made:
+                with contextlib.suppress(OSError):  # another run has put something there
+                    parent.rmdir()
+
+
+def publish(partial: Path, path: str | Path) -> Path:
+    """Give a complete folder its name, in one step.
+
+    Parameters
+    ----------
+    partial : path
+        The folder of :func:`partial_folder`.
+    path : str or path
+        The name that it should get.
+
+    Returns
+    -------
+    Path
+        The name that it got: where another run has taken `path` in the meantime, a number is
+        added, so that nothing is overwritten and nothing lost.
+    """
+    folder = Path(path).absolute()
+    for name in itertools.chain([folder], _numbered(folder)):
+        try:
+            _check_free(path, name)
+            with contextlib.suppress(FileNotFoundError):
+                name.rmdir()  # only ever an empty one; not every system renames onto it
+            return partial.rename(name)
+        except (ConfigError, FileExistsError):
+            continue
+    raise AssertionError  # the numbers do not end
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
+    return (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
 
 
 def write_dataset(dataset: xr.Dataset, path: Path) -> None:

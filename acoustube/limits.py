@@ -1,5 +1,11 @@
 """What the model holds for: limits that the settings and the solvers share, in any unit."""
 
+CLEARANCE = 0.5
+"""Least distance, in outer diameters, from where a press ends to a probe or an end of the tube.
+
+Pressing moves the modelled end outwards by up to a tenth of a millimetre, and leaves it oval.
+"""
+
 LARGEST_CLOSING = 0.9
 """Deepest press that is followed, as a share of the bore; soon after it the walls meet."""
 

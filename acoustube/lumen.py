@@ -139,6 +139,11 @@ def straighten(points: Array, line: Array) -> Array:
     array of shape (..., 3)
         x unchanged; y the signed distance from the curve plus the height of its first point; z
         the arc length to the nearest point of the curve.
+
+    Raises
+    ------
+    SimulationError
+        If the curve bends more sharply than the points are far from it.
     """
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     # The chord is shorter than the arc by a relative (h kappa)^2 / 24, under 1e-5 here.
@@ -151,6 +156,8 @@ def straighten(points: Array, line: Array) -> Array:
         s = s + error
         if np.abs(error).max() < 1e-12:
             break
+    else:
+        raise SimulationError("The pressed tube is bent too sharply to be straightened.")
     direction = tangent(s)
     normal = np.stack([direction[..., 1], -direction[..., 0]], axis=-1)
     across = np.sum((np.stack([y, z], axis=-1) - curve(s)) * normal, axis=-1)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
@@ -56,6 +56,7 @@ def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] |
     axes.set_axis_off()
     last = dataset.isel(depth=-1)
     axes.set_title(
+        f"bore {1e3 * float(dataset['width_profile'][0]):.1f} mm, "
         f"pressed {1e3 * float(last['indentation_depth']):.2f} mm deep: "
         f"force {float(last['contact_force']):.2f} N, "
         f"lumen {1e3 * float(last['lumen_height']):.2f} mm high, "
@@ -94,51 +95,17 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot signal and envelope against the distance that their delay stands for."""
     chosen = str(dataset["distance"].attrs["source_end"])
     case = dataset.sel(source_end=chosen)
-    speed, probe = float(dataset["sound_speed"]), float(dataset.attrs["probe"])
-    send = float(case["send_time"])
-
-    def place(time: xr.DataArray | float) -> np.ndarray:
-        return CM * (probe + speed * (np.asarray(time) - send) / 2)
-
-    distance = place(dataset["time"])
+    distance = _place(case, case["time"].values)
+    limit = _limit(case)
     pressure = case["pressure"] / np.abs(case["pressure"]).max()
-    echo = case["envelope"].where(dataset["time"] > send + _fading(dataset)).max()
-    # The send pulse is cut off so that the echo, often a hundredth of it, can be seen.
-    limit = float(np.clip(2.5 * echo, 0.02, 1.1)) if np.isfinite(echo) else 1.1
     axes.plot(distance, pressure, color=SIGNAL, lw=0.6, label="pressure at the probe")
     axes.plot(distance, case["envelope"], color=ENVELOPE, label="envelope")
-    other = [str(end) for end in dataset["source_end"].values if end != chosen]
-    for end in other:
-        shifted = dataset.sel(source_end=end)
-        axes.plot(
-            distance,
-            shifted["envelope"],
-            color=ENVELOPE,
-            lw=0.8,
-            ls="--",
-            label=f"envelope, {end} source end",
-        )
-    axes.axvline(CM * probe, color=SEND, lw=1.2)
-    axes.annotate(
-        "send pulse" + (", cut off" if limit < 1 else ""),
-        (CM * probe, limit),
-        xytext=(6, -14),
-        textcoords="offset points",
-        color=SEND,
-    )
-    if np.isfinite(float(case["return_time"])):
-        estimate, height = float(place(float(case["return_time"]))), float(case["echo_amplitude"])
-        axes.plot(estimate, height, "o", color=RETURN)
-        error = estimate - CM * float(dataset["true_distance"])
-        axes.annotate(
-            f"return pulse: {estimate:.2f} cm ({error:+.2f} cm), "
-            f"{100 * height:.2f} % of the send pulse",
-            (estimate, height),
-            xytext=(0, 12),
-            textcoords="offset points",
-            ha="center",
-            color=RETURN,
-        )
+    for end in dataset["source_end"].values:
+        if end != chosen:
+            other = dataset.sel(source_end=end)
+            label = f"envelope, {end} source end"
+            axes.plot(distance, other["envelope"], "--", color=ENVELOPE, lw=0.8, label=label)
+    _mark_pulses(axes, case, limit)
     axes.set_ylim(-limit, limit)
     axes.set_ylabel("share of the send pulse")
     axes.legend(loc="lower right", fontsize="small", framealpha=0.9)
@@ -146,12 +113,49 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
     return axes
 
 
-def _fading(dataset: xr.Dataset) -> float:
-    """Return how long after its maximum the send pulse is over, in s."""
-    return float(dataset.attrs["pulse_duration"])
+def _place(case: xr.Dataset, time: Any) -> Any:
+    """Return the distance in cm that a delay after the send pulse stands for."""
+    delay = time - float(case["send_time"])
+    return CM * (float(case["probe_position"]) + float(case["sound_speed"]) * delay / 2)
+
+
+def _limit(case: xr.Dataset) -> float:
+    """Return how high to draw: the echo is often a hundredth of the send pulse, which is cut."""
+    echo = float(case["echo_amplitude"])
+    return float(np.clip(2.5 * echo, 0.02, 1.1)) if np.isfinite(echo) else 0.05
+
+
+def _mark_pulses(axes: Axes, case: xr.Dataset, limit: float) -> None:
+    """Mark where the send pulse and the highest echo are."""
+    behind = {"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+    probe = CM * float(case["probe_position"])
+    axes.axvline(probe, color=SEND, lw=1.2)
+    axes.annotate(
+        "send pulse, cut off" if limit < 1 else "send pulse",
+        (probe, limit),
+        xytext=(6, -16),
+        textcoords="offset points",
+        color=SEND,
+        bbox=behind,
+    )
+    height = float(case["echo_amplitude"])
+    if not np.isfinite(height):
+        return
+    estimate = float(_place(case, float(case["return_time"])))
+    error = estimate - CM * float(case["true_distance"])
+    axes.plot(estimate, height, "o", color=RETURN)
+    axes.annotate(
+        f"return pulse: {estimate:.2f} cm ({error:+.2f} cm), "
+        f"{100 * height:.2f} % of the send pulse",
+        (estimate, height),
+        xytext=(0, 12),
+        textcoords="offset points",
+        ha="center",
+        color=RETURN,
+        bbox=behind,
+    )
 
 
 def save(sheet: Figure, path: Path) -> None:
-    """Write a figure as PNG, drawn without a screen."""
-    with mpl.rc_context({"font.size": 10}):
-        sheet.savefig(path, dpi=130)
+    """Write a figure as PNG; no screen is needed."""
+    sheet.savefig(path, dpi=130)

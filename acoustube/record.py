@@ -17,10 +17,10 @@ from acoustube.config import Config
 from acoustube.indentation import Indentation
 from acoustube.lumen import Lumen, deformed_wall, profile, ring_faces
 from acoustube.signals import Ranging
-from acoustube.waves import Recording
-from acoustube.waves.scheme import SourceEnd
+from acoustube.waves import Pulse, Recording, SourceEnd
 
-PROFILE_POINTS = 801
+EVEN_POINTS = 401
+"""Points of the profile along the tube, besides those where the finite elements have rings."""
 
 Variable = tuple[tuple[str, ...], Any, dict[str, str]]
 
@@ -68,7 +68,8 @@ def dataset(
     variables = (
         _pressed(indentation)
         | _shape(indentation, lumen)
-        | _signals(recordings, rangings, config.waves.source_end)
+        | _recorded(recordings, config)
+        | _ranged(rangings, config.waves.source_end)
         | {
             "true_distance": variable("", lumen.position, "m", "distance of the press"),
             "sound_speed": variable("", sound_speed, "m/s", "speed of sound"),
@@ -76,15 +77,19 @@ def dataset(
         }
     )
     coordinates = {
-        "stage": ("stage", list(seconds)),
-        "source_end": ("source_end", list(recordings)),
-        "xyz": ("xyz", ["x", "y", "z"]),
+        "depth": variable("depth", indentation.depth, "m", "depth of the rod"),
+        "stage": variable("stage", list(seconds), "1", "stage of the chain"),
+        "source_end": variable(
+            "source_end", list(recordings), "1", "what the source end does after the pulse"
+        ),
+        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
     }
-    origin = _provenance(config, indentation, recordings, warnings, device)
+    origin = _provenance(config, warnings, device)
     return xr.Dataset(variables, coordinates, origin)
 
 
 def _pressed(indentation: Indentation) -> dict[str, Variable]:
+    """Return the press, increment by increment, and its mesh."""
     sections = [
         profile(deformed_wall(indentation, i), np.zeros(1)) for i in range(len(indentation.depth))
     ]
@@ -122,7 +127,11 @@ def _pressed(indentation: Indentation) -> dict[str, Variable]:
 
 
 def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
-    along = profile(lumen.rings, np.linspace(0, indentation.tube.length, PROFILE_POINTS))
+    """Return the walls of the whole tube, and the lumen's profile."""
+    length = indentation.tube.length
+    # The rings are dense where the lumen is pressed, and one of them lies under the rod.
+    stations = np.clip(lumen.rings[:, 0, 2], 0, length)
+    along = profile(lumen.rings, np.union1d(np.linspace(0, length, EVEN_POINTS), stations))
     return {
         "inner_wall": variable(
             "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"
@@ -143,26 +152,10 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
     }
 
 
-def _signals(
-    recordings: Mapping[SourceEnd, Recording],
-    rangings: Mapping[SourceEnd, Ranging],
-    source_end: SourceEnd,
-) -> dict[str, Variable]:
+def _recorded(recordings: Mapping[SourceEnd, Recording], config: Config) -> dict[str, Variable]:
+    """Return what the probe heard, and the grid on which it was computed."""
     first = next(iter(recordings.values()))
-    results = list(rangings.values())
-    chosen = rangings[source_end]
-    most = max(result.echoes.times.size for result in results)
-
-    def stacked(quantity: str) -> Any:
-        return np.stack([np.asarray(getattr(result, quantity)) for result in results])
-
-    def echoes(quantity: str) -> Any:
-        rows = np.full((len(results), most), np.nan)
-        for row, result in zip(rows, results, strict=True):
-            values = getattr(result.echoes, quantity)
-            row[: values.size] = values
-        return rows
-
+    pulse = Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
     return {
         "time": variable("time", first.time, "s", "time since the pulse starts to leave"),
         "pressure": variable(
@@ -171,45 +164,58 @@ def _signals(
             "1",
             "mean pressure on the probe plane, as a share of the pulse's peak",
         ),
-        "envelope": variable(
-            "source_end time", stacked("envelope"), "1", "envelope, as a share of the send pulse"
-        ),
-        "send_time": variable("source_end", stacked("send_time"), "s", "maximum of the send pulse"),
-        "return_time": variable("source_end", stacked("return_time"), "s", "highest echo"),
-        "echo_amplitude": variable(
-            "source_end", stacked("amplitude"), "1", "highest echo, as a share of the send pulse"
-        ),
-        "estimated_distance": variable(
-            "source_end", stacked("distance"), "m", "distance that the highest echo tells"
-        ),
-        "peak_time": variable("source_end peak", echoes("times"), "s", "peaks of the envelope"),
-        "peak_amplitude": variable(
-            "source_end peak", echoes("amplitudes"), "1", "height of each peak"
-        ),
-        "peak_prominence": variable(
-            "source_end peak", echoes("prominences"), "1", "prominence of each peak"
-        ),
-        "distance": (
-            (),
-            chosen.distance,
-            {"units": "m", "long_name": "estimated distance", "source_end": source_end},
-        ),
-        "amplitude": (
-            (),
-            chosen.amplitude,
-            {"units": "1", "long_name": "amplitude of its echo", "source_end": source_end},
-        ),
+        "probe_position": variable("", first.probes[0], "m", "distance of the probe plane"),
+        "pulse_duration": variable("", pulse.duration, "s", "duration of the pulse"),
+        "time_step": variable("", first.time_step, "s", "time step"),
+        "grid_spacing": variable("xyz", first.spacing, "m", "size of a grid cell"),
+        "grid_shape": variable("xyz", first.shape, "1", "grid cells of the half x > 0"),
     }
 
 
-def _provenance(
-    config: Config,
-    indentation: Indentation,
-    recordings: Mapping[SourceEnd, Recording],
-    warnings: Sequence[str],
-    device: str,
-) -> dict[str, Any]:
-    first = next(iter(recordings.values()))
+def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
+    """Return what the processing made of it, for each choice of the source end."""
+    results = list(rangings.values())
+    names = {
+        "envelope": ("source_end time", "1", "envelope, as a share of the send pulse"),
+        "send_time": ("source_end", "s", "maximum of the send pulse"),
+        "return_time": ("source_end", "s", "maximum of the highest echo"),
+        "amplitude": ("source_end", "1", "highest echo, as a share of the send pulse"),
+        "distance": ("source_end", "m", "distance that the highest echo tells"),
+    }
+    renamed = {"amplitude": "echo_amplitude", "distance": "estimated_distance"}
+    found = {
+        renamed.get(name, name): variable(
+            dims, np.stack([getattr(result, name) for result in results]), units, long_name
+        )
+        for name, (dims, units, long_name) in names.items()
+    }
+    chosen = {"source_end": source_end}
+    for name, label in (("distance", "estimated distance"), ("amplitude", "height of its echo")):
+        units = names[name][1]
+        attributes = {"units": units, "long_name": label} | chosen
+        found[name] = ((), getattr(rangings[source_end], name), attributes)
+    return found | _peaks(results)
+
+
+def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
+    """Return all peaks; the rows of a source end with fewer of them end in nan."""
+    most = max(result.echoes.times.size for result in results)
+    dims, rows = "source_end peak", np.full((3, len(results), most), np.nan)
+    for i, result in enumerate(results):
+        echoes = result.echoes
+        for row, values in zip(
+            rows[:, i], (echoes.times, echoes.amplitudes, echoes.prominences), strict=True
+        ):
+            row[: values.size] = values
+    return {
+        "peak_time": variable(dims, rows[0], "s", "peaks of the envelope"),
+        "peak_amplitude": variable(dims, rows[1], "1", "height of each peak"),
+        "peak_prominence": variable(dims, rows[2], "1", "prominence of each peak"),
+    }
+
+
+def _provenance(config: Config, warnings: Sequence[str], device: str) -> dict[str, Any]:
+    """Return where the data come from."""
     settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
     return {
         "title": "One press of a soft acoustic waveguide",
@@ -220,11 +226,5 @@ def _provenance(
         "configuration_hash": hashlib.sha256(settings.encode()).hexdigest()[:16],
         "device": device,
         "precision": "float64 in the wall, float32 in the air",
-        "time_step": first.time_step,
-        "grid_spacing": list(first.spacing),
-        "grid_shape": list(first.shape),
-        "probe": first.probes[0],
-        "pulse_duration": config.waves.cycles / (1e3 * config.waves.frequency_khz),
-        "newton_residual": float(indentation.residual.max()),
         "warnings": "\n".join(warnings),
     }

@@ -118,3 +118,9 @@ class Section:
 def short(value: Any) -> str:
     """Return a number in the digits that say it exactly, and 12 rather than 12.0."""
     return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
+
+
+def filled(value: float | None) -> float:
+    """Return a setting that :class:`~acoustube.config.Config` has filled in."""
+    assert value is not None
+    return value

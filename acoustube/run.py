@@ -23,8 +23,14 @@ from rich.table import Table
 
 from acoustube import __version__, scene
 from acoustube.chain import Report, simulate
-from acoustube.config import Config, to_toml
-from acoustube.io import write_dataset, write_folder
+from acoustube.config import Config, grid_cells, to_toml
+from acoustube.io import partial_folder, publish, write_dataset
+
+# Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
+# the estimate in the first line only.
+FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
+STEPS_PER_CELL = 2 * 3.9  # time steps per axial cell, for both source ends
+SECONDS_PER_CELL_STEP, GIGABYTES_PER_CELL = 1.8e-9, 3e-7
 
 REPORT_INTERVAL = 10.0
 """Seconds between two lines of progress where there is no terminal."""
@@ -56,12 +62,13 @@ def run(config: Config, folder: Path, console: Console) -> Path:
     """
     started = time.perf_counter()
     _print_header(config, console)
-    with write_folder(folder) as partial:
+    with partial_folder(folder) as partial:
         with _progress(console) as report:
             dataset = simulate(config, report=report)
         write_dataset(dataset, partial / "run.nc")
         (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
         drawn = _write_figure(dataset, partial)
+        folder = publish(partial, folder)
     _print_results(dataset, console)
     if not drawn:
         console.print(
@@ -89,10 +96,14 @@ def _print_header(config: Config, console: Console) -> None:
         if tube.shore_a is not None
         else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
     )
-    cells = waves.resolution**3 * 10 * tube.length_cm / tube.inner_diameter_mm
+    cells = grid_cells(tube, waves)
+    steps = STEPS_PER_CELL * 10 * tube.length_cm * waves.resolution / tube.inner_diameter_mm
+    minutes = (FIXED_SECONDS + cells * steps * SECONDS_PER_CELL_STEP) / 60
+    memory = FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
     where = f"{jax.devices()[0].device_kind}, float64 in the wall, float32 in the air"
     grid = f"{waves.resolution} cells across the bore, {1e-6 * cells:.1f} million in the tube's box"
-    console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}", soft_wrap=True)
+    cost = f"about {max(minutes, 0.5):.1g} min on two cores, {memory:.1f} GB of memory"
+    console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
     console.print(
         f"tube: bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, "
         f"{tube.length_cm:g} cm long, {hardness}, Poisson's ratio {tube.poisson_ratio:g}",

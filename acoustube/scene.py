@@ -40,15 +40,15 @@ def draw(run: Path) -> dict[str, Image] | None:
     dict of images of shape (height, width, 3), or None
         ``close_up`` and ``strip``; None if VTK cannot draw on this machine.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        images = Path(folder) / "images.npz"
-        command = [sys.executable, "-m", __name__, str(run), str(images)]
-        try:
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            images = Path(folder) / "images.npz"
+            command = [sys.executable, "-m", __name__, str(run), str(images)]
             subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
-        except (subprocess.SubprocessError, OSError):
-            return None
-        with np.load(images) as file:
-            return {name: file[name] for name in file.files}
+            with np.load(images) as file:
+                return {name: file[name] for name in file.files}
+    except (subprocess.SubprocessError, OSError):
+        return None  # the figure is drawn without the tube, and says so
 
 
 def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
@@ -83,6 +83,7 @@ def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Put meshes of points and triangles into one."""
     offsets = np.cumsum([0, *(len(points) for points, _ in meshes)])
     faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=False)]
     return np.concatenate([points for points, _ in meshes]), np.concatenate(faces)
@@ -119,7 +120,7 @@ def close_up(dataset: xr.Dataset, rod_diameter: float) -> Image:
         height=1.2 * size,  # cut open at x = 0 like the tube
         resolution=120,
     )
-    plotter.add_mesh(rod, color=ROD, smooth_shading=True, split_sharp_edges=True)
+    plotter.add_mesh(rod, color=ROD, smooth_shading=True, split_sharp_edges=True, ambient=0.35)
     near, far = position + 6 * size * np.array([-1, 1])
     floor = pyvista.Box((-1.4 * size, 0.4 * size, -0.56 * size, -0.5 * size, near, far))
     plotter.add_mesh(floor, color=GROUND)

@@ -327,6 +327,14 @@ def distance(time_of_flight: ArrayLike, temperature: float) -> Array:
     return np.asarray(sound_speed(temperature) * np.asarray(time_of_flight, dtype=float) / 2)
 
 
+def blind_time(pulse_duration: float, cutoff: float) -> float:
+    """Return how long after its maximum the send pulse's envelope has faded, in s.
+
+    Half the pulse's duration in s, and one period of the low-pass's cut-off in Hz for its spread.
+    """
+    return pulse_duration / 2 + 1 / cutoff
+
+
 def process(
     time: ArrayLike,
     pressure: ArrayLike,
@@ -383,8 +391,7 @@ def process(
     below the cut-off and shift a 42 kHz echo by up to 0.3 samples (0.2 mm) at 200 kHz, 0.1 samples
     (0.01 mm) at 2 MHz. The parabola adds nothing to that.
 
-    The send pulse is taken to fade within half its duration, and one period of the cut-off for
-    the filter's spread, after its maximum.
+    No echo is looked for within :func:`blind_time` of the send pulse's maximum.
     """
     time, pressure = _checked(time, pressure)
     speed = float(sound_speed(temperature))
@@ -393,7 +400,7 @@ def process(
     send_time, send_amplitude = send_pulse(time, raw, before=send_end)
     scaled = normalise(raw, send_amplitude)
 
-    faded = send_time + pulse_duration / 2 + 1 / cutoff
+    faded = send_time + blind_time(pulse_duration, cutoff)
     start = np.maximum(faded, send_time + 2 * (nearest - probe_position) / speed)
     stop = send_time + 2 * (farthest - probe_position) / speed
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)

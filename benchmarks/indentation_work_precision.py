@@ -28,7 +28,9 @@ MESHES = (
 
 def reference() -> dict[float, tuple[float, float, float]]:
     """Return force in N, height in mm and area in mm2 by depth in mm."""
-    table = np.genfromtxt(REFERENCE, delimiter=",", names=True, comments="#")
+    # NumPy would take the names from the first line of the comment.
+    lines = [line for line in REFERENCE.read_text().splitlines() if not line.startswith("#")]
+    table = np.genfromtxt(lines, delimiter=",", names=True)
     columns = ("force_N", "lumen_height_mm", "lumen_area_mm2")
     return {float(row["depth_mm"]): tuple(float(row[c]) for c in columns) for row in table}
 

@@ -23,7 +23,7 @@ PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
 def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
     """Return one row per depth: mechanics, then distance, error and amplitude per source end."""
     config = load_config(indenter_mm=rod_mm, resolution=resolution, support=support)
-    tube, position = tube_from(config), 1e-2 * config.indentation.position_cm
+    tube, position = tube_from(config), 5e-3 * config.tube.length_cm
     pressed = indent(
         tube,
         rod_diameter=1e-3 * rod_mm,

@@ -16,14 +16,14 @@ config = acoustube.load_config(indenter_mm=25, depth_mm=5, resolution=16)
 run = acoustube.simulate(config)
 
 # %% The absorbing end's echo, minus itself one round trip from the probe to the end later
-time, probe, speed = run["time"].values, run.attrs["probe"], float(run["sound_speed"])
+time, probe, speed = run["time"].values, float(run["probe_position"]), float(run["sound_speed"])
 absorbing = run["pressure"].sel(source_end="absorbing").values
 release = run["pressure"].sel(source_end="release").values
 delay = 2 * probe / speed
 rebuilt = absorbing - np.interp(time - delay, time, absorbing, left=0)
 
 # Only the echo: the send pulse leaves the prescribed end without any reflection.
-echo = time > float(run["send_time"][0]) + 1.2 * run.attrs["pulse_duration"] + delay
+echo = time > float(run["send_time"][0]) + 1.2 * float(run["pulse_duration"]) + delay
 mismatch = np.linalg.norm((rebuilt - release)[echo]) / np.linalg.norm(release[echo])
 distances_cm = 100 * run["estimated_distance"].values
 print(f"rebuilt within {100 * mismatch:.1f} %; distances {np.round(distances_cm, 2)} cm")

@@ -10,7 +10,9 @@ import pytest
 import xarray as xr
 
 from acoustube import Config, load_config, plot, scene
-from acoustube.chain import tube_from, warnings_for
+from acoustube.chain import listen, stage, tube_from, warnings_for
+from acoustube.errors import SimulationError
+from acoustube.lumen import Lumen
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
@@ -56,7 +58,7 @@ def test_printed_table_tells_what_the_file_holds(finished, dataset):
 def test_every_variable_has_a_unit_and_a_name(dataset):
     bare = [
         name
-        for name, variable in dataset.data_vars.items()
+        for name, variable in dataset.variables.items()
         if not {"units", "long_name"} <= set(variable.attrs)
     ]
     assert bare == []
@@ -130,6 +132,37 @@ def test_figure_shares_the_distance_and_marks_both_pulses(dataset, finished):
 def test_figure_without_pictures_says_why(dataset):
     sheet = plot.figure(dataset, None)
     assert "VTK cannot draw" in sheet.axes[0].texts[0].get_text()
+
+
+def round_rings(length):
+    """Return the two rings of a straight bore."""
+    angle = 2 * np.pi * np.arange(64) / 64
+    circle = 3.95e-3 * np.stack([np.sin(angle), -np.cos(angle), 0 * angle], axis=-1)
+    rings = np.stack([circle, circle])
+    rings[1, :, 2] = length
+    return rings
+
+
+def test_both_source_ends_share_one_time_axis_whatever_the_length():
+    """At this length and grid the two steps, found alone, give different numbers of samples."""
+    config = load_config(indenter_mm=10, resolution=9, length_cm=40.72)
+    rings = round_rings(0.4072)
+    recordings = listen(config, Lumen(rings=rings, outer_rings=rings, position=0.2))
+    release, absorbing = recordings.values()
+    assert np.array_equal(release.time, absorbing.time)
+
+
+def test_refusal_inside_a_stage_becomes_a_failure_of_that_stage():
+    config = load_config(resolution=8)
+    inside_out = round_rings(0.4)[:, ::-1]
+    with pytest.raises(SimulationError, match=r"^waves: surface"), stage("waves", {}, print):
+        listen(config, Lumen(rings=inside_out, outer_rings=inside_out, position=0.2))
+
+
+def test_press_within_the_blind_time_is_warned_of():
+    near = load_config(position_cm=10, lowpass_khz=2)
+    assert any("not looked for" in line for line in warnings_for(near))
+    assert not any("not looked for" in line for line in warnings_for(load_config()))
 
 
 def test_settings_become_si():

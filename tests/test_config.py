@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from acoustube.air import sound_speed
 from acoustube.config import (
     Config,
     IndentationSettings,
@@ -19,7 +20,7 @@ from acoustube.config import (
     to_toml,
 )
 from acoustube.errors import ConfigError
-from acoustube.limits import pressed_reach
+from acoustube.limits import CLEARANCE, pressed_reach
 from acoustube.rules import Choice, Number
 
 ROOT = Path(__file__).parents[1]
@@ -111,20 +112,29 @@ def test_depth_that_closes_the_lumen_is_refused():
 
 
 def test_pressed_part_stays_between_probe_and_far_end():
-    reach = pressed_reach(11.1, 25) / 10
-    assert reach == pytest.approx(5.69)
-    for allowed in (7.69, 34.31):
+    assert pressed_reach(11.1, 25) == pytest.approx(56.9)
+    for allowed in (8.25, 33.75):  # half an outer diameter more
         assert load_config(position_cm=allowed).indentation.position_cm == allowed
-    with pytest.raises(ConfigError, match=r"too near the source end.*use 7.69 to 34.31"):
-        load_config(position_cm=7.6)
-    with pytest.raises(ConfigError, match=r"too near the far end.*use 7.69 to 34.31"):
-        load_config(position_cm=34.4)
+    with pytest.raises(ConfigError, match=r"too near the source end.*use 8.25 to 33.75"):
+        load_config(position_cm=8.2)
+    with pytest.raises(ConfigError, match=r"too near the far end.*use 8.25 to 33.75"):
+        load_config(position_cm=33.8)
+
+
+def test_press_is_in_the_middle_unless_placed():
+    assert load_config(length_cm=60).indentation.position_cm == 30
+    assert load_config(length_cm=60, position_cm=20).indentation.position_cm == 20
+
+
+def test_listening_plane_lies_beyond_the_first_cells():
+    with pytest.raises(ConfigError, match=r"probe_cm = 0.1 .*use at least 0.13"):
+        load_config(probe_cm=0.1, inner_diameter_mm=10, resolution=8, frequency_khz=20)
 
 
 def test_tube_too_short_for_any_press_says_how_long():
-    with pytest.raises(ConfigError, match=r"length_cm = 12 is too short.*use at least 13.38"):
+    with pytest.raises(ConfigError, match=r"length_cm = 12 is too short.*use at least 14.5"):
         load_config(length_cm=12, position_cm=6)
-    load_config(length_cm=13.38, position_cm=7.69)
+    load_config(length_cm=14.5, position_cm=8.25)
 
 
 def test_grid_carries_eight_cells_per_wavelength():
@@ -138,15 +148,23 @@ def test_grid_carries_eight_cells_per_wavelength():
 
 
 def test_grid_that_no_computer_holds_is_refused_with_one_it_does():
-    with pytest.raises(ConfigError, match="use at most 54 or a shorter tube"):
+    with pytest.raises(ConfigError, match="use at most 34 or a shorter tube"):
         load_config(resolution=200, length_cm=1000)
-    load_config(resolution=54, length_cm=1000)
+    load_config(resolution=34, length_cm=1000)
 
 
 def test_lowpass_stays_an_octave_below_the_carrier():
     with pytest.raises(ConfigError, match=r"lowpass_khz = 10 .*use at most 7.5"):
-        load_config(frequency_khz=15)
-    load_config(frequency_khz=15, lowpass_khz=7.5)
+        load_config(frequency_khz=15, lowpass_khz=10)
+    assert load_config(frequency_khz=15).signals.lowpass_khz == 7.5
+    assert load_config(frequency_khz=42).signals.lowpass_khz == 10
+
+
+def test_lowpass_is_faster_than_the_record():
+    """Sound takes 2.33 ms to the end of 40 cm and back; three periods of 1.29 kHz."""
+    with pytest.raises(ConfigError, match=r"lowpass_khz = 1 is too slow .*use at least 1.29"):
+        load_config(lowpass_khz=1)
+    load_config(lowpass_khz=1.29)
 
 
 def test_flags_win_over_file_and_file_over_defaults(tmp_path):
@@ -166,7 +184,7 @@ def test_flags_win_over_file_and_file_over_defaults(tmp_path):
         ("[tube]\ndepth_mm = 2", r"depth_mm .*; it belongs under \[indentation\]"),
         ("depth_mm = 2", r"depth_mm stands outside a section; put it under \[indentation\]"),
         ("[qqq]\nx = 1", "known are tube, indentation, waves, signals"),
-        ("[[tube]]\nwall_mm = 1", "tube stands outside a section"),
+        ("[[tube]]\nwall_mm = 1", r"tube must be a section, written \[tube\]"),
         ("[tube\n", "is not valid TOML: "),
         ("[tube]\nwall_mm = 1\nwall_mm = 2", "is not valid TOML: "),
         ("[tube]\nwall_mm = nan", "^wall_mm = nan is out of range; use 0.2 to 20 mm"),
@@ -228,10 +246,13 @@ def test_written_configuration_reads_back_equal(
     tmp_path_factory, tube, waves, rest, by_modulus, share, along, indenter, support
 ):
     tube["shore_a" if by_modulus else "shear_modulus_mpa"] = None
-    rest["lowpass_khz"] = min(rest["lowpass_khz"], waves["frequency_khz"] / 2 - 0.01)
     bore, outer = tube["inner_diameter_mm"], tube["inner_diameter_mm"] + 2 * tube["wall_mm"]
-    reach = pressed_reach(outer, indenter) / 10
+    reach = (pressed_reach(outer, indenter) + CLEARANCE * outer) / 10
+    waves["probe_cm"] = max(waves["probe_cm"], bore / waves["resolution"] / 10 + 0.01)
     tube["length_cm"] = max(tube["length_cm"], min(1000, waves["probe_cm"] + 2 * reach + 1))
+    slowest = 3 * sound_speed(waves["temperature_c"]) / 20 / tube["length_cm"] + 0.01
+    assume(slowest < waves["frequency_khz"] / 2 - 0.01)
+    rest["lowpass_khz"] = min(max(rest["lowpass_khz"], slowest), waves["frequency_khz"] / 2 - 0.01)
     first, last = waves["probe_cm"] + reach + 0.02, tube["length_cm"] - reach - 0.02
     try:
         config = Config(

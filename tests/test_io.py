@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acoustube.errors import ConfigError
-from acoustube.io import check_out, fresh_folder, write_folder
+from acoustube.io import check_out, fresh_folder, partial_folder, publish
 
 
 def test_new_nested_and_empty_folders_are_accepted_without_a_trace(tmp_path):
@@ -50,44 +50,48 @@ def test_folder_that_even_root_cannot_write_is_refused():
 def test_folder_appears_when_the_block_ends(tmp_path, name):
     (tmp_path / "empty").mkdir()
     final = tmp_path / name
-    with write_folder(final) as partial:
+    with partial_folder(final) as partial:
         (partial / "run.nc").write_text("data")
         assert not (final / "run.nc").exists()
         assert partial.parent == final.parent
+        assert publish(partial, final) == final
     assert [path.name for path in final.iterdir()] == ["run.nc"]
     assert not partial.exists()
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_nothing_stays_when_the_block_is_left_by_an_exception(tmp_path, error):
-    with pytest.raises(error), write_folder(tmp_path / "run") as partial:
+@pytest.mark.parametrize("name", ["run", "new/parents/run"])
+def test_nothing_stays_when_the_block_is_left_by_an_exception(tmp_path, error, name):
+    with pytest.raises(error), partial_folder(tmp_path / name) as partial:
         (partial / "run.nc").write_text("half")
         raise error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_that_came_first_is_not_overwritten(tmp_path):
+def test_run_that_came_first_is_not_overwritten_and_the_second_is_kept(tmp_path):
     final = tmp_path / "run"
-    with pytest.raises(ConfigError, match="is not empty"), write_folder(final) as partial:
+    with partial_folder(final) as partial:
         (partial / "run.nc").write_text("second")
         final.mkdir()
         (final / "run.nc").write_text("first")
+        assert publish(partial, final) == tmp_path / "run-2"
     assert (final / "run.nc").read_text() == "first"
-    assert not partial.exists()
+    assert (tmp_path / "run-2" / "run.nc").read_text() == "second"
+    assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_rest_of_a_killed_run_is_named(tmp_path):
-    (tmp_path / f".run.partial-{os.getpid()}").mkdir()
-    with pytest.raises(ConfigError, match="left by a run that was killed"):
-        write_folder(tmp_path / "run").__enter__()
+def test_name_too_long_is_refused_without_a_trace(tmp_path):
+    with pytest.raises(ConfigError, match=r"out = .* cannot be"):
+        partial_folder(tmp_path / ("x" * 300)).__enter__()
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
 def test_interrupt_leaves_no_folder(tmp_path):
     code = (
         "import sys, time\n"
-        "from acoustube.io import write_folder\n"
-        "with write_folder('run') as partial:\n"
+        "from acoustube.io import partial_folder\n"
+        "with partial_folder('run') as partial:\n"
         "    (partial / 'run.nc').write_text('half')\n"
         "    print('writing', flush=True)\n"
         "    time.sleep(60)\n"

@@ -5,8 +5,8 @@ import pytest
 from test_indentation import pressed, reference
 
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.indentation import Indentation
-from acoustube.limits import pressed_reach
+from acoustube.indentation import Indentation, indent
+from acoustube.limits import CLEARANCE, pressed_reach
 from acoustube.lumen import (
     FACETS_PER_ELEMENT,
     deformed_wall,
@@ -126,7 +126,7 @@ def test_area_far_from_the_press_is_the_bores_although_the_tube_tilts(pressed_lu
     ("z_mm", "area_mm2"), [(2.0, 36.67554), (4.0, 39.28374), (6.0, 42.86456), (7.0, 44.41203)]
 )
 def test_section_beside_a_deep_press_is_that_of_calculix(z_mm, area_mm2):
-    """4 mm deep, slices z = const of the tilted wall: indentation_rod25_area_at_4mm.csv.
+    """4 mm deep, slices z = const of the tilted wall: the independent solution of tests/data.
 
     Origin as in tests/data/indentation_rod25.csv; 0.013 mm2 between two codes.
     """
@@ -228,3 +228,19 @@ def test_pressing_takes_air_out_of_the_lumen(pressed_lumen):
     missing = np.trapezoid(POLYGON * RADIUS**2 - section.area, z)
     assert taken > 0
     assert taken == pytest.approx(missing, rel=1e-4)
+
+
+@pytest.mark.parametrize("support", ["held", "free"])
+def test_nearest_allowed_place_still_fits_the_tube(support):
+    """The settings' bound leaves half an outer diameter; a press moves its end by under 0.2 mm."""
+    tube = Tube(length=0.16)
+    pressed = indent(
+        tube,
+        rod_diameter=10e-3,
+        depth=4e-3,
+        support=support,
+        size=MeshSize(through_wall=1, around=8, along=8),
+    )
+    nearest = pressed_reach(tube.outer_diameter, 10e-3) + CLEARANCE * tube.outer_diameter
+    for position in (nearest, tube.length - nearest):
+        assert lumen(pressed, position).surface.is_watertight

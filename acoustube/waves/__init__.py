@@ -10,6 +10,7 @@ from acoustube.waves.modes import (
     modes_below,
 )
 from acoustube.waves.pulse import Pulse
+from acoustube.waves.scheme import SourceEnd
 from acoustube.waves.section import section_cut_ons
 from acoustube.waves.stability import stable_step
 
@@ -18,6 +19,7 @@ __all__ = [
     "Mode",
     "Pulse",
     "Recording",
+    "SourceEnd",
     "attenuation",
     "cut_cells",
     "cut_on_frequency",

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from acoustube.air import Air
 from acoustube.waves.cells import CutCells
-from acoustube.waves.marching import Array, Progress, march
+from acoustube.waves.marching import CHUNK, Array, Progress, march
 from acoustube.waves.scheme import FarEnd, Setup, SourceEnd, prepare
 
 Signal = Callable[[Array], ArrayLike]
@@ -61,14 +62,20 @@ def grid_spacing(
     Returns
     -------
     tuple of float
-        (dx, dy, dz) in m with dx = dy, and dz as near to it as the probe allows.
+        (dx, dy, dz) in m with dx = dy, and dz at most that and as near to it as the probe allows.
+
+    Raises
+    ------
+    ValueError
+        If the probe lies within the first cell layer.
     """
     across = inner_diameter / resolution
     if probe < across:
         raise ValueError(
             f"probe = {probe} m lies within the first cell layer; use at least {across:.3g} m"
         )
-    return across, across, probe / round(probe / across)
+    # A little tolerance, so that a probe a whole number of cells away keeps that number.
+    return across, across, probe / ceil(probe / across - 1e-9)
 
 
 def propagate(
@@ -123,7 +130,9 @@ def propagate(
         cells, air, probes=probes, source_end=source_end, far_end=far_end,
         absorber_thickness=absorber_thickness, time_step=time_step,
     )  # fmt: skip
-    n_steps = int(np.ceil(duration / setup.time_step))
+    n_samples = ceil(duration / setup.time_step) + 1
+    # Whole chunks only: a shorter last one would be compiled anew for every duration.
+    n_steps = CHUNK * ceil((n_samples - 1) / CHUNK)
     time = np.arange(n_steps + 1) * setup.time_step
     samples = np.asarray(pulse(time), dtype=float)
     launched = source_end == "absorbing"
@@ -131,7 +140,8 @@ def propagate(
     _, pressure = march(setup, setup.state, source, progress=progress)
     silence = np.zeros((len(setup.probes), 1))
     return Recording(
-        time=time, pressure=np.concatenate([silence, pressure], axis=1),
+        time=time[:n_samples],
+        pressure=np.concatenate([silence, pressure], axis=1)[:, :n_samples],
         time_step=setup.time_step, probes=setup.probes, spacing=cells.spacing,
         shape=setup.cells.shape,
     )  # fmt: skip

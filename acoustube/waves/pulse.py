@@ -24,7 +24,7 @@ class Pulse:
     -----
     s(t) = exp(-(t - T/2)^2 / (2 sigma^2)) sin(2 pi f (t - T/2)) for 0 <= t <= T = cycles / f, else
     0, with sigma = T/6: the window holds +-3 sigma and cuts the envelope at 1.1 %. With a whole
-    or half number of cycles the carrier vanishes there, so the signal is continuous.
+    number of cycles the carrier vanishes there, so the signal is continuous.
     """
 
     frequency: float
