@@ -69,7 +69,7 @@ def run(config: Config, folder: Path, console: Console) -> Path:
         (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
         drawn = _write_figure(dataset, partial)
         folder = publish(partial, folder)
-    _print_results(dataset, console)
+    _print_results(dataset, config.signals.prominence, console)
     if not drawn:
         console.print(
             "[yellow]note:[/] The tube could not be drawn in 3-D: see 'The figure' in the README.",
@@ -90,6 +90,7 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
 
 
 def _print_header(config: Config, console: Console) -> None:
+    """Print what is about to be computed, and what it costs."""
     tube, press, waves = config.tube, config.indentation, config.waves
     hardness = (
         f"{tube.shore_a:g} Shore A"
@@ -100,9 +101,9 @@ def _print_header(config: Config, console: Console) -> None:
     steps = STEPS_PER_CELL * 10 * tube.length_cm * waves.resolution / tube.inner_diameter_mm
     minutes = (FIXED_SECONDS + cells * steps * SECONDS_PER_CELL_STEP) / 60
     memory = FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
-    where = f"{jax.devices()[0].device_kind}, float64 in the wall, float32 in the air"
-    grid = f"{waves.resolution} cells across the bore, {1e-6 * cells:.1f} million in the tube's box"
-    cost = f"about {max(minutes, 0.5):.1g} min on two cores, {memory:.1f} GB of memory"
+    where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
+    grid = f"{waves.resolution} cells across the bore"
+    cost = f"about {max(minutes, 0.5):.1g} min, {memory:.1f} GB"
     console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
     console.print(
         f"tube: bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, "
@@ -121,7 +122,8 @@ def _print_header(config: Config, console: Console) -> None:
     )
 
 
-def _print_results(dataset: xr.Dataset, console: Console) -> None:
+def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> None:
+    """Print what came of a run: the press, the estimates, the times and the notes."""
     last = dataset.isel(depth=-1)
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("force", f"{float(last['contact_force']):.3f} N")
@@ -132,7 +134,9 @@ def _print_results(dataset: xr.Dataset, console: Console) -> None:
     for end in sorted(dataset["source_end"].values, key=lambda end: end != chosen):
         style = "bold" if end == chosen else ""
         table.add_row(
-            f"estimate, {end} source end", _estimate(dataset.sel(source_end=end)), style=style
+            f"estimate, {end} source end",
+            _estimate(dataset.sel(source_end=end), prominence),
+            style=style,
         )
     times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
@@ -141,10 +145,11 @@ def _print_results(dataset: xr.Dataset, console: Console) -> None:
         console.print(f"[yellow]note:[/] {warning}", soft_wrap=True)
 
 
-def _estimate(case: xr.Dataset) -> str:
+def _estimate(case: xr.Dataset, prominence: float) -> str:
+    """Return the estimate with one choice of the source end, in words."""
     distance, true = float(case["estimated_distance"]), float(case["true_distance"])
     if not np.isfinite(distance):
-        return "no echo"
+        return f"no echo over {100 * prominence:g} % of the send pulse"
     return (
         f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "
         f"echo {100 * float(case['echo_amplitude']):.2f} % of the send pulse"
@@ -176,6 +181,7 @@ def _progress(console: Console) -> Iterator[Report]:
 
 
 def _lines(console: Console) -> Report:
+    """Return a function that prints a line now and then."""
     start = last = time.perf_counter()
     stage_now = ""
 

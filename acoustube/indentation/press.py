@@ -140,6 +140,7 @@ def indent(
 
 
 def _check(tube: Tube, rod_diameter: float, depths: Array, support: str) -> None:
+    """Refuse what the model does not hold for."""
     if not (np.isfinite(rod_diameter) and rod_diameter > 0):
         raise ConfigError(f"rod_diameter = {rod_diameter} m is not a size; use a positive number.")
     rising = np.all(np.diff(depths, prepend=0.0) > 0)
@@ -163,6 +164,7 @@ def _supports(mesh: HexMesh, support: Support) -> NDArray[np.bool_]:
 
 
 def _bodies(tube: Tube, rod_diameter: float, depth: float) -> Bodies:
+    """Return the rod at a depth, and the floor under the tube."""
     top, stiffness = tube.outer_diameter / 2, tube.shear_modulus / tube.wall_thickness
     lengths_and_stiffness = (
         rod_diameter / 2,
@@ -181,6 +183,18 @@ def _extrapolate(depths: list[float], states: list[Array], depth: float) -> Arra
     return np.tensordot(weights, np.stack(states), axes=1)
 
 
+def _next_depth(targets: Array, reached: float, increment: float) -> float:
+    """Return where the next increment ends; one that would end just short of a target meets it."""
+    target = float(targets[np.searchsorted(targets, reached, side="right")])
+    return target if reached + 1.05 * increment >= target else reached + increment
+
+
+def _share_done(n_done: int, left: float, increment: float, largest: float) -> float:
+    """Return the share of the expected increments that is done, with `left` m still to go."""
+    expected = np.log2(largest / increment) + left / largest
+    return float(n_done / (n_done + expected)) if left > 0 else 1.0
+
+
 def _path(
     tube: Tube,
     rod_diameter: float,
@@ -189,6 +203,7 @@ def _path(
     model: Model,
     progress: Callable[[float], None] | None,
 ) -> Indentation:
+    """Press from first touch to the last target, and gather every converged increment."""
     bore = tube.inner_diameter
     tolerance = FORCE_TOLERANCE * tube.shear_modulus * bore**2
     start = np.zeros_like(model.mesh.points)
@@ -196,9 +211,7 @@ def _path(
     results = [Equilibrium(start, True, 0, 0.0)]
     increment = FIRST_INCREMENT * bore
     while depths[-1] < targets[-1]:
-        # An increment that would end just short of a target goes all the way.
-        target = targets[np.searchsorted(targets, depths[-1], side="right")]
-        depth = target if depths[-1] + 1.05 * increment >= target else depths[-1] + increment
+        depth = _next_depth(targets, depths[-1], increment)
         bodies = _bodies(tube, rod_diameter, depth)
         guess = _extrapolate(depths[-3:], [r.displacement for r in results[-3:]], depth)
         result = minimise(model, guess, bodies, tolerance)
@@ -217,9 +230,8 @@ def _path(
         if result.iterations <= EASY_ITERATIONS:
             increment = min(2 * increment, LARGEST_INCREMENT * bore)
         if progress:
-            growth = np.log2(LARGEST_INCREMENT * bore / increment)
-            left = growth + (targets[-1] - depth) / (LARGEST_INCREMENT * bore)
-            progress(float(len(depths) / (len(depths) + left)) if depth < targets[-1] else 1.0)
+            left = float(targets[-1]) - depth
+            progress(_share_done(len(depths), left, increment, LARGEST_INCREMENT * bore))
     return Indentation(
         tube=tube,
         rod_diameter=rod_diameter,
