@@ -21,7 +21,7 @@ press = indent(tube_from(config), rod_diameter=10e-3, depth=6e-3)
 space = lumen(press, position=0.2)
 cells = cut_cells(space.surface, grid_spacing(7.9e-3, resolution=32), half=True)
 z = cells.centres(2) - 0.2
-layers = np.flatnonzero(np.abs(z) < 65e-3)[::4]
+layers = np.flatnonzero(np.abs(z) < 65e-3)[::2]
 cut_ons = np.array([section_cut_ons(cells, k, 343.2, n_modes=3) for k in layers])
 
 # %% The third mode symmetric about x = 0, which is (2,1) in the round bore
