@@ -93,6 +93,9 @@ def simulate(
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
     """Let an interrupt wait: inside an extension that is being loaded it becomes an ImportError."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a job in the background
+        yield
+        return
     pending: list[int] = []
     previous = signal.signal(signal.SIGINT, lambda number, _frame: pending.append(number))
     try:

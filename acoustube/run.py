@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -61,14 +63,21 @@ def run(config: Config, folder: Path, console: Console) -> Path:
         If a stage cannot finish.
     """
     started = time.perf_counter()
-    _print_header(config, console)
-    with partial_folder(folder) as partial:
-        with _progress(console) as report:
-            dataset = simulate(config, report=report)
-        write_dataset(dataset, partial / "run.nc")
-        (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
-        drawn = _write_figure(dataset, partial)
-        folder = publish(partial, folder)
+    with _interrupts_heard() as check:
+        _print_header(config, console)
+        with partial_folder(folder) as partial:
+            with _progress(console) as show:
+
+                def report(stage: str, fraction: float) -> None:
+                    check()
+                    show(stage, fraction)
+
+                dataset = simulate(config, report=report)
+            write_dataset(dataset, partial / "run.nc")
+            (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
+            drawn = _write_figure(dataset, partial)
+            check()
+            folder = publish(partial, folder)
     _print_results(dataset, config.signals.prominence, console)
     if not drawn:
         console.print(
@@ -154,6 +163,37 @@ def _estimate(case: xr.Dataset, prominence: float) -> str:
         f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "
         f"echo {100 * float(case['echo_amplitude']):.2f} % of the send pulse"
     )
+
+
+@contextmanager
+def _interrupts_heard() -> Iterator[Callable[[], None]]:
+    """Yield a check that repeats an interrupt which was lost.
+
+    JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
+    """
+    heard: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> None:
+        heard.append(number)
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if heard:
+            raise KeyboardInterrupt
+
+    numbers = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if threading.current_thread() is threading.main_thread()
+        and signal.getsignal(number) is signal.default_int_handler
+    ]
+    for number in numbers:
+        signal.signal(number, interrupt)
+    try:
+        yield check
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.default_int_handler)
 
 
 @contextmanager

@@ -203,13 +203,15 @@ def test_interrupt_at_any_moment_leaves_nothing(tmp_path, delay, number):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # Tests that run in the background inherit that interrupts are ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         time.sleep(delay)
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
-    assert errors.startswith("acoustube: interrupted")
-    assert errors.count("\n") == 1
+    # JAX may print of an interrupt that it has ignored; the last line is ours.
+    assert errors.splitlines()[-1].startswith("acoustube: interrupted")
     assert list(tmp_path.iterdir()) == []
 
 
