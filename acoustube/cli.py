@@ -93,15 +93,19 @@ def simulate(
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
     """Let an interrupt wait: inside an extension that is being loaded it becomes an ImportError."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a job in the background
-        yield
-        return
     pending: list[int] = []
-    previous = signal.signal(signal.SIGINT, lambda number, _frame: pending.append(number))
+    numbers = [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if signal.getsignal(number) is signal.default_int_handler  # not one that is ignored
+    ]
+    for number in numbers:
+        signal.signal(number, lambda number, _frame: pending.append(number))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        for number in numbers:
+            signal.signal(number, signal.default_int_handler)
     if pending:
         raise KeyboardInterrupt
 
