@@ -14,10 +14,9 @@ from acoustube import record, signals
 from acoustube.air import air_at
 from acoustube.config import Config
 from acoustube.errors import SimulationError
-from acoustube.indentation import indent
 from acoustube.lumen import Lumen, lumen
+from acoustube.mechanics import pressed
 from acoustube.rules import filled
-from acoustube.tube import Tube, shear_modulus_from_shore
 from acoustube.waves import (
     Pulse,
     Recording,
@@ -37,23 +36,6 @@ BAND_EDGE = -20.0
 
 Report = Callable[[str, float], None]
 """Called with the name of a stage and the fraction of it that is done."""
-
-
-def tube_from(config: Config) -> Tube:
-    """Return the tube that the settings describe, in SI units."""
-    settings = config.tube
-    if settings.shear_modulus_mpa is not None:
-        shear_modulus = 1e6 * settings.shear_modulus_mpa
-    else:
-        assert settings.shore_a is not None  # the settings ensure that one of the two is given
-        shear_modulus = shear_modulus_from_shore(settings.shore_a)
-    return Tube(
-        inner_diameter=1e-3 * settings.inner_diameter_mm,
-        wall_thickness=1e-3 * settings.wall_mm,
-        length=1e-2 * settings.length_cm,
-        shear_modulus=shear_modulus,
-        poisson_ratio=settings.poisson_ratio,
-    )
 
 
 def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
@@ -87,16 +69,10 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     config = config or Config()
     report = report or _silent
     seconds: dict[str, float] = {}
-    tube, air = tube_from(config), air_at(config.waves.temperature_c)
+    air = air_at(config.waves.temperature_c)
 
     with stage("indentation", seconds, report) as progress:
-        indentation = indent(
-            tube,
-            rod_diameter=1e-3 * config.indentation.indenter_mm,
-            depth=1e-3 * config.indentation.depth_mm,
-            support=config.indentation.support,
-            progress=progress,
-        )
+        indentation = pressed(config, [1e-3 * config.indentation.depth_mm], progress)
     with stage("lumen", seconds, report):
         space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
     with stage("waves", seconds, report) as progress:
@@ -155,7 +131,7 @@ def listen(
     config : Config
         The settings of the tube and of the sound.
     space : Lumen
-        The lumen, symmetric about x = 0; half of it is computed.
+        The lumen; where it is symmetric about x = 0, half of it is computed.
     progress : callable, optional
         Called with the finished fraction.
 
@@ -166,7 +142,7 @@ def listen(
     """
     air, pulse, probe = air_at(config.waves.temperature_c), _pulse(config), _probe(config)
     spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
-    cells = cut_cells(space.surface, spacing, half=True)
+    cells = cut_cells(space.surface, spacing, half=space.symmetric)
     # Long enough for the middle of an echo from the far end.
     duration = 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse.duration
     recordings: dict[SourceEnd, Recording] = {}

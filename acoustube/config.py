@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import json
 import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
 from acoustube.limits import CLEARANCE, LARGEST_CLOSING, pressed_reach
-from acoustube.rules import Choice, Number, Section, filled, setting, short
+from acoustube.rules import Choice, File, Number, Section, filled, setting, short
 
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
@@ -43,6 +44,10 @@ class TubeSettings(Section):
         None, Number(0.01, 20, "MPa", "shear modulus of the wall, in place of shore_a")
     )
     poisson_ratio: float = setting(0.49, Number(0.2, 0.499, "", "Poisson's ratio of the wall"))
+    surface: str | None = setting(
+        None,
+        File("closed surface of a wall in mm along z (STL, PLY, OBJ), in place of the round tube"),
+    )
 
     def __post_init__(self) -> None:
         if self.shore_a is None and self.shear_modulus_mpa is None:
@@ -62,13 +67,30 @@ class TubeSettings(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class IndentationSettings(Section):
-    """The press: a rigid cylinder that lies across the tube, and what the tube rests on."""
+    """The press: a rigid tool that comes down on the tube, and what the tube rests on."""
 
-    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing cylinder"))
+    shape: Literal["rod", "punch", "sphere"] = setting(
+        "rod",
+        Choice(
+            ("rod", "punch", "sphere"),
+            "a cylinder lying across the tube, an upright one with a flat end, or a sphere",
+        ),
+    )
+    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing tool"))
     depth_mm: float = setting(4.0, Number(0.05, 50, "mm", "how far it is pressed in"))
+    steps: int = setting(
+        16,
+        Number(1, 1000, "", "equally spaced depths that acoustube indent reports", whole=True),
+    )
     position_cm: float | None = setting(
         None,
         Number(0.1, 1000, "cm", "distance of the press from the source end (the middle)"),
+    )
+    offset_mm: float = setting(
+        0.0, Number(-50, 50, "mm", "how far beside the tube's axis a punch or sphere comes down")
+    )
+    yaw_deg: float = setting(
+        0.0, Number(-60, 60, "deg", "by how much a rod is turned from across the tube")
     )
     support: Literal["held", "free"] = setting(
         "held",
@@ -76,6 +98,12 @@ class IndentationSettings(Section):
             ("held", "free"),
             "bottom line held down along its length, or resting on a floor with free ends",
         ),
+    )
+    layer_mm: float | None = setting(
+        None, Number(0.1, 100, "mm", "thickness of an elastic layer under a free tube")
+    )
+    layer_mpa: float | None = setting(
+        None, Number(0.001, 1000, "MPa", "Young's modulus of that layer")
     )
 
 
@@ -115,6 +143,31 @@ class SignalSettings(Section):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Mechanics:
+    """The settings of a press alone, which may close the lumen.
+
+    Parameters
+    ----------
+    tube, indentation : section
+        The sections; each is checked on its own before they are checked together.
+
+    Raises
+    ------
+    ConfigError
+        If the press is deeper than the solver follows.
+    """
+
+    tube: TubeSettings = TubeSettings()
+    indentation: IndentationSettings = IndentationSettings()
+
+    def __post_init__(self) -> None:
+        _check_sections(self)
+        _check_press(self.indentation)
+        if self.tube.surface is None:  # otherwise the sizes are known when the surface is read
+            _check_depth(self.tube, self.indentation, closing=True)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Config:
     """All settings of one simulation.
 
@@ -136,12 +189,12 @@ class Config:
     signals: SignalSettings = SignalSettings()
 
     def __post_init__(self) -> None:
-        for name, section in _SECTIONS.items():
-            if not isinstance(getattr(self, name), section):
-                raise ConfigError(f"{name} = {getattr(self, name)!r} must be a {section.__name__}")
+        _check_sections(self)
+        _check_press(self.indentation)
+        _check_audible(self)
         self._fill("indentation", "position_cm", self.tube.length_cm / 2)
         self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
-        _check_depth(self.tube, self.indentation)
+        _check_depth(self.tube, self.indentation, closing=False)
         _check_position(self)
         _check_resolution(self.tube, self.waves)
         _check_probe(self.tube, self.waves)
@@ -154,16 +207,54 @@ class Config:
             object.__setattr__(self, section, dataclasses.replace(settings, **{name: value}))
 
 
-def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Refuse a press past the floor, or so deep that the walls meet."""
-    depth, outer = indentation.depth_mm, tube.outer_diameter_mm
-    deepest = _round_down(LARGEST_CLOSING * tube.inner_diameter_mm)
+def _check_sections(config: Any) -> None:
+    """Refuse what is not a section where one belongs."""
+    for field in dataclasses.fields(config):
+        value, section = getattr(config, field.name), _SECTIONS[field.name]
+        if not isinstance(value, section):
+            raise ConfigError(f"{field.name} = {value!r} must be a {section.__name__}")
+
+
+def _check_press(press: IndentationSettings) -> None:
+    """Refuse settings of the press that have no effect or contradict each other."""
+    if press.yaw_deg != 0 and press.shape != "rod":
+        raise ConfigError(
+            f"yaw_deg = {short(press.yaw_deg)} turns a {press.shape}, which is round; use 0"
+        )
+    if press.offset_mm != 0 and press.shape == "rod":
+        raise ConfigError(
+            f"offset_mm = {short(press.offset_mm)} moves a rod along itself, which changes "
+            "nothing; use 0"
+        )
+    if (press.layer_mm is None) != (press.layer_mpa is None):
+        raise ConfigError("layer_mm and layer_mpa describe one layer; give both or neither")
+    if press.layer_mm is not None and press.support == "held":
+        raise ConfigError(
+            f"layer_mm = {short(press.layer_mm)} cannot hold a tube down; use support free"
+        )
+
+
+def _check_audible(config: Config) -> None:
+    """Refuse what only the mechanics can follow so far."""
+    if config.tube.surface is not None:
+        raise ConfigError(
+            f"surface = {config.tube.surface} cannot be simulated with sound; "
+            "use acoustube indent for the press alone"
+        )
+
+
+def _check_depth(tube: TubeSettings, indentation: IndentationSettings, *, closing: bool) -> None:
+    """Refuse a press past the floor, or so deep that the walls meet where sound must pass."""
+    depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
+    deepest = _round_down(bore + tube.wall_mm / 2 if closing else LARGEST_CLOSING * bore)
     if depth > outer:
         reason = f"is past the floor (outer diameter {outer:g} mm)"
+    elif depth > deepest and closing:
+        reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"
     elif depth > deepest:
         reason = (
-            f"would close the lumen (inner diameter {tube.inner_diameter_mm:g} mm), "
-            "which is not supported yet"
+            f"would close the lumen (inner diameter {bore:g} mm), "
+            "which sound cannot pass; acoustube indent follows it"
         )
     else:
         return
@@ -270,7 +361,14 @@ _SECTION_OF = {
 }
 
 
-def load_config(path: str | Path | None = None, **overrides: Any) -> Config:
+Settings = TypeVar("Settings", Config, Mechanics)
+
+
+def load_config(
+    path: str | Path | None = None,
+    kind: type[Settings] = Config,  # type: ignore[assignment]
+    **overrides: Any,
+) -> Settings:
     """Build the settings from the defaults, then a file, then single values.
 
     Parameters
@@ -278,6 +376,8 @@ def load_config(path: str | Path | None = None, **overrides: Any) -> Config:
     path : str or path, optional
         A TOML file with any of the sections ``[tube]``, ``[indentation]``, ``[waves]`` and
         ``[signals]``; what it does not mention keeps its default.
+    kind : {Config, Mechanics}
+        Which settings are wanted; sections that it lacks are left alone.
     **overrides
         Settings by name, such as ``depth_mm=3``; they win over the file. None means not given.
 
@@ -302,7 +402,8 @@ def load_config(path: str | Path | None = None, **overrides: Any) -> Config:
             raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
         if value is not None:
             given[_SECTION_OF[name]][name] = value
-    return Config(**{name: _SECTIONS[name](**values) for name, values in given.items()})
+    wanted = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: _SECTIONS[name](**given[name]) for name in wanted})
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
@@ -358,17 +459,19 @@ def describe(name: str) -> str:
     (field,) = (f for f in dataclasses.fields(_SECTIONS[section]) if f.name == name)
     rule, default = field.metadata["rule"], getattr(getattr(Config(), section), name)
     meaning = rule.meaning[0].upper() + rule.meaning[1:]
+    if default is None:
+        return f"{meaning}."
     if isinstance(default, str):  # the choices are listed anyway
         return f"{meaning}; default {default}."
     return f"{meaning}: {rule.allowed}; default {short(default)}."
 
 
-def to_toml(config: Config) -> str:
+def to_toml(config: Config | Mechanics) -> str:
     """Return the settings as a TOML document that :func:`load_config` reads back as they are.
 
     Parameters
     ----------
-    config : Config
+    config : Config or Mechanics
         The settings.
 
     Returns
@@ -377,7 +480,8 @@ def to_toml(config: Config) -> str:
         Every section and every setting that has a value, each with its meaning and its range as a
         comment.
     """
-    return "\n".join(_section_to_toml(name, getattr(config, name)) for name in _SECTIONS)
+    names = [field.name for field in dataclasses.fields(config)]
+    return "\n".join(_section_to_toml(name, getattr(config, name)) for name in names)
 
 
 def _section_to_toml(name: str, section: Any) -> str:
@@ -390,6 +494,6 @@ def _section_to_toml(name: str, section: Any) -> str:
         if value is None:
             lines.append(f"# {field.name} ={meaning}")
         else:
-            text = f'"{value}"' if isinstance(value, str) else repr(value)
+            text = json.dumps(value) if isinstance(value, str) else repr(value)
             lines.append(f"{field.name} = {text}{meaning}")
     return "\n".join(lines) + "\n"

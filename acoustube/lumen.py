@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -10,14 +12,17 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.indentation import Indentation
-from acoustube.indentation.element import lagrange
+from acoustube.indentation import Indentation, Mesh
+from acoustube.indentation.self_contact import triangulated
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
-FACETS_PER_ELEMENT = 8
-"""Around: 192 facets for the default mesh, whose area is 2e-4 under the circle's."""
+FACETS_PER_ELEMENT = 6
+"""Around: 216 facets for the default mesh, whose area is 2e-4 under the circle's."""
 RINGS_PER_ELEMENT = 6
+TRIANGLES_PER_EDGE = 8
+"""Of an element's face, where sections are measured."""
 PROJECTION_STEPS = 20
 
 
@@ -35,11 +40,14 @@ class Lumen:
         The outer wall likewise.
     position : float
         Where along z the press is, in m.
+    symmetric : bool
+        Whether it is symmetric about x = 0.
     """
 
     rings: Array
     outer_rings: Array
     position: float
+    symmetric: bool = True
 
     @property
     def surface(self) -> trimesh.Trimesh:
@@ -86,11 +94,12 @@ def _fan(rim: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool = False) -> Array:
-    """Return the deformed inner or outer wall of the modelled half, finely sampled.
+    """Return the deformed inner or outer wall of the modelled part, finely sampled.
 
     Parameters
     ----------
     indentation : Indentation
+        Of a swept tube.
     increment : int, optional
         Which increment; the last by default.
     outer : bool, optional
@@ -99,26 +108,30 @@ def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool 
     Returns
     -------
     array of shape (n_rings, n_around, 3)
-        Rings of the half z >= 0, from the press outwards, in m: the finite-element
-        interpolation itself, not a fit to the nodes. Rings start at the bottom and run up on the
-        side x > 0; they are closed (the last point is next to the first).
+        Rings in the order of z, in m: the finite-element interpolation itself, not a fit to the
+        nodes. Rings start at the bottom and run up on the side x > 0; they are closed (the last
+        point is next to the first).
     """
-    layer = -1 if outer else 0
-    nodes = indentation.mesh.nodes[:, :, layer]
-    nodes = nodes + indentation.displacement[increment, :, :, layer]
-    half = _refine(_refine(nodes, RINGS_PER_ELEMENT, axis=0), FACETS_PER_ELEMENT, axis=1)
-    mirrored = half[:, -2:0:-1] * [-1, 1, 1]
-    return np.concatenate([half, mirrored], axis=1)
+    return _wall(indentation.mesh, indentation.position(increment), outer=outer)
 
 
-def _refine(nodes: Array, parts: int, axis: int) -> Array:
-    """Sample quadratic elements along an axis, `parts` intervals each."""
-    local = np.linspace(-1, 1, parts + 1)[:-1]
-    shapes, _ = lagrange(local)
-    moved = np.moveaxis(nodes, axis, 0)
-    corners = np.stack([moved[0:-1:2], moved[1::2], moved[2::2]], axis=1)
-    fine = np.einsum("pn,en...->ep...", shapes, corners).reshape(-1, *moved.shape[1:])
-    return np.moveaxis(np.concatenate([fine, moved[-1:]]), 0, axis)
+def _wall(mesh: Mesh, position: Array, *, outer: bool) -> Array:
+    """Return rings of one wall of a swept mesh with its nodes at `position`."""
+    assert mesh.sweep is not None
+    along, around, _ = mesh.sweep.shape
+    faces = mesh.outer_faces if outer else mesh.inner_faces
+    u, v = (np.linspace(-1, 1, n + 1) for n in (FACETS_PER_ELEMENT, RINGS_PER_ELEMENT))
+    local = np.stack(np.meshgrid(u, v, indexing="xy"), axis=-1).reshape(-1, 2)
+    shapes, _ = mesh.face.shape_functions(local)
+    patches = np.einsum("pn,fni->fpi", shapes, position[faces])
+    patches = patches.reshape(along, around, len(v), len(u), 3).swapaxes(1, 2)
+    # The last ring and the last point of an element are the first of the next.
+    rings = np.concatenate([patches[:, :-1].reshape(-1, around, len(u), 3), patches[-1, -1:]])
+    start = rings[:, :, :-1].reshape(len(rings), -1, 3)
+    if not mesh.halved[0]:
+        return start
+    half = np.concatenate([start, rings[:, -1, -1:]], axis=1)
+    return np.concatenate([half, half[:, -2:0:-1] * [-1, 1, 1]], axis=1)
 
 
 def straighten(points: Array, line: Array) -> Array:
@@ -187,16 +200,15 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     SimulationError
         If opposite walls have passed through each other.
     """
-    tube = indentation.tube
+    tube, mesh = indentation.tube, indentation.mesh
     inner, outer = (deformed_wall(indentation, increment, outer=layer) for layer in (False, True))
-    if np.min(inner[:, inner.shape[1] // 2, 1] - inner[:, 0, 1]) <= 0:
+    if indentation.closed[increment]:
         raise SimulationError(
             f"The lumen is closed at a depth of {1e3 * indentation.depth[increment]:.2f} mm, "
             "which the wave model does not hold for; ask for less depth."
         )
-    bottom = outer[:, 0]
-    walls = [straighten(wall, bottom) for wall in (inner, outer)]
-    reach = max(wall[..., 2].max() for wall in walls)
+    walls = [_straight(wall, outer[:, 0], mesh) for wall in (inner, outer)]
+    reach = max(np.abs(wall[..., 2]).max() for wall in walls)
     room = min(position, tube.length - position)
     if not reach < room:
         raise ConfigError(
@@ -205,49 +217,142 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
         )
     # The tube is taken as round again within one more outer diameter.
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
+    ends = position + np.array([-1, 1]) * round_from
     rings = [
-        _whole(wall, diameter / 2, position, round_from, tube.length)
-        for wall, diameter in zip(walls, (tube.inner_diameter, tube.outer_diameter), strict=True)
+        _whole(wall, _wall(mesh, mesh.points, outer=layer)[-1], position, ends, tube.length)
+        for wall, layer in zip(walls, (False, True), strict=True)
     ]
-    return Lumen(rings=rings[0], outer_rings=rings[1], position=position)
+    return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
 
 
-def _whole(half: Array, radius: float, position: float, round_from: float, length: float) -> Array:
-    """Mirror the rings of the pressed half, and add round ones from there to the tube's ends."""
-    mirrored = half[:0:-1] * [1, 1, -1]
-    pressed = np.concatenate([mirrored, half])
-    pressed[..., 2] += position
-    angle = np.linspace(0, 2 * np.pi, half.shape[1], endpoint=False)
-    circle = np.stack([radius * np.sin(angle), -radius * np.cos(angle), 0 * angle], axis=-1)
-    z = np.array([0, position - round_from, position + round_from, length])
-    straight = circle + z[:, None, None] * [0, 0, 1]
-    return np.concatenate([straight[:2], pressed, straight[2:]])
+def _straight(wall: Array, bottom: Array, mesh: Mesh) -> Array:
+    """Straighten the rings of both sides of the press along the tube's bottom line."""
+    if mesh.halved[1]:
+        half = straighten(wall, bottom)
+        return np.concatenate([half[:0:-1] * [1, 1, -1], half])
+    middle = int(np.argmin(np.abs(bottom[:, 2])))
+    mirror = np.array([1, 1, -1])
+    before = straighten(wall[middle::-1] * mirror, bottom[middle::-1] * mirror) * mirror
+    return np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
 
 
-def profile(rings: Array, z: Array) -> Profile:
-    """Cut rings by the planes z = const and measure the sections.
+def _whole(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:
+    """Add undeformed rings to the pressed ones, from `ends` to the ends of the tube."""
+    z = np.array([0, *ends, length])
+    straight = ring * [1, 1, 0] + z[:, None, None] * [0, 0, 1]
+    moved = pressed + np.array([0, 0, position])
+    return np.concatenate([straight[:2], moved, straight[2:]])
+
+
+def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
+    """Return the sampling and the triangles with which sections of a lumen are measured."""
+    return triangulated(mesh, parts=TRIANGLES_PER_EDGE)
+
+
+def measure(
+    indentation: Indentation,
+    increment: int,
+    z: Array,
+    wall: tuple[Any, Index] | None = None,
+) -> Profile:
+    """Measure the lumen of the whole tube across planes z = const of the pressed part.
 
     Parameters
     ----------
-    rings : array of shape (n_rings, n_around, 3)
-        A :attr:`Lumen.rings`, or the rings of :func:`deformed_wall`, in m. The first point of a
-        ring is at the bottom, the middle one at the top.
+    indentation : Indentation
+    increment : int
     z : array of shape (n,)
-        Where to cut, in m.
+        Deformed axial positions in m, the middle of the modelled part at zero.
+    wall : optional
+        What :func:`inner_wall` returned, so that it need not be formed for every increment.
 
     Returns
     -------
     Profile
     """
-    lines = np.moveaxis(rings, 1, 0)  # one curve along the tube for every point of a ring
-    section = np.stack(
-        [[np.interp(z, line[:, 2], line[:, i]) for line in lines] for i in (0, 1)], axis=-1
-    )
-    x, y = section[..., 0], section[..., 1]
-    area = 0.5 * np.sum(x * np.roll(y, -1, axis=0) - y * np.roll(x, -1, axis=0), axis=0)
+    mesh = indentation.mesh
+    sampling, triangles = wall or inner_wall(mesh)
+    seen = np.abs(z) if mesh.halved[1] else z
+    vertices = sampling @ indentation.position(increment)
+    found = profile(vertices, triangles, seen, halved=mesh.halved[0])
+    return dataclasses.replace(found, z=np.asarray(z, float))
+
+
+def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False) -> Profile:
+    """Cut a tube-like surface by the planes z = const and measure the sections.
+
+    Parameters
+    ----------
+    vertices : array of shape (n_vertices, 3)
+        In m.
+    triangles : array of shape (n_triangles, 3)
+        Consistently oriented.
+    z : array of shape (n,)
+        Where to cut, in m.
+    halved : bool
+        Whether the surface is the half x >= 0 of a symmetric one, which is measured.
+
+    Returns
+    -------
+    Profile
+        Zero where a plane does not meet the surface.
+
+    Notes
+    -----
+    The area is half the sum of ``x dy - y dx`` over the segments in which the plane cuts the
+    triangles, so that neither their order nor the closing line x = 0 of a half matters.
+    """
+    z = np.asarray(z, float)
+    plane, start, end = _segments(vertices, triangles, z)
+    cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+    area = 0.5 * np.abs(np.bincount(plane, cross, minlength=z.size))
+    x = np.concatenate([start[:, 0], end[:, 0]])
+    left, right = _extent(np.tile(plane, 2), x, z.size)
+    middle = start[:, 0] * end[:, 0] <= 0
+    run = np.where(middle, end[:, 0] - start[:, 0], 1.0)
+    share = np.divide(-start[:, 0], run, out=np.zeros_like(run), where=run != 0)
+    y = start[:, 1] + share * (end[:, 1] - start[:, 1])
+    bottom, top = _extent(plane[middle], y[middle], z.size)
     return Profile(
-        z=np.asarray(z, float),
-        area=area,
-        height=y[len(y) // 2] - y[0],
-        width=x.max(axis=0) - x.min(axis=0),
+        z=z,
+        area=2 * area if halved else area,
+        height=top - bottom,
+        width=2 * right if halved else right - left,
     )
+
+
+def _segments(vertices: Array, triangles: Index, z: Array) -> tuple[Index, Array, Array]:
+    """Return where planes cut triangles: number of the plane, start and end (n, 2) in it.
+
+    A corner in the plane counts as below it.
+    """
+    order = np.argsort(z, kind="stable")
+    heights = vertices[triangles, 2]
+    first = np.searchsorted(z[order], heights.min(axis=1), side="left")
+    count = np.searchsorted(z[order], heights.max(axis=1), side="left") - first
+    which = np.repeat(np.arange(len(triangles)), count)
+    within = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
+    plane = order[np.repeat(first, count) + within]
+    corners = vertices[triangles[which]]
+    below = corners[..., 2] <= z[plane, None]
+    lone_below = below.sum(axis=1) == 1
+    lone = np.argmax(below == lone_below[:, None], axis=1)
+    turned = np.take_along_axis(corners, (lone[:, None] + np.arange(3))[..., None] % 3, axis=1)
+    ahead, behind = (_crossing(turned[:, 0], turned[:, i], z[plane]) for i in (1, 2))
+    forwards = lone_below[:, None]
+    return plane, np.where(forwards, ahead, behind), np.where(forwards, behind, ahead)
+
+
+def _crossing(a: Array, b: Array, z: Array) -> Array:
+    """Return where the lines from a to b pass z, as (x, y)."""
+    share = (z - a[:, 2]) / (b[:, 2] - a[:, 2])
+    return a[:, :2] + share[:, None] * (b - a)[:, :2]
+
+
+def _extent(plane: Index, values: Array, n: int) -> tuple[Array, Array]:
+    """Return the least and the greatest of the values in each of n planes, zero where none is."""
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, plane, values)
+    np.maximum.at(high, plane, values)
+    met = high >= low
+    return np.where(met, low, 0.0), np.where(met, high, 0.0)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -154,6 +155,72 @@ def _mark_pulses(axes: Axes, case: xr.Dataset, limit: float) -> None:
         color=RETURN,
         bbox=behind,
     )
+
+
+def press_figure(dataset: xr.Dataset) -> Figure:
+    """Draw a press alone: force and lumen against depth, and the lumen along the tube.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From :func:`acoustube.record.pressed`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown and not saved.
+    """
+    sheet = Figure(figsize=(11, 7), layout="constrained")
+    grid = sheet.add_gridspec(2, 2, height_ratios=[1, 1.1])
+    draw_force(sheet.add_subplot(grid[0, 0]), dataset)
+    draw_lumen(sheet.add_subplot(grid[0, 1]), dataset)
+    draw_profiles(sheet.add_subplot(grid[1, :]), dataset)
+    return sheet
+
+
+def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
+    """Plot the force against the depth, and mark where the lumen is closed."""
+    depth, force = 1e3 * dataset["indentation_depth"].values, dataset["contact_force"].values
+    axes.plot(np.insert(depth, 0, 0), np.insert(force, 0, 0), "-", color=ENVELOPE)
+    closed = dataset["closed"].values.astype(bool)
+    axes.plot(depth[~closed], force[~closed], "o", color=ENVELOPE, ms=4, label="lumen open")
+    if closed.any():
+        axes.plot(depth[closed], force[closed], "s", color=RETURN, ms=5, label="lumen closed")
+    axes.set_xlabel("depth (mm)")
+    axes.set_ylabel("force (N)")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="upper left", fontsize="small")
+    return axes
+
+
+def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
+    """Plot height, width and area of the lumen at the press against the depth."""
+    depth = 1e3 * dataset["indentation_depth"].values
+    axes.plot(depth, 1e3 * dataset["lumen_height"].values, color=ENVELOPE, label="height (mm)")
+    axes.plot(depth, 1e3 * dataset["lumen_width"].values, color=SEND, label="width (mm)")
+    axes.set_xlabel("depth (mm)")
+    axes.set_ylabel("lumen at the press (mm)")
+    axes.set_ylim(bottom=0)
+    area = axes.twinx()
+    area.plot(depth, 1e6 * dataset["lumen_area"].values, color=AREA, ls="--")
+    area.set_ylabel("area (mm²), dashed", color=AREA)
+    area.set_ylim(bottom=0)
+    axes.legend(loc="lower left", fontsize="small")
+    return axes
+
+
+def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
+    """Plot the lumen's area along the tube at every depth, deeper ones darker."""
+    z, area = 1e3 * dataset["z"].values, 1e6 * dataset["lumen_area_profile"].values
+    colours = colormaps["Blues"](np.linspace(0.25, 1, len(area)))
+    for row, colour, depth in zip(area, colours, dataset["depth"].values, strict=True):
+        axes.plot(z, row, color=colour, lw=1)
+        if np.isfinite(row).all() and depth in dataset["depth"].values[[0, -1]]:
+            axes.annotate(f"{1e3 * depth:.3g} mm", (0, row[len(z) // 2]), fontsize="small")
+    axes.set_xlabel("distance from the press (mm)")
+    axes.set_ylabel("lumen area (mm²)")
+    axes.set_ylim(bottom=0)
+    return axes
 
 
 def save(sheet: Figure, path: Path) -> None:

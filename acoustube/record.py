@@ -13,14 +13,21 @@ import numpy as np
 import xarray as xr
 
 from acoustube import __version__
-from acoustube.config import Config
-from acoustube.indentation import Indentation
-from acoustube.lumen import Lumen, deformed_wall, profile, ring_faces
+from acoustube.config import Config, Mechanics
+from acoustube.indentation import Indentation, Mesh
+from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.signals import Ranging
 from acoustube.waves import Pulse, Recording, SourceEnd
 
 EVEN_POINTS = 401
 """Points of the profile along the tube, besides those where the finite elements have rings."""
+
+SOUND_PART = 0.95
+"""Share of the modelled length within which the deformed tube is measured.
+
+The end of a tube that tilts off the floor is slanted.
+"""
+DEPTH = "how far the tool has come down from first touch"
 
 Variable = tuple[tuple[str, ...], Any, dict[str, str]]
 
@@ -66,7 +73,8 @@ def dataset(
         In SI units; every variable has ``units`` and ``long_name``.
     """
     variables = (
-        _pressed(indentation)
+        _mechanics(indentation, range(len(indentation.depth)))
+        | _mesh(indentation.mesh)
         | _shape(indentation, lumen)
         | _recorded(recordings, config)
         | _ranged(rangings, config.waves.source_end)
@@ -77,7 +85,7 @@ def dataset(
         }
     )
     coordinates = {
-        "depth": variable("depth", indentation.depth, "m", "depth of the rod"),
+        "depth": variable("depth", indentation.depth, "m", DEPTH),
         "stage": variable("stage", list(seconds), "1", "stage of the chain"),
         "source_end": variable(
             "source_end", list(recordings), "1", "what the source end does after the pulse"
@@ -88,41 +96,152 @@ def dataset(
     return xr.Dataset(variables, coordinates, origin)
 
 
-def _pressed(indentation: Indentation) -> dict[str, Variable]:
-    """Return the press, increment by increment, and its mesh."""
-    sections = [
-        profile(deformed_wall(indentation, i), np.zeros(1)) for i in range(len(indentation.depth))
-    ]
+def pressed(
+    config: Mechanics,
+    indentation: Indentation,
+    depths: Sequence[float],
+    *,
+    seconds: float,
+    warnings: Sequence[str],
+    device: str,
+) -> xr.Dataset:
+    """Gather a press alone, at the depths that were asked for.
+
+    Parameters
+    ----------
+    config : Mechanics
+    indentation : Indentation
+        It may end before the last depth; what is missing is nan, and not ``converged``.
+    depths : sequence of float
+        In m.
+    seconds : float
+        How long it took.
+    warnings : sequence of str
+        Where the run leaves the range in which the model holds.
+    device : str
+        What computed it.
+
+    Returns
+    -------
+    xarray.Dataset
+        In SI units, of the whole tube; every variable has ``units`` and ``long_name``.
+    """
+    reached = [i for i, depth in enumerate(indentation.depth) if depth in set(depths)]
+    rows = _mechanics(indentation, reached) | _axial(indentation, reached)
+    missing = len(depths) - len(reached)
+    found = {name: _lengthened(value, missing) for name, value in rows.items()}
+    converged = np.arange(len(depths)) < len(reached)
+    found |= _mesh(indentation.mesh) | {
+        "indentation_depth": variable("depth", depths, "m", DEPTH),
+        "converged": _flag(converged, "whether the press came to equilibrium at this depth"),
+        "elapsed_time": variable("", seconds, "s", "time that the press took"),
+    }
+    coordinates = {
+        "depth": variable("depth", depths, "m", DEPTH),
+        "z": found.pop("z"),
+        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+    }
+    origin = _provenance(config, warnings, device) | {
+        "title": "A press of a soft tube",
+        "precision": "float64",
+        "closed": (
+            "the lumen counts as closed where smallest_gap is under "
+            f"{1e3 * indentation.closing_distance:.4g} mm, where its walls feel each other"
+        ),
+    }
+    return xr.Dataset(found, coordinates, origin)
+
+
+def _lengthened(value: Variable, missing: int) -> Variable:
+    """Return a variable with rows of nan for depths that were not reached."""
+    dims, values, attributes = value
+    if dims[0] != "depth" or missing == 0:
+        return value
+    filler = np.full((missing, *values.shape[1:]), 0 if values.dtype.kind in "iu" else np.nan)
+    return dims, np.concatenate([values, filler.astype(values.dtype)]), attributes
+
+
+def _flag(values: Any, long_name: str) -> Variable:
+    """Return a yes-or-no variable along the depths."""
+    attributes = {"units": "1", "long_name": long_name, "flag_meanings": "0: no, 1: yes"}
+    return ("depth",), np.asarray(values, np.int8), attributes
+
+
+def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
+    """Return the press at some of its increments."""
+    wall = inner_wall(indentation.mesh)
+    place = np.array([indentation.presses[0].z])
+    sections = [measure(indentation, i, place, wall) for i in rows]
 
     def at_press(quantity: str) -> list[float]:
         return [float(getattr(section, quantity)[0]) for section in sections]
 
-    mesh, nodes = indentation.mesh, (len(indentation.depth), -1, 3)
-    return {
-        "indentation_depth": variable("depth", indentation.depth, "m", "depth of the rod"),
-        "contact_force": variable(
-            "depth", indentation.contact_force, "N", "force of the rod on the whole tube"
+    def taken(name: str) -> Any:
+        return np.asarray(getattr(indentation, name))[list(rows)]
+
+    scalars = {
+        "indentation_depth": (taken("depth"), "m", DEPTH),
+        "contact_force": (taken("contact_force"), "N", "force of the tool on the whole tube"),
+        "contact_area": (
+            taken("contact_area").sum(axis=1), "m2", "deformed outer wall that touches the tool",
         ),
-        "lumen_height": variable(
-            "depth", at_press("height"), "m", "height of the lumen at the press"
+        "lumen_height": (at_press("height"), "m", "height of the lumen at the press"),
+        "lumen_width": (at_press("width"), "m", "width of the lumen at the press"),
+        "lumen_area": (at_press("area"), "m2", "cross-section of the lumen at the press"),
+        "elastic_energy": (taken("energy"), "J", "elastic energy of the whole tube"),
+        "smallest_gap": (
+            taken("smallest_gap"), "m", "smallest distance of the lower and upper inner wall",
         ),
-        "lumen_width": variable("depth", at_press("width"), "m", "width of the lumen at the press"),
-        "lumen_area": variable(
-            "depth", at_press("area"), "m2", "cross-section of the lumen at the press"
+        "smallest_volume_ratio": (
+            taken("smallest_volume_ratio"), "1", "smallest J at any quadrature point",
         ),
-        "newton_iterations": variable("depth", indentation.iterations, "1", "Newton iterations"),
-        "newton_residual": variable(
-            "depth", indentation.residual, "N", "norm of the out-of-balance nodal forces"
-        ),
-        "node_position": variable(
-            "node xyz", mesh.points, "m", "nodes of the undeformed quarter, the press at z = 0"
-        ),
+        "newton_iterations": (taken("iterations"), "1", "Newton iterations"),
+        "newton_residual": (taken("residual"), "N", "norm of the out-of-balance nodal forces"),
+    }  # fmt: skip
+    found = {
+        name: variable("depth", values, units, text)
+        for name, (values, units, text) in scalars.items()
+    }
+    return found | {
+        "closed": _flag(taken("closed"), "whether the lumen's walls feel each other"),
         "node_displacement": variable(
-            "depth node xyz", indentation.displacement.reshape(nodes), "m", "displacement"
+            "depth node xyz", taken("displacement"), "m", "displacement of the nodes"
         ),
-        "element_node": variable(
-            "element corner", mesh.elements, "1", "node numbers of the 27-node hexahedra"
+    }
+
+
+def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
+    """Return the lumen along the modelled part of the tube, the press at zero."""
+    reach = SOUND_PART * indentation.mesh.points[:, 2].max()
+    ahead = np.linspace(0, reach, EVEN_POINTS // 2 + 1)
+    z = np.concatenate([-ahead[:0:-1], ahead])
+    wall = inner_wall(indentation.mesh)
+    profiles = [measure(indentation, i, z, wall) for i in rows]
+    table = {
+        "lumen_area_profile": ("area", "m2", "cross-section of the lumen along the tube"),
+        "lumen_height_profile": ("height", "m", "height of the lumen along the tube"),
+        "lumen_width_profile": ("width", "m", "width of the lumen along the tube"),
+    }
+    found = {
+        name: variable(
+            "depth z",
+            np.array([getattr(p, quantity) for p in profiles]).reshape(-1, z.size),
+            units,
+            text,
+        )
+        for name, (quantity, units, text) in table.items()
+    }
+    return found | {"z": variable("z", z, "m", "deformed axial position, zero at the press")}
+
+
+def _mesh(mesh: Mesh) -> dict[str, Variable]:
+    """Return the finite-element mesh."""
+    kind = "20-node hexahedra" if mesh.sweep is not None else "10-node tetrahedra"
+    return {
+        "node_position": variable(
+            "node xyz", mesh.points, "m", "nodes of the undeformed part that is modelled"
         ),
+        "element_node": variable("element corner", mesh.elements, "1", f"nodes of the {kind}"),
     }
 
 
@@ -131,7 +250,10 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
     length = indentation.tube.length
     # The rings are dense where the lumen is pressed, and one of them lies under the rod.
     stations = np.clip(lumen.rings[:, 0, 2], 0, length)
-    along = profile(lumen.rings, np.union1d(np.linspace(0, length, EVEN_POINTS), stations))
+    z = np.union1d(np.linspace(0, length, EVEN_POINTS), stations)
+    faces = ring_faces(*lumen.rings.shape[:2])
+    # A plane through the far cap itself cuts nothing.
+    along = profile(lumen.rings.reshape(-1, 3), faces, np.minimum(z, length * (1 - 1e-12)))
     return {
         "inner_wall": variable(
             "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"
@@ -141,11 +263,11 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
         ),
         "lumen_face": variable(
             "face vertex",
-            ring_faces(*lumen.rings.shape[:2]),
+            faces,
             "1",
             "triangles of the closed lumen; vertex number = ring * n_around + around",
         ),
-        "z": variable("z", along.z, "m", "distance from the source end"),
+        "z": variable("z", z, "m", "distance from the source end"),
         "area_profile": variable("z", along.area, "m2", "cross-section of the lumen"),
         "height_profile": variable("z", along.height, "m", "height of the lumen"),
         "width_profile": variable("z", along.width, "m", "width of the lumen"),
@@ -214,7 +336,7 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
     }
 
 
-def _provenance(config: Config, warnings: Sequence[str], device: str) -> dict[str, Any]:
+def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
     """Return where the data come from."""
     settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
     return {

@@ -93,12 +93,42 @@ class Choice:
         return str(value)
 
 
+@dataclass(frozen=True)
+class File:
+    """The name of a file.
+
+    Parameters
+    ----------
+    meaning : str
+        What the setting is.
+    """
+
+    meaning: str
+
+    @property
+    def allowed(self) -> str:
+        """What it may be, in words."""
+        return "the name of a file"
+
+    def check(self, name: str, value: Any) -> str:
+        """Return the value.
+
+        Raises
+        ------
+        ConfigError
+            If it is not a name; whether there is such a file is found out when it is read.
+        """
+        if not (isinstance(value, str) and value.strip()):
+            raise ConfigError(f"{name} = {value!r} is not a name; use {self.allowed}")
+        return value
+
+
 def _is_number(value: Any) -> bool:
     """Tell numbers from the rest; a bool is one to Python, but `wall_mm = true` is a slip."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def setting(default: Any, rule: Number | Choice) -> Any:
+def setting(default: Any, rule: Number | Choice | File) -> Any:
     """Return a dataclass field that carries its rule."""
     return dataclasses.field(default=default, metadata={"rule": rule})
 

@@ -23,10 +23,12 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from acoustube import __version__, scene
+from acoustube import __version__, record, scene
 from acoustube.chain import Report, simulate
-from acoustube.config import Config, grid_cells, to_toml
+from acoustube.config import Config, Mechanics, grid_cells, to_toml
+from acoustube.indentation import PressError
 from acoustube.io import partial_folder, publish, write_dataset
+from acoustube.mechanics import pressed
 
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
@@ -34,6 +36,8 @@ FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
 STEPS_PER_CELL = 2 * 3.9  # time steps per axial cell, for both source ends
 SECONDS_PER_CELL_STEP, GIGABYTES_PER_CELL = 1.8e-9, 3e-7
 
+TABLE_ROWS = 16
+"""Depths of a press that are printed."""
 REPORT_INTERVAL = 10.0
 """Seconds between two lines of progress where there is no terminal."""
 
@@ -89,6 +93,125 @@ def run(config: Config, folder: Path, console: Console) -> Path:
     return folder
 
 
+def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
+    """Press a tube, print what came of it and write it to a folder.
+
+    Parameters
+    ----------
+    config : Mechanics
+        The settings.
+    folder : path
+        The folder to be made; it appears only when it is complete.
+    console : rich.console.Console
+        Where to print.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be made, or an imported surface is no tube.
+    PressError
+        If the press stopped before the last depth; the folder then holds what had converged.
+    """
+    from acoustube import plot, vtu
+
+    started = time.perf_counter()
+    press, stopped = config.indentation, None
+    depths = [1e-3 * press.depth_mm * i / press.steps for i in range(1, press.steps + 1)]
+    with _interrupts_heard() as check:
+        _print_press_header(config, console)
+        with partial_folder(folder) as partial:
+            with _progress(console) as show:
+
+                def progress(fraction: float) -> None:
+                    check()
+                    show("indentation", fraction)
+
+                progress(0.0)
+                try:
+                    indentation = pressed(config, depths, progress)
+                except PressError as error:
+                    indentation, stopped = error.indentation, error
+            dataset = record.pressed(
+                config,
+                indentation,
+                depths,
+                seconds=time.perf_counter() - started,
+                warnings=[] if stopped is None else [str(stopped)],
+                device=jax.devices()[0].device_kind,
+            )
+            write_dataset(dataset, partial / "run.nc")
+            (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
+            rows = [i for i, depth in enumerate(indentation.depth) if depth in set(depths)]
+            vtu.write(indentation, rows, partial / "vtu")
+            plot.save(plot.press_figure(dataset), partial / "figure.png")
+            check()
+            folder = publish(partial, folder)
+    _print_press(dataset, console)
+    elapsed = time.perf_counter() - started
+    console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    if stopped is not None:
+        raise stopped
+    return folder
+
+
+def _print_press_header(config: Mechanics, console: Console) -> None:
+    """Print what is about to be pressed."""
+    console.print(
+        f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64",
+        soft_wrap=True,
+    )
+    _print_wall(config, console)
+    press = config.indentation
+    console.print(
+        f"press: {press.indenter_mm:g} mm {press.shape}, to {press.depth_mm:g} mm "
+        f"in {press.steps} steps, support {press.support}",
+        soft_wrap=True,
+    )
+
+
+def _print_wall(config: Config | Mechanics, console: Console) -> None:
+    """Print the tube's sizes and material."""
+    tube = config.tube
+    hardness = (
+        f"{tube.shore_a:g} Shore A"
+        if tube.shore_a is not None
+        else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
+    )
+    shape = (
+        f"bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, {tube.length_cm:g} cm long"
+        if tube.surface is None
+        else f"surface {tube.surface}"
+    )
+    console.print(
+        f"tube: {shape}, {hardness}, Poisson's ratio {tube.poisson_ratio:g}", soft_wrap=True
+    )
+
+
+def _print_press(dataset: xr.Dataset, console: Console) -> None:
+    """Print the press at some of its depths."""
+    table = Table(box=None, pad_edge=False)
+    for name in ("depth mm", "force N", "height mm", "width mm", "area mm2", ""):
+        table.add_column(name, justify="right")
+    n = dataset.sizes["depth"]
+    for i in sorted({round(k) for k in np.linspace(0, n - 1, min(n, TABLE_ROWS))}):
+        row = dataset.isel(depth=i)
+        numbers = [
+            f"{1e3 * float(row['indentation_depth']):.3f}",
+            f"{float(row['contact_force']):.3f}",
+            f"{1e3 * float(row['lumen_height']):.3f}",
+            f"{1e3 * float(row['lumen_width']):.3f}",
+            f"{1e6 * float(row['lumen_area']):.2f}",
+        ]
+        state = "closed" if row["closed"] else ""
+        table.add_row(*numbers, state if row["converged"] else "not reached")
+    console.print(table)
+
+
 def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
     """Write the figure, and tell whether the tube is drawn in it."""
     from acoustube import plot
@@ -101,11 +224,6 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
 def _print_header(config: Config, console: Console) -> None:
     """Print what is about to be computed, and what it costs."""
     tube, press, waves = config.tube, config.indentation, config.waves
-    hardness = (
-        f"{tube.shore_a:g} Shore A"
-        if tube.shore_a is not None
-        else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
-    )
     cells = grid_cells(tube, waves)
     steps = STEPS_PER_CELL * 10 * tube.length_cm * waves.resolution / tube.inner_diameter_mm
     minutes = (FIXED_SECONDS + cells * steps * SECONDS_PER_CELL_STEP) / 60
@@ -114,13 +232,9 @@ def _print_header(config: Config, console: Console) -> None:
     grid = f"{waves.resolution} cells across the bore"
     cost = f"about {max(minutes, 0.5):.1g} min, {memory:.1f} GB"
     console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
+    _print_wall(config, console)
     console.print(
-        f"tube: bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, "
-        f"{tube.length_cm:g} cm long, {hardness}, Poisson's ratio {tube.poisson_ratio:g}",
-        soft_wrap=True,
-    )
-    console.print(
-        f"press: {press.indenter_mm:g} mm cylinder, {press.depth_mm:g} mm deep "
+        f"press: {press.indenter_mm:g} mm {press.shape}, {press.depth_mm:g} mm deep "
         f"at {press.position_cm:g} cm, support {press.support}",
         soft_wrap=True,
     )

@@ -1,65 +1,86 @@
-"""How far is the press from an independent solution on each mesh, and what does it cost?
+"""How far is the press from an independent solution, to a closed lumen, and what does it cost?
 
-The paper's tube on a free support, 25 mm rod, to 6 mm. Errors against the CalculiX solution in
-``tests/data/indentation_rod25.csv`` beside the time of a second, warm run:
-``python benchmarks/indentation_work_precision.py``. Some five minutes on two cores.
+The paper's tube on a free support, 25 mm rod, to 8 mm: on several meshes, and with several
+distances at which the lumen's walls begin to feel each other. Errors against the CalculiX solution
+in ``tests/data/indentation_rod25.csv``, which ends at 7 mm, beside the time and the memory of a
+warm run: ``python benchmarks/indentation_work_precision.py``. Some ten minutes on two cores.
 """
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from acoustube.indentation import indent
-from acoustube.lumen import deformed_wall, profile
-from acoustube.tube import MeshSize, Tube
+from acoustube.indentation import Indentation, MeshSize, Press, indent
+from acoustube.lumen import measure
+from acoustube.tube import Tube
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "data" / "indentation_rod25.csv"
-DEPTHS_MM = (2.0, 4.0, 6.0)
+DEPTHS_MM = (2.0, 4.0, 6.0, 7.0, 7.5, 8.0)
 MESHES = (
-    MeshSize(through_wall=1, around=8, along=10),
-    MeshSize(through_wall=2, around=8, along=10),
+    MeshSize(through_wall=1, around=12, along=10),
+    MeshSize(through_wall=2, around=12, along=12),
     MeshSize(),
-    MeshSize(through_wall=2, around=16, along=18),
+    MeshSize(through_wall=2, around=24, along=18),
+    MeshSize(through_wall=3, around=18, along=14),
 )
+CLOSING_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
 
 
-def reference() -> dict[float, tuple[float, float, float]]:
-    """Return force in N, height in mm and area in mm2 by depth in mm."""
+def reference() -> dict[float, float]:
+    """Return the force in N by depth in mm."""
     # NumPy would take the names from the first line of the comment.
     lines = [line for line in REFERENCE.read_text().splitlines() if not line.startswith("#")]
     table = np.genfromtxt(lines, delimiter=",", names=True)
-    columns = ("force_N", "lumen_height_mm", "lumen_area_mm2")
-    return {float(row["depth_mm"]): tuple(float(row[c]) for c in columns) for row in table}
+    return {float(row["depth_mm"]): float(row["force_N"]) for row in table}
+
+
+def pressed(size: MeshSize, closing_distance_mm: float = 0.02) -> tuple[Indentation, float]:
+    """Return a press and how long it took, in s."""
+    start = perf_counter()
+    found = indent(
+        Tube(),
+        Press(diameter=25e-3),
+        depth=[1e-3 * depth for depth in DEPTHS_MM],
+        support="free",
+        mesh=size,
+        closing_distance=1e-3 * closing_distance_mm,
+    )
+    return found, perf_counter() - start
+
+
+def cells(press: Indentation, exact: dict[float, float]) -> str:
+    """Return the cells of a row: force at every depth, and the section at 8 mm."""
+    words = []
+    for depth in DEPTHS_MM:
+        (i,) = np.flatnonzero(press.depth == 1e-3 * depth)
+        force = press.contact_force[i]
+        error = f" ({100 * (force / exact[depth] - 1):+.2f} %)" if depth in exact else ""
+        words.append(f"{force:.3f}{error}")
+    section = measure(press, -1, np.zeros(1))
+    words.append(f"{1e6 * section.area[0]:.3f}")
+    words.append(f"{press.iterations.sum()} in {len(press.depth) - 1}")
+    return " | ".join(words)
 
 
 if __name__ == "__main__":
     exact = reference()
-    print("| mesh | unknowns | depth mm | force % | height mm | area mm2 | iterations | time s |")
-    print("|" + "---|" * 8)
+    depths = " | ".join(f"force at {depth:g} mm, N" for depth in DEPTHS_MM)
+    tail = "area at 8 mm, mm2 | iterations in increments | time s |"
+    pressed(MESHES[0])  # compiles
+    print(f"| mesh | unknowns | {depths} | {tail}")
+    print("|" + "---|" * (len(DEPTHS_MM) + 5))
     for size in MESHES:
+        press, seconds = pressed(size)
         name = f"{size.through_wall} x {size.around} x {size.along}"
-        for _ in range(2):  # the first compiles
-            start = perf_counter()
-            press = indent(
-                Tube(),
-                rod_diameter=25e-3,
-                depth=[1e-3 * depth for depth in DEPTHS_MM],
-                support="free",
-                size=size,
-            )
-            seconds = perf_counter() - start
-        for depth in DEPTHS_MM:
-            (i,) = np.flatnonzero(press.depth == 1e-3 * depth)
-            section = profile(deformed_wall(press, i), np.zeros(1))
-            force, height, area = exact[depth]
-            print(
-                f"| {name} | {press.mesh.nodes.size} | {depth:g} "
-                f"| {100 * (press.contact_force[i] / force - 1):+.2f} "
-                f"| {1e3 * section.height[0] - height:+.4f} "
-                f"| {1e6 * section.area[0] - area:+.3f} "
-                f"| {press.iterations.sum()} | {seconds:.1f} |",
-                flush=True,
-            )
+        print(f"| {name} | {press.mesh.points.size} | {cells(press, exact)} | {seconds:.1f} |")
+    print(f"\n| closing distance mm | {depths} | {tail}")
+    print("|" + "---|" * (len(DEPTHS_MM) + 4))
+    for distance in CLOSING_DISTANCES_MM:
+        press, seconds = pressed(MeshSize(), distance)
+        print(f"| {distance:g} | {cells(press, exact)} | {seconds:.1f} |", flush=True)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"\nPeak memory of all runs: {memory:.2f} GiB")

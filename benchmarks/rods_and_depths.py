@@ -12,9 +12,9 @@ import sys
 import numpy as np
 
 from acoustube import load_config
-from acoustube.chain import listen, locate, tube_from
-from acoustube.indentation import indent
-from acoustube.lumen import deformed_wall, lumen, profile
+from acoustube.chain import listen, locate
+from acoustube.lumen import lumen, measure
+from acoustube.mechanics import pressed
 
 RODS_MM, DEPTHS_MM = (10.0, 25.0, 35.0), (2.0, 4.0, 6.0)
 PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
@@ -23,20 +23,15 @@ PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
 def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
     """Return one row per depth: mechanics, then distance, error and amplitude per source end."""
     config = load_config(indenter_mm=rod_mm, resolution=resolution, support=support)
-    tube, position = tube_from(config), 5e-3 * config.tube.length_cm
-    pressed = indent(
-        tube,
-        rod_diameter=1e-3 * rod_mm,
-        depth=[1e-3 * depth for depth in DEPTHS_MM],
-        support=config.indentation.support,
-    )
+    position = 5e-3 * config.tube.length_cm
+    press = pressed(config, [1e-3 * depth for depth in DEPTHS_MM])
     rows = []
     for depth in DEPTHS_MM:
-        (increment,) = np.flatnonzero(pressed.depth == 1e-3 * depth)
-        section = profile(deformed_wall(pressed, increment), np.zeros(1))
-        row = [rod_mm, depth, pressed.contact_force[increment]]
+        (increment,) = np.flatnonzero(press.depth == 1e-3 * depth)
+        section = measure(press, increment, np.zeros(1))
+        row = [rod_mm, depth, press.contact_force[increment]]
         row += [1e3 * section.height[0], 1e6 * section.area[0]]
-        recordings = listen(config, lumen(pressed, position, increment))
+        recordings = listen(config, lumen(press, position, increment))
         for recording in recordings.values():
             ranging = locate(config, recording)
             row += [

@@ -8,22 +8,19 @@ The section under the rod hardly notices, the force does.
 import numpy as np
 from matplotlib.figure import Figure
 
-from acoustube.indentation import indent
-from acoustube.lumen import deformed_wall, profile
+from acoustube.indentation import Press, indent
+from acoustube.lumen import measure
 from acoustube.tube import Tube
 
 DEPTH = 2e-3
 presses = {
-    support: indent(Tube(), rod_diameter=25e-3, depth=DEPTH, support=support)
+    support: indent(Tube(), Press(diameter=25e-3), depth=DEPTH, support=support)
     for support in ("held", "free")
 }
 
 # %% Compare
 force = {support: press.contact_force[-1] for support, press in presses.items()}
-area = {
-    support: profile(deformed_wall(press), np.zeros(1)).area[0]
-    for support, press in presses.items()
-}
+area = {support: measure(press, -1, np.zeros(1)).area[0] for support, press in presses.items()}
 stiffening = force["held"] / force["free"] - 1
 print(
     f"held against free at {1e3 * DEPTH:g} mm: force {100 * stiffening:+.1f} %, "

@@ -11,14 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import acoustube
-from acoustube.chain import tube_from
-from acoustube.indentation import indent
 from acoustube.lumen import lumen
+from acoustube.mechanics import pressed
 from acoustube.waves import cut_cells, grid_spacing, section_cut_ons
 
 config = acoustube.load_config(indenter_mm=10, depth_mm=6)
-press = indent(tube_from(config), rod_diameter=10e-3, depth=6e-3)
-space = lumen(press, position=0.2)
+space = lumen(pressed(config, [6e-3]), position=0.2)
 cells = cut_cells(space.surface, grid_spacing(7.9e-3, resolution=32), half=True)
 z = cells.centres(2) - 0.2
 layers = np.flatnonzero(np.abs(z) < 65e-3)[::2]

@@ -12,6 +12,14 @@ os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory):
+    """Keep the user's remembered presses out of the tests, and theirs out of the cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ACOUSTUBE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _in_empty_folder(tmp_path, monkeypatch):
     """Run each test in a folder of its own, so that nothing is written to the checkout."""

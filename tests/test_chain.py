@@ -10,9 +10,10 @@ import pytest
 import xarray as xr
 
 from acoustube import Config, load_config, plot, scene
-from acoustube.chain import listen, stage, tube_from, warnings_for
+from acoustube.chain import listen, stage, warnings_for
 from acoustube.errors import SimulationError
 from acoustube.lumen import Lumen
+from acoustube.mechanics import tube_from
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
@@ -86,12 +87,12 @@ def test_second_run_into_the_same_folder_is_refused_and_changes_nothing(finished
 def test_force_and_section_follow_the_stages(dataset):
     """Force rises with depth; the profile's least area is the section under the rod.
 
-    The profile is cut every 0.5 mm and one cut lies at the press, where both interpolate the same
-    rings: they agree to the rounding of the mirrored halves.
+    The profile is cut from rings of 216 facets, the section at the press from triangles with 288
+    points around: two polygons in one curve, 1e-4 apart.
     """
     assert np.all(np.diff(dataset["contact_force"]) > 0)
     at_press = float(dataset["lumen_area"][-1])
-    assert float(dataset["area_profile"].min()) == pytest.approx(at_press, rel=1e-9)
+    assert float(dataset["area_profile"].min()) == pytest.approx(at_press, rel=2e-4)
     lowest = float(dataset["z"][np.argmin(dataset["area_profile"].values)])
     assert lowest == pytest.approx(0.18, abs=1e-9)
 

@@ -66,7 +66,15 @@ def test_help_names_every_option_with_its_unit():
 
 
 @pytest.mark.parametrize(
-    "words", [["--help"], ["simulate", "--help"], ["simulate", "--depth", "12"]]
+    "words",
+    [
+        ["--help"],
+        ["simulate", "--help"],
+        ["indent", "--help"],
+        ["simulate", "--depth", "12"],
+        ["indent", "--depth", "12"],
+        ["cache", "list"],
+    ],
 )
 def test_help_and_refusals_import_nothing_heavy(words):
     code = (
@@ -124,6 +132,49 @@ def test_help_and_refusals_import_nothing_heavy(words):
 def test_bad_option_is_refused_in_one_sentence(tmp_path, words, parts):
     assert_refused(call("simulate", *words), *parts)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["--depth", "9"], ["depth_mm = 9 is beyond a closed lumen", "use at most 8.7"]),
+        (["--depth", "12"], ["depth_mm = 12 is past the floor", "use at most 8.7"]),
+        (["--steps", "0"], ["steps = 0", "1 to 1000"]),
+        (["--steps", "2.5"], ["steps = 2.5 is not a whole number"]),
+        (["--shape", "cone"], ["cone", "rod", "punch", "sphere"]),
+        (["--shape", "sphere", "--yaw", "10"], ["yaw_deg = 10 turns a sphere"]),
+        (["--offset", "2"], ["offset_mm = 2 moves a rod"]),
+        (["--frequency", "42"], ["--frequency"]),
+        (["--tube", ""], ["surface = '' is not a name"]),
+        (["--out", "."], ["name a new folder"]),
+    ],
+    ids=" ".join,
+)
+def test_bad_option_of_a_press_is_refused_in_one_sentence(tmp_path, words, parts):
+    assert_refused(call("indent", *words), *parts)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("shape", ["missing", "broken"])
+def test_surface_that_is_no_tube_leaves_nothing(tmp_path, shape):
+    if shape == "broken":
+        (tmp_path / "a.stl").write_text("solid nothing\nendsolid nothing\n")
+    before = list(tmp_path.iterdir())
+    result = call("indent", "--tube", "a.stl", "--out", "run", "--quiet")
+    assert_refused(result, "a.stl")
+    assert list(tmp_path.iterdir()) == before
+
+
+def test_cache_is_listed_sized_and_cleared(tmp_path):
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    (folder / "0123.npz").write_bytes(bytes(2_000_000))
+    environment = {"ACOUSTUBE_CACHE": str(folder)}
+    listed = call("cache", "list", **environment).stdout
+    assert listed.startswith("0123     2.0 MB  20")
+    assert call("cache", "size", **environment).stdout == f"1 presses, 2.0 MB in {folder}\n"
+    assert call("cache", "clear", **environment).stdout == "1 presses forgotten, 2.0 MB freed\n"
+    assert call("cache", "size", **environment).stdout == f"0 presses, 0.0 MB in {folder}\n"
 
 
 @pytest.mark.parametrize(

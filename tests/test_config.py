@@ -13,6 +13,7 @@ from acoustube.air import sound_speed
 from acoustube.config import (
     Config,
     IndentationSettings,
+    Mechanics,
     SignalSettings,
     TubeSettings,
     WaveSettings,
@@ -21,7 +22,7 @@ from acoustube.config import (
 )
 from acoustube.errors import ConfigError
 from acoustube.limits import CLEARANCE, pressed_reach
-from acoustube.rules import Choice, Number
+from acoustube.rules import Choice, File, Number
 
 ROOT = Path(__file__).parents[1]
 SECTIONS = (TubeSettings, IndentationSettings, WaveSettings, SignalSettings)
@@ -73,6 +74,12 @@ def test_bounds_are_allowed_and_the_next_number_is_not(section, name, rule):
             section(**{name: math.nextafter(bound, beyond)})
 
 
+@pytest.mark.parametrize("wrong", ["", " ", 3, True])
+def test_what_is_no_file_name_is_refused(wrong):
+    with pytest.raises(ConfigError, match=r"^surface = .* is not a name; use the name of a file"):
+        TubeSettings(surface=wrong)
+
+
 @pytest.mark.parametrize("name", ["cycles", "resolution"])
 def test_whole_number_takes_no_fraction(name):
     assert getattr(WaveSettings(**{name: 24.0}), name) == 24
@@ -109,6 +116,63 @@ def test_depth_that_closes_the_lumen_is_refused():
     assert load_config(depth_mm=7.11).indentation.depth_mm == 7.11
     with pytest.raises(ConfigError, match=r"would close the lumen .*; use at most 7.11"):
         load_config(depth_mm=7.2)
+
+
+def test_press_alone_may_close_the_lumen():
+    """Half a wall beyond the bore, 8.7 mm, the closed tube is solid between rod and floor."""
+    assert load_config(None, Mechanics, depth_mm=8.7).indentation.depth_mm == 8.7
+    with pytest.raises(ConfigError, match=r"beyond a closed lumen .*; use at most 8.7$"):
+        load_config(None, Mechanics, depth_mm=8.71)
+    with pytest.raises(ConfigError, match=r"past the floor .*; use at most 8.7$"):
+        load_config(None, Mechanics, depth_mm=12)
+
+
+def test_press_alone_needs_no_sound(tmp_path):
+    """Sections that a press alone lacks are read past, but not their misspelt names."""
+    path = tmp_path / "a.toml"
+    path.write_text("[waves]\nresolution = 1\n[indentation]\ndepth_mm = 8\n")
+    assert load_config(path, Mechanics).indentation.depth_mm == 8
+    path.write_text("[waves]\nresolutoin = 1\n")
+    with pytest.raises(ConfigError, match="did you mean resolution"):
+        load_config(path, Mechanics)
+
+
+@pytest.mark.parametrize("kind", [Config, Mechanics])
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"shape": "sphere", "yaw_deg": 10}, "^yaw_deg = 10 turns a sphere"),
+        ({"offset_mm": 1}, "^offset_mm = 1 moves a rod along itself"),
+        ({"layer_mm": 5, "support": "free"}, "give both or neither"),
+        ({"layer_mpa": 5, "support": "free"}, "give both or neither"),
+        ({"layer_mm": 5, "layer_mpa": 0.1}, "^layer_mm = 5 cannot hold a tube down"),
+    ],
+)
+def test_contradictions_of_the_press_are_refused(kind, settings, message):
+    with pytest.raises(ConfigError, match=message):
+        load_config(None, kind, **settings)
+
+
+def test_written_press_reads_back_equal(tmp_path):
+    asked = load_config(
+        None,
+        Mechanics,
+        surface='a "b".stl',
+        shape="punch",
+        offset_mm=-1.5,
+        steps=3,
+        support="free",
+        layer_mm=5,
+        layer_mpa=0.1,
+    )
+    path = tmp_path / "a.toml"
+    path.write_text(to_toml(asked))
+    assert load_config(path, Mechanics) == asked
+
+
+def test_surface_cannot_be_simulated_with_sound():
+    with pytest.raises(ConfigError, match=r"^surface = d.stl .*acoustube indent"):
+        load_config(surface="d.stl")
 
 
 def test_pressed_part_stays_between_probe_and_far_end():
@@ -225,6 +289,8 @@ def _section(cls):
 def _value(rule):
     if isinstance(rule, Choice):
         return st.sampled_from(rule.options)
+    if isinstance(rule, File):
+        return st.none()
     if rule.whole:
         return st.integers(int(rule.low), int(rule.high))
     return st.floats(rule.low, rule.high)

@@ -1,36 +1,47 @@
-"""The hexahedron, its material and Newton's method against closed forms of elasticity.
+"""The solid elements and Newton's method against closed forms of elasticity.
 
 Patches are built from the tube's own mesh. The large-strain and bending tests are plane strain: one
 element along the tube, all axial displacements held.
 """
 
-from itertools import product
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import solveh_banded
+from solids import (
+    bare_model,
+    mooney_rivlin_solid,
+    neo_hookean_solid,
+    nodal_forces,
+)
+from threadpoolctl import threadpool_limits
 
-from acoustube.indentation import contact, element
-from acoustube.indentation.contact import Bodies
-from acoustube.indentation.element import Material
-from acoustube.indentation.equilibrium import build_model, minimise, residual, stiffness
-from acoustube.indentation.material import determinant, neo_hookean_isochoric, volumetric
-from acoustube.tube import MeshSize, Tube, quarter_mesh
+from acoustube.indentation import element, linear
+from acoustube.indentation.equilibrium import minimise, stiffness
+from acoustube.indentation.mesh import MeshSize, sweep
+from acoustube.indentation.reference import HEX20, TET10, monomials
+from acoustube.tube import Tube
 
 MU, K = 0.5e6, 25e6
-MATERIAL = Material(np.float64(MU), np.float64(K))
+MATERIAL = neo_hookean_solid(MU, K)
+MATERIALS = {"neo-hookean": MATERIAL, "mooney-rivlin": mooney_rivlin_solid(0.17e6, 0.08e6, K)}
+ELEMENTS = {"hex20": HEX20, "tet10": TET10}
 EDGE = 2e-3  # of the single cube, in m
-ENERGIES, FORCES = jax.jit(element.energies), jax.jit(element.forces)
+ENERGIES_AND_FORCES = jax.jit(element.energies_and_forces)
 STRETCH = np.array([[1.2, 0.3, -0.1], [0.05, 0.9, 0.2], [-0.15, 0.1, 1.05]])
-NOWHERE = Bodies(*map(np.float64, (1.0, 10.0, -10.0, 1.0, 1e-3)))  # touch nothing
 
 
 @pytest.fixture(autouse=True)
-def _double_precision():
-    with jax.enable_x64(True):
+def _double_precision_on_one_thread():
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         yield
+
+
+def swept_patch():
+    """Return a mesh of eight elements, a quarter of a tube's wall."""
+    return sweep(Tube(), 8e-3, MeshSize(through_wall=2, around=2, along=2))
 
 
 def patch():
@@ -39,97 +50,104 @@ def patch():
     Quarter turns of the tube's wall, whose inner nodes are moved at random by up to 0.1 mm, a
     quarter of the spacing through the wall.
     """
-    mesh = quarter_mesh(Tube(), 8e-3, MeshSize(through_wall=2, around=2, along=2))
-    inside = np.zeros(mesh.nodes.shape[:3], bool)
-    inside[1:-1, 1:-1, 1:-1] = True
+    mesh = swept_patch()
+    x, _, z = mesh.points.T
+    layer = mesh.sweep.layer
+    inside = (layer > 0) & (layer < 1) & (x > 0) & (z > 0) & (z < z.max())
     shift = np.random.default_rng(1).uniform(-1e-4, 1e-4, mesh.points.shape)
     points = mesh.points + inside.reshape(-1, 1) * shift
-    return points, mesh.elements, inside.ravel()
+    return points, mesh.elements, inside
 
 
 def cube():
-    """Return the nodes (27, 3) of one cube; x is numbered fastest."""
-    z, y, x = np.meshgrid(*[[0, EDGE / 2, EDGE]] * 3, indexing="ij")
-    return np.stack([x, y, z], axis=-1).reshape(27, 3)
+    """Return the nodes (20, 3) of one cube."""
+    return (HEX20.nodes + 1) / 2 * EDGE
+
+
+def rule_of(points, reference=HEX20):
+    """Return the quadrature of one element."""
+    return jax.tree.map(np.asarray, element.quadrature(points[None], reference))
+
+
+def single(rule):
+    """Return the first element's part of a quadrature."""
+    return element.Quadrature(*(part[0] for part in rule[:-1]), rule.modes)
 
 
 def assembled_forces(points, elements, displacement):
-    rule = element.quadrature(points[elements])
-    forces = FORCES(displacement[elements], rule, MATERIAL)
+    rule = element.quadrature(points[elements], HEX20)
+    _, forces = ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)
     total = np.zeros_like(points)
     np.add.at(total, elements, forces)
     return total
 
 
-def one_element(seed=0, size=0.02):
+def energies(points, elements, displacement):
+    rule = element.quadrature(points[elements], HEX20)
+    return np.asarray(ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)[0])
+
+
+def one_element(name, seed=0, size=0.02):
     """Return a distorted element's rule and random displacements that leave it regular."""
-    points, elements, _ = patch()
-    rule = element.quadrature(points[elements[:1]])
-    displacement = np.random.default_rng(seed).uniform(-1, 1, (27, 3)) * size * 1e-3
-    return jax.tree.map(lambda a: a[0], rule), displacement
+    reference = ELEMENTS[name]
+    rng = np.random.default_rng(seed)
+    points = EDGE * (reference.nodes + rng.uniform(-0.05, 0.05, reference.nodes.shape))
+    displacement = rng.uniform(-1, 1, reference.nodes.shape) * size * 1e-3
+    return rule_of(points, reference), displacement
 
 
-# Shape functions and quadrature
-
-
-def test_shape_functions_are_one_at_their_node_and_sum_to_one():
-    grid = np.array(list(product([-1.0, 0.0, 1.0], repeat=3)))[:, ::-1]  # first direction fastest
-    assert np.array_equal(element.shape_functions(grid)[0], np.eye(27))
-    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
-    values, slopes = element.shape_functions(points)
-    assert values.sum(axis=1) == pytest.approx(1.0, abs=1e-14)
-    assert np.abs(slopes.sum(axis=1)).max() < 1e-14
-
-
-def test_shape_functions_interpolate_quadratics_exactly():
-    """All 27 monomials of degree two in each direction, with their gradients, to round-off."""
-    grid = np.array(list(product([-1.0, 0.0, 1.0], repeat=3)))[:, ::-1]
-    points = np.random.default_rng(0).uniform(-1, 1, (10, 3))
-    values, slopes = element.shape_functions(points)
-    for powers in product(range(3), repeat=3):
-        at_nodes = np.prod(grid**powers, axis=1)
-        assert values @ at_nodes == pytest.approx(np.prod(points**powers, axis=1), abs=1e-13)
-        for i in range(3):
-            lower = np.array(powers) - np.eye(3, dtype=int)[i]
-            exact = powers[i] * np.prod(points ** np.maximum(lower, 0), axis=1)
-            assert slopes[:, :, i] @ at_nodes == pytest.approx(exact, abs=1e-13)
-
-
-def test_gauss_rule_is_exact_to_degree_five():
-    """On [-1, 1]^3: the product of 2 / (p + 1) for even powers, zero for odd ones."""
-    for powers in product(range(6), repeat=3):
-        exact = np.prod([2 / (p + 1) if p % 2 == 0 else 0.0 for p in powers])
-        integral = element.POINT_WEIGHTS @ np.prod(element.POINTS**powers, axis=1)
-        assert integral == pytest.approx(exact, abs=1e-13)
+# Volume, patch, rigid motion
 
 
 def test_volume_of_a_patch_does_not_depend_on_the_nodes_inside():
     """Moving inner nodes shifts volume between elements; the sum is the outer shape's."""
     points, elements, _ = patch()
-    straight = quarter_mesh(Tube(), 8e-3, MeshSize(through_wall=2, around=2, along=2)).points
-    volumes = [element.quadrature(p[elements]).weights.sum(axis=1) for p in (points, straight)]
+    straight = swept_patch().points
+    volumes = [
+        np.asarray(element.quadrature(p[elements], HEX20).weights).sum(axis=1)
+        for p in (points, straight)
+    ]
     assert np.abs(volumes[0] - volumes[1]).max() > 1e-3 * volumes[1].min()
     assert volumes[0].sum() == pytest.approx(volumes[1].sum(), rel=1e-13)
-    assert element.quadrature(cube()[None]).weights.sum() == pytest.approx(EDGE**3, rel=1e-14)
-
-
-# Patch, rigid motion, derivatives
+    assert rule_of(cube()).weights.sum() == pytest.approx(EDGE**3, rel=1e-14)
 
 
 def test_affine_displacement_is_reproduced_and_leaves_inner_nodes_free():
     """Patch test: F constant; the forces inside vanish to 1e-12 of those outside.
 
-    The rule integrates the gradients' cofactors exactly, so only round-off remains.
+    The rule integrates the gradients' cofactors exactly (they are of degree five in each
+    direction), so only round-off remains.
     """
     points, elements, inside = patch()
+    assert inside.sum() == 7  # one corner and six edges' middles
     displacement = points @ (STRETCH - np.eye(3)).T
-    rule = element.quadrature(points[elements])
+    rule = element.quadrature(points[elements], HEX20)
     for i, nodes in enumerate(elements):
         f = element.deformation_gradients(displacement[nodes], rule.gradients[i])
         assert np.abs(np.asarray(f) - STRETCH).max() < 1e-12
     force = assembled_forces(points, elements, displacement)
     assert np.abs(force[~inside]).max() > 1.0
     assert np.abs(force[inside]).max() < 1e-12 * np.abs(force).max()
+
+
+def test_affine_displacement_of_straight_tetrahedra_leaves_inner_nodes_free():
+    """The same for a cube of six tetrahedra around its diagonal, in whose middle a node is free."""
+    corners = np.array(np.meshgrid(*[[0.0, EDGE]] * 3, indexing="ij")).reshape(3, -1).T
+    tets = np.array([[0, a, b, 7] for a, b in [(4, 6), (6, 2), (2, 3), (3, 1), (1, 5), (5, 4)]])
+    pairs = TET10.nodes[4:] @ np.eye(3)  # local middles; the first four nodes are the corners
+    weights = np.column_stack([1 - pairs.sum(axis=1), pairs])
+    local = np.concatenate([corners[tets], np.einsum("mc,tci->tmi", weights, corners[tets])], 1)
+    points, number = np.unique(np.round(local.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    elements = number.reshape(6, 10)
+    rule = element.quadrature(points[elements], TET10)
+    assert np.asarray(rule.weights).min() > 0
+    displacement = points @ (STRETCH - np.eye(3)).T
+    _, forces = ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)
+    total = np.zeros_like(points)
+    np.add.at(total, elements, forces)
+    inside = np.all((points > 0) & (points < EDGE), axis=1)
+    assert inside.sum() == 1
+    assert np.abs(total[inside]).max() < 1e-12 * np.abs(total).max()
 
 
 def rotation(angle=1.1):
@@ -139,12 +157,11 @@ def rotation(angle=1.1):
 
 
 def test_rigid_rotation_leaves_no_energy_and_no_force():
-    """Round-off: energy under 1e-13 of mu V, forces under 1e-12 of mu times a cross-section."""
+    """Round-off: energy under 1e-13 of K V, forces under 1e-12 of K times a cross-section."""
     points, elements, _ = patch()
     displacement = points @ (rotation() - np.eye(3)).T + [1e-3, 2e-3, -3e-3]
-    rule = element.quadrature(points[elements])
-    energy = ENERGIES(displacement[elements], rule, MATERIAL).sum()
-    assert abs(energy) < 1e-13 * K * rule.weights.sum()
+    volume = np.asarray(element.quadrature(points[elements], HEX20).weights).sum()
+    assert abs(energies(points, elements, displacement).sum()) < 1e-13 * K * volume
     assert np.abs(assembled_forces(points, elements, displacement)).max() < 1e-12 * K * EDGE**2
 
 
@@ -153,34 +170,46 @@ def test_energy_does_not_see_a_rotation_and_forces_turn_with_it():
     points, elements, _ = patch()
     turn = rotation()
     bent = points + 0.1 * np.sin(points[:, [1, 2, 0]] * 300.0) * 1e-3
-    rule = element.quadrature(points[elements])
     cases = [bent - points, bent @ turn.T - points]
-    energies = [ENERGIES(u[elements], rule, MATERIAL) for u in cases]
-    assert energies[0].min() > 0
-    assert energies[1] == pytest.approx(np.asarray(energies[0]), rel=1e-11)
+    stored = [energies(points, elements, u) for u in cases]
+    assert stored[0].min() > 0
+    assert stored[1] == pytest.approx(stored[0], rel=1e-11)
     forces = [assembled_forces(points, elements, u) for u in cases]
     assert np.abs(forces[1] - forces[0] @ turn.T).max() < 1e-11 * np.abs(forces[0]).max()
 
 
-def test_forces_are_the_slope_of_the_energy():
+# Derivatives
+
+
+@pytest.mark.parametrize("solid", MATERIALS)
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_forces_are_the_slope_of_the_energy(name, solid):
     """Central difference along a random direction, 1e-8 m: truncation and round-off near 1e-8."""
-    rule, displacement = one_element()
-    direction = np.random.default_rng(5).normal(size=(27, 3))
+    rule, displacement = one_element(name)
+    material = MATERIALS[solid]
+    direction = np.random.default_rng(5).normal(size=displacement.shape)
     step = 1e-8
-    rule = jax.tree.map(lambda a: a[None], rule)
     ahead, behind = (
-        float(ENERGIES((displacement + side * direction)[None], rule, MATERIAL)[0])
+        float(
+            ENERGIES_AND_FORCES((displacement + side * direction)[None], rule, MATERIALS[solid])[0][
+                0
+            ]
+        )
         for side in (step, -step)
     )
-    force = FORCES(displacement[None], rule, MATERIAL)[0]
+    force = ENERGIES_AND_FORCES(displacement[None], rule, material)[1][0]
     assert (ahead - behind) / (2 * step) == pytest.approx(float(jnp.sum(force * direction)), 1e-6)
 
 
-def test_tangent_is_the_second_derivative_of_the_energy():
+@pytest.mark.parametrize("solid", MATERIALS)
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_tangent_is_the_second_derivative_of_the_energy(name, solid):
     """The condensed formula against JAX's Hessian of the energy, to round-off; symmetric."""
-    rule, displacement = one_element()
-    tangent = jax.jit(element.tangent)(displacement, rule, MATERIAL)
-    hessian = jax.jit(jax.hessian(element.energy))(displacement, rule, MATERIAL).reshape(81, 81)
+    rule, displacement = one_element(name)
+    case = displacement, single(rule), MATERIALS[solid]
+    n = displacement.size
+    tangent = jax.jit(element.tangent)(*case)
+    hessian = jax.jit(jax.hessian(element.energy))(*case).reshape(n, n)
     scale = jnp.abs(hessian).max()
     assert jnp.abs(tangent - hessian).max() < 1e-12 * scale
     assert jnp.abs(tangent - tangent.T).max() < 1e-12 * scale
@@ -188,42 +217,39 @@ def test_tangent_is_the_second_derivative_of_the_energy():
 
 def test_batched_tangents_are_those_of_each_element():
     """40 elements, more than one batch of 32 and not a multiple of it."""
-    mesh = quarter_mesh(Tube(), 8e-3, MeshSize(through_wall=2, around=5, along=4))
-    rule = element.quadrature(mesh.points[mesh.elements])
-    displacement = np.random.default_rng(2).uniform(-1e-5, 1e-5, (40, 27, 3))
+    mesh = sweep(Tube(), 8e-3, MeshSize(through_wall=2, around=5, along=4))
+    rule = element.quadrature(mesh.points[mesh.elements], HEX20)
+    displacement = np.random.default_rng(2).uniform(-1e-5, 1e-5, (40, 20, 3))
     batch = jax.jit(element.tangents)(displacement, rule, MATERIAL)
     tangent = jax.jit(element.tangent)
     for i in (0, 31, 32, 39):
-        single = tangent(displacement[i], jax.tree.map(lambda a, i=i: a[i], rule), MATERIAL)
-        assert jnp.abs(batch[i] - single).max() < 1e-12 * jnp.abs(single).max()
+        own = element.Quadrature(*(part[i] for part in rule[:-1]), rule.modes)
+        alone = tangent(displacement[i], own, MATERIAL)
+        assert jnp.abs(batch[i] - alone).max() < 1e-12 * jnp.abs(alone).max()
 
 
-# Material
+# Energy and stress
 
 
 def test_homogeneous_stretch_stores_the_closed_form_energy():
     """V [mu/2 (J^(-2/3) sum lambda^2 - 3) + K/2 (J - 1)^2] with J = 1.012, to round-off."""
     points, elements, _ = patch()
     stretches = np.array([1.3, 0.8, 0.973])
-    rule = element.quadrature(points[elements])
+    volume = np.asarray(element.quadrature(points[elements], HEX20).weights).sum()
     ratio = np.prod(stretches)
     density = MU / 2 * (ratio ** (-2 / 3) * np.sum(stretches**2) - 3) + K / 2 * (ratio - 1) ** 2
-    displacement = points * (stretches - 1)
-    energy = ENERGIES(displacement[elements], rule, MATERIAL).sum()
-    assert energy == pytest.approx(density * rule.weights.sum(), rel=1e-12)
+    stored = energies(points, elements, points * (stretches - 1)).sum()
+    assert stored == pytest.approx(density * volume, rel=1e-12)
 
 
-def test_stress_is_the_documented_one():
-    """P = mu J^(-2/3) (F - I1/3 F^-T) + K (J - 1) J F^-T, against the energy's gradient."""
-
-    def energy(f):
-        return neo_hookean_isochoric(f, MU) + volumetric(determinant(f), K)
-
-    ratio, inverse = np.linalg.det(STRETCH), np.linalg.inv(STRETCH).T
-    isochoric = ratio ** (-2 / 3) * (STRETCH - np.sum(STRETCH**2) / 3 * inverse)
-    exact = MU * isochoric + K * (ratio - 1) * ratio * inverse
-    stress = jax.grad(energy)(jnp.asarray(STRETCH))
-    assert np.abs(stress - exact).max() < 1e-12 * np.abs(exact).max()
+def test_volume_ratios_are_the_determinants_at_the_points():
+    """Of an affine motion, det F everywhere, and negative for one turned inside out."""
+    points, elements, _ = patch()
+    rule = element.quadrature(points[elements], HEX20)
+    for f in (STRETCH, STRETCH @ np.diag([1, 1, -1])):
+        displacement = points @ (f - np.eye(3)).T
+        ratios = element.volume_ratios(displacement[elements], rule)
+        assert np.asarray(ratios) == pytest.approx(np.linalg.det(f), rel=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -239,47 +265,102 @@ def test_small_strains_obey_hooke(strain, component, modulus):
     """Stress read from the nodal forces on a cube's face; the next order in a strain of 1e-7."""
     points, size = cube(), 1e-7
     displacement = points @ (size * np.array(strain, float)).T
-    rule = element.quadrature(points[None])
-    force = FORCES(displacement[None], rule, MATERIAL)[0]
+    force = ENERGIES_AND_FORCES(displacement[None], rule_of(points), MATERIAL)[1][0]
     i, j = component
     face = points[:, j] == EDGE
     stress = float(force[face, i].sum()) / EDGE**2
     assert stress / size == pytest.approx(modulus, rel=3e-6)
 
 
-def test_projection_keeps_trilinear_fields_and_averages_squares():
-    """On any element the first; on a cube xi^2 becomes its mean 1/3 (Legendre's orthogonality)."""
-    rule, _ = one_element()
-    field = element.PROJECTION @ np.array([1.0, 0.3, -0.2, 0.1, 0.05, -0.04, 0.03, 0.02])
-    assert np.abs(element.project(field, rule) - field).max() < 1e-13
-    straight = jax.tree.map(lambda a: a[0], element.quadrature(cube()[None]))
-    assert np.abs(element.project(element.XI**2, straight) - 1 / 3).max() < 1e-13
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_projection_keeps_the_fields_that_pressure_may_be(name):
+    """On a distorted element every combination of its modes is left as it is, to round-off."""
+    rule, _ = one_element(name)
+    modes = rule.modes
+    field = modes @ np.linspace(1.0, -0.2, modes.shape[1])
+    assert np.abs(element.project(field, single(rule)) - field).max() < 1e-12
+
+
+def test_projection_of_the_hexahedron_is_trilinear_and_averages_squares():
+    """Its modes are the 8 products of xi, eta and zeta to the first power; xi^2 becomes 1/3.
+
+    1/3 is its mean, by the orthogonality of Legendre's polynomials, on a cube.
+    """
+    exponents = HEX20.modes
+    assert len(np.unique(exponents, axis=0)) == 8
+    assert np.array_equal(np.unique(exponents), [0, 1])
+    square, _ = monomials(HEX20.points, np.array([[2, 0, 0]]))
+    projected = element.project(square[:, 0], single(rule_of(cube())))
+    assert np.abs(projected - 1 / 3).max() < 1e-13
 
 
 # Plane-strain rings
 
 
-def ring(tube, size, *, fixed):
-    """Return the model of a slice of a tube, 1 mm long, with `fixed(nodes)` held besides."""
-    mesh = quarter_mesh(tube, 1e-3, size)
-    held = np.zeros(mesh.nodes.shape, bool)
-    held[..., 2] = True
-    held[:, [0, -1], :, 0] = True
-    fixed(held)
-    material = Material(np.float64(tube.shear_modulus), np.float64(tube.bulk_modulus))
-    return build_model(mesh, material, held.reshape(-1, 3))
+class Ring:
+    """A slice of a tube, 1 mm long, and what its nodes are called.
+
+    Parameters
+    ----------
+    tube : Tube
+    size : MeshSize
+        One element along, evenly divided around.
+    """
+
+    def __init__(self, tube, layers, around):
+        self.tube = tube
+        size = MeshSize(through_wall=layers, around=around, along=1, fold=0.0, touch=0.0)
+        self.mesh = sweep(tube, 1e-3, size)
+        self.material = neo_hookean_solid(tube.shear_modulus, tube.bulk_modulus)
+        x, y, _ = self.mesh.points.T
+        self.radius = np.hypot(x, y)
+        self.angle = np.arctan2(x, -y)
+        self.radial = np.stack([x, y, 0 * x], axis=-1) / self.radius[:, None]
+        self.layer = self.mesh.sweep.layer
+
+    def at(self, angle, layer):
+        """Return the numbers of the nodes at an angle from the bottom and a layer of the wall."""
+        near = np.isclose(self.angle, angle, atol=1e-9) & np.isclose(self.layer, layer, atol=1e-9)
+        return np.flatnonzero(near)
+
+    def model(self, fixed=()):
+        """Return its model in plane strain, with components of nodes fixed besides."""
+        held = np.zeros(self.mesh.points.shape, bool)
+        held[:, 2] = True
+        held[self.mesh.points[:, 0] == 0, 0] = True
+        for nodes, components in fixed:
+            held[np.ix_(nodes, components)] = True
+        return bare_model(self.mesh, self.material, held)
+
+    def load(self, faces, traction):
+        """Return the nodal forces of a traction (a function of points) on faces."""
+        face = self.mesh.face
+        corners = self.mesh.points[faces]
+        points = np.einsum("qn,fni->fqi", face.shapes, corners)
+        tangents = np.einsum("fni,qnj->fqij", corners, face.slopes)
+        area = np.linalg.norm(np.cross(tangents[..., 0], tangents[..., 1]), axis=-1) * face.weights
+        forces = np.einsum("fq,qn,fqi->fni", area, face.shapes, traction(points))
+        total = np.zeros(self.mesh.points.shape)
+        np.add.at(total, faces, forces)
+        return total
 
 
 def linear_response(model, load):
-    """Return the displacements (n_along, n_around, n_through, 3) under small nodal forces."""
-    band = stiffness(model, np.zeros_like(model.mesh.points), NOWHERE)
-    displacement = np.zeros_like(model.mesh.nodes)
-    free = model.free.reshape(displacement.shape)
-    displacement[free] = solveh_banded(band, load[free], lower=True)
+    """Return the displacements (n_nodes, 3) under small nodal forces."""
+    displacement = np.zeros_like(model.mesh.points)
+    solve = linear.banded(stiffness(model, displacement, ()))
+    displacement[model.free] = solve(load[model.free])
     return displacement
 
 
-RIVLIN = [(1.05, 0.02296), (1.25, 0.08463), (1.5, 0.12378), (2.0, 0.15440)]
+def outward(points):
+    """Return the unit vectors (..., 3) away from the axis."""
+    across = points * [1, 1, 0]
+    return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+RIVLIN = [(1.05, 0.02296), (1.10, 0.04232), (1.25, 0.08463), (1.5, 0.12378), (2.0, 0.15440)]
+RIVLIN += [(3.0, 0.16838)]
 
 
 @pytest.mark.parametrize(("stretch", "pressure_mpa"), RIVLIN)
@@ -291,21 +372,20 @@ def test_inflated_tube_bears_rivlins_pressure(stretch, pressure_mpa):
     quadratics leave less than 1e-3. 0.5 % is allowed.
     """
     tube = Tube(shear_modulus=0.507e6, poisson_ratio=0.4999)
-
-    def fixed(held):
-        held[:, :, 0, :2] = True  # the inner wall
-
-    model = ring(tube, MeshSize(through_wall=4, around=4, along=1), fixed=fixed)
-    inner, nodes = tube.inner_diameter / 2, model.mesh.nodes
-    radius = np.hypot(nodes[..., 0], nodes[..., 1])[..., None]
-    radial = nodes * [1, 1, 0] / radius
-    deformed = np.sqrt(radius**2 + (stretch**2 - 1) * inner**2)
-    start = ((deformed - radius) * radial).reshape(-1, 3)
-    result = minimise(model, start, NOWHERE, 1e-9)
-    assert result.converged
-    everywhere = build_model(model.mesh, model.material, np.zeros_like(model.free))
-    force = residual(everywhere, result.displacement, NOWHERE).reshape(nodes.shape)
-    work = np.sum(force[:, :, 0] * radial[:, :, 0])  # per metre of the inner radius
+    ring = Ring(tube, layers=4, around=4)
+    inner = tube.inner_diameter / 2
+    wall = np.flatnonzero(ring.layer == 0)
+    model = ring.model([(wall, [0, 1])])
+    displacement, reached = np.zeros_like(ring.mesh.points), ring.radius
+    # Isochoric steps that keep the last one's pressure: without it a large stretch is unstable.
+    for step in np.linspace(1, stretch, 1 + int(np.ceil((stretch - 1) / 0.5)))[1:]:
+        moved = np.sqrt(ring.radius**2 + (step**2 - 1) * inner**2)
+        start = displacement + (moved - reached)[:, None] * ring.radial
+        result = minimise(model, start, (), 1e-9)
+        assert result.converged
+        displacement, reached = result.displacement, moved
+    force = nodal_forces(ring.mesh, ring.material, displacement)
+    work = np.sum(force[wall] * ring.radial[wall])  # per metre of the inner radius
     pressure = work / (np.pi * stretch * inner * 1e-3)  # half a circle, 1 mm long
     outer = np.sqrt(1 + (stretch**2 - 1) * (tube.inner_diameter / tube.outer_diameter) ** 2)
     exact = np.log(stretch / outer) + (outer**-2 - stretch**-2) / 2
@@ -324,45 +404,42 @@ def test_pinched_thin_ring_deflects_like_a_curved_beam():
     """
     thickness, radius, nu = 1e-3, 25e-3, 0.49
     tube = Tube(inner_diameter=2 * radius - thickness, wall_thickness=thickness, poisson_ratio=nu)
-
-    def fixed(held):
-        held[:, 0, 2, 1] = True  # the middle line's bottom
-
-    around = 64
-    model = ring(tube, MeshSize(through_wall=2, around=around, along=1), fixed=fixed)
+    ring = Ring(tube, layers=2, around=64)
+    bottom, top, side = (ring.at(angle, 0.5) for angle in (0.0, np.pi, np.pi / 2))
+    model = ring.model([(bottom, [1])])
     pinch = 1e-3  # N/m
-    load = np.zeros(model.mesh.nodes.shape)
-    load[:, -1, 2, 1] = -pinch / 2 * 1e-3 * np.array([1, 4, 1]) / 6  # half the ring, 1 mm long
+    load = np.zeros(ring.mesh.points.shape)
+    # Half the ring, 1 mm long; a line load at a corner of elements has no node between them.
+    shares = {2: [1 / 2, 1 / 2], 3: [1 / 6, 4 / 6, 1 / 6]}[len(top)]
+    load[top, 1] = -pinch / 2 * 1e-3 * np.array(shares)
     displacement = linear_response(model, load)
     modulus = 2 * tube.shear_modulus / (1 - nu)  # E' = E / (1 - nu^2)
     beam = pinch * radius**3 / (modulus * thickness**3 / 12)
     a = (thickness / radius) ** 2 / 12
     b = 1.2 * a * modulus / tube.shear_modulus
     k1, k2 = 1 - a + b, 1 - a
-    deflection = -displacement[0, -1, 2, 1] / beam
-    across = 2 * displacement[0, around, 2, 0] / beam
+    deflection = -displacement[top[0], 1] / beam
+    across = 2 * displacement[side[0], 0] / beam
     assert deflection == pytest.approx(np.pi / 4 * k1 - 2 / np.pi * k2**2, rel=1e-3)
     assert across == pytest.approx(k1 / 2 - k2 + 2 / np.pi * k2**2, rel=1e-3)
     assert deflection == pytest.approx(0.14878, rel=5e-3)
     assert across == pytest.approx(0.13662, rel=5e-3)
 
 
+@cache
 def ovalised(tube, layers, around):
     """Return the bore's closing under an outer traction q cos(2 theta), over q / mu, in m."""
+    ring = Ring(tube, layers, around)
+    bottom, top = (ring.at(angle, 0.0) for angle in (0.0, np.pi))
 
-    def fixed(held):
-        held[:, 0, 0, 1] = True  # against moving as a whole, which the load does not do
+    def traction(points):
+        angle = np.arctan2(points[..., 0], -points[..., 1])
+        return -np.cos(2 * angle)[..., None] * outward(points)
 
-    model = ring(tube, MeshSize(through_wall=layers, around=around, along=1), fixed=fixed)
-    faces = model.mesh.outer_faces
-    points = np.einsum("qn,fni->fqi", contact.FACE_SHAPES, model.mesh.points[faces])
-    angle = np.arctan2(points[..., 0], -points[..., 1])
-    normal = np.stack([np.sin(angle), -np.cos(angle), 0 * angle], axis=-1)
-    traction = -np.cos(2 * angle)[..., None] * normal * model.outer_area[..., None]
-    load = np.zeros_like(model.mesh.points)
-    np.add.at(load, faces, np.einsum("qn,fqi->fni", contact.FACE_SHAPES, traction))
-    displacement = linear_response(model, load.reshape(model.mesh.nodes.shape))
-    return tube.shear_modulus * (displacement[0, 0, 0, 1] - displacement[0, -1, 0, 1])
+    load = ring.load(ring.mesh.outer_faces, traction)
+    # The bottom is held against moving as a whole, which the load does not do.
+    displacement = linear_response(ring.model([(bottom, [1])]), load)
+    return tube.shear_modulus * (displacement[bottom[0], 1] - displacement[top[0], 1])
 
 
 def michell(tube):
@@ -383,24 +460,30 @@ def michell(tube):
     return -2 * radial  # bottom and top both move in; the closing is positive
 
 
-@pytest.mark.parametrize(("layers", "around", "error"), [(2, 12, 5e-3), (4, 24, 5e-4)])
-@pytest.mark.parametrize("nu", [0.3, 0.49, 0.4999])
-def test_thick_ring_is_ovalised_as_michell_says_and_does_not_lock(nu, layers, around, error):
-    """The paper's section, from K = 2.2 mu to 5000 mu, with the default mesh and one twice as fine.
+@pytest.mark.parametrize(("layers", "around", "share"), [(2, 12, 1.0), (4, 24, 0.1)])
+@pytest.mark.parametrize(("nu", "error"), [(0.3, 5e-3), (0.49, 5e-3), (0.4999, 7e-3)])
+def test_thick_ring_is_ovalised_as_michell_says_and_does_not_lock(nu, error, layers, around, share):
+    """The paper's section, from K = 2.2 mu to 5000 mu, on a mesh of 2 layers and one twice as fine.
 
-    Interpolation is all the error there is: it must not grow with K / mu. It falls by 12 from one
-    mesh to the next (measured: 0.37 to 0.40 %, then 0.03 %).
+    Interpolation is nearly all the error there is: it falls by 15 from one mesh to the next
+    (measured: 0.41, then 0.030 % for nu = 0.3; 0.45 and 0.031 % for 0.49). Eight pressures to
+    twenty nodes leave a trace of locking where K / mu is a hundred times larger than silicone's:
+    0.63 and 0.066 % at nu = 0.4999, still of more than third order; locked elements would be wrong
+    by 100 % there.
     """
     tube = Tube(poisson_ratio=nu)
-    assert ovalised(tube, layers, around) == pytest.approx(michell(tube), rel=error)
+    assert ovalised(tube, layers, around) == pytest.approx(michell(tube), rel=error * share)
 
 
 def test_stiffness_hardly_changes_with_incompressibility_and_layers():
-    """Beyond the exact change, nu = 0.499 adds under 0.1 % to 0.49; layers add under 0.5 %."""
+    """Beyond the exact change, nu = 0.499 adds under 0.15 % to 0.49; layers add under 0.6 %.
+
+    Measured: 0.13 and 0.54 %, with the trace of locking of the test above.
+    """
     soft, hard = Tube(poisson_ratio=0.49), Tube(poisson_ratio=0.499)
     change = ovalised(hard, 2, 12) / ovalised(soft, 2, 12)
-    assert change == pytest.approx(michell(hard) / michell(soft), rel=1e-3)
-    assert ovalised(hard, 2, 12) == pytest.approx(ovalised(hard, 4, 12), rel=5e-3)
+    assert change == pytest.approx(michell(hard) / michell(soft), rel=1.5e-3)
+    assert ovalised(hard, 2, 12) == pytest.approx(ovalised(hard, 4, 12), rel=6e-3)
 
 
 def test_newton_gives_up_across_a_buckling_and_in_inverted_elements():
@@ -408,17 +491,72 @@ def test_newton_gives_up_across_a_buckling_and_in_inverted_elements():
 
     Neither may be reported as an equilibrium, nor be left by a step from a meaningless tangent.
     """
-    tube = Tube()
-
-    def fixed(held):
-        held[:, 0, 0, 1] = True
-
-    model = ring(tube, MeshSize(through_wall=1, around=4, along=1), fixed=fixed)
-    about = model.mesh.points[0]  # the held node
-    for factors, finite in (([-0.4, -0.4, 0.0], True), ([-1.5, 0.0, 0.0], False)):
-        squeeze = (model.mesh.points - about) * factors
-        result = minimise(model, squeeze, NOWHERE, 1e-9)
+    ring = Ring(Tube(), layers=1, around=4)
+    bottom = ring.at(0.0, 0.0)
+    model = ring.model([(bottom, [1])])
+    about = ring.mesh.points[bottom[0]]
+    cases = (([-0.4, -0.4, 0.0], True, "buckles"), ([-1.5, 0.0, 0.0], False, "inside out"))
+    for factors, finite, reason in cases:
+        squeeze = (ring.mesh.points - about) * factors
+        result = minimise(model, squeeze, (), 1e-9)
         assert not result.converged
+        assert reason in result.reason
         assert result.iterations == 0
         assert np.isfinite(result.residual) == finite
         assert np.array_equal(result.displacement, squeeze)
+
+
+# Order of convergence
+
+
+def lame(tube, radius):
+    """Return the radial displacement of a thick tube over p / mu, in m, in plane strain.
+
+    u = (A (1 - 2 nu) r + B / r) / 2 with A = a^2 / (b^2 - a^2), B = A b^2, for a pressure p inside
+    and 2 mu = E / (1 + nu) [Timoshenko and Goodier, Theory of Elasticity, section 28].
+    """
+    a, b = tube.inner_diameter / 2, tube.outer_diameter / 2
+    share = a**2 / (b**2 - a**2)
+    return share * ((1 - 2 * tube.poisson_ratio) * radius + b**2 / radius) / 2
+
+
+def pressurised(tube, layers):
+    """Return the error of the displacement (L2, relative) and of the energy under inner pressure.
+
+    A thick tube, whose inner pressure is small; the elements are as many times finer around.
+    """
+    ring = Ring(tube, layers, around=2 * layers)
+    side = np.flatnonzero(np.isclose(ring.angle, np.pi / 2, atol=1e-9))
+    model = ring.model([(side, [1])])
+    load = ring.load(ring.mesh.inner_faces, outward)
+    displacement = linear_response(model, load) * tube.shear_modulus
+    mesh = ring.mesh
+    points = np.einsum("qn,eni->eqi", HEX20.shapes, mesh.points[mesh.elements])
+    found = np.einsum("qn,eni->eqi", HEX20.shapes, displacement[mesh.elements])
+    radius = np.linalg.norm(points[..., :2], axis=-1)
+    exact = lame(tube, radius)[..., None] * outward(points)
+    weights = np.asarray(model.rule.weights)
+
+    def norm(field):
+        return np.sqrt(np.sum(weights * np.sum(field**2, axis=-1)))
+
+    work = np.sum(load * displacement)  # of half a circle, 1 mm long
+    inner = tube.inner_diameter / 2
+    return norm(found - exact) / norm(exact), work / (np.pi * inner * 1e-3 * lame(tube, inner)) - 1
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.49, 0.4999])
+def test_pressurised_tube_converges_to_lame_with_the_elements_order(nu):
+    """Order three of the displacement in L2 and four of the energy, whatever the Poisson's ratio.
+
+    A tube with b / a = 2, meshes of 1, 2 and 4 layers. The coarsest pair may be above the order;
+    measured 3.5 and 3.2 for the displacement, 3.74 and 3.89 for the energy. The errors themselves,
+    in units of the displacement, change by a fifth from nu = 0.3 to 0.4999: 1.9e-4 to 2.3e-4 on the
+    finest mesh, where locking would multiply them.
+    """
+    tube = Tube(inner_diameter=8e-3, wall_thickness=4e-3, poisson_ratio=nu)
+    errors = np.abs([pressurised(tube, layers) for layers in (1, 2, 4)])
+    orders = np.log2(errors[:-1] / errors[1:])
+    assert orders[:, 0] == pytest.approx([3.35, 3.2], abs=0.25)
+    assert orders[:, 1] == pytest.approx([3.85, 3.9], abs=0.15)
+    assert errors[-1] == pytest.approx([2.1e-4, 7.4e-5], rel=0.15)

@@ -1,21 +1,35 @@
 """The press of the whole tube, against an independent solution and against scaling laws."""
 
 import csv
+import dataclasses
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from acoustube.errors import ConfigError, SimulationError
-from acoustube.indentation import equilibrium, indent, press
-from acoustube.lumen import deformed_wall, profile
-from acoustube.tube import MeshSize, Tube
+from acoustube.errors import ConfigError
+from acoustube.indentation import (
+    Layer,
+    MeshSize,
+    Press,
+    PressError,
+    equilibrium,
+    folds,
+    indent,
+    press,
+    restored,
+)
+from acoustube.indentation.mesh import sweep
+from acoustube.indentation.self_contact import triangulated
+from acoustube.lumen import measure
+from acoustube.tube import Tube
 
 ROD = 25e-3
 COARSE = MeshSize(through_wall=1, around=6, along=7)
-MIDDLE = MeshSize(through_wall=2, around=8, along=10)
-FINE = MeshSize(through_wall=3, around=16, along=18)
+MIDDLE = MeshSize(through_wall=2, around=12, along=10)
+FINE = MeshSize(through_wall=3, around=22, along=18)
+DEEP = (1, 2, 3, 4, 5, 6, 7, 7.5, 8)
 
 
 def reference():
@@ -27,20 +41,22 @@ def reference():
 
 
 @cache
-def _pressed(depths_mm, size, support, tube):
+def _pressed(depths_mm, tool, mesh, support, tube, whole):
     depths = [1e-3 * depth for depth in depths_mm]
-    return indent(tube, rod_diameter=ROD, depth=depths, support=support, size=size)
+    return indent(tube, tool, depth=depths, support=support, mesh=mesh, whole=whole)
 
 
-def pressed(*depths_mm, size=None, support="free", tube=None):
-    """Press the paper's tube with the reference's rod; shared between tests."""
-    return _pressed(depths_mm, size or MeshSize(), support, tube or Tube())
+def pressed(*depths_mm, tool=None, size=None, support="free", tube=None, whole=False):
+    """Press the paper's tube, by default with the reference's rod; shared between tests."""
+    return _pressed(
+        depths_mm, tool or Press(diameter=ROD), size or MeshSize(), support, tube or Tube(), whole
+    )
 
 
 def sections(indentation, depth_mm):
     """Return force (N), and height (mm), width (mm) and area (mm2) at the press."""
     (increment,) = np.flatnonzero(indentation.depth == 1e-3 * depth_mm)
-    section = profile(deformed_wall(indentation, increment), np.zeros(1))
+    section = measure(indentation, increment, np.zeros(1))
     return {
         "force_N": indentation.contact_force[increment],
         "lumen_height_mm": 1e3 * section.height[0],
@@ -52,35 +68,83 @@ def sections(indentation, depth_mm):
 def assert_reference(indentation, depth_mm, force_tolerance, width_tolerance=0.02):
     """Compare with the independent solution.
 
-    Its own accuracy (0.005 mm, 0.03 to 0.06 mm2) and the facets of the section (2e-4 of the area)
-    are well within 0.02 mm and 0.1 mm2.
+    Its own accuracy (0.005 mm, 0.03 to 0.06 mm2) and the facets of the section (1e-4 of the area)
+    are well within 0.02 mm and 0.15 mm2.
     """
     found, expected = sections(indentation, depth_mm), reference()[depth_mm]
     assert found["force_N"] == pytest.approx(expected["force_N"], rel=force_tolerance)
     assert found["lumen_height_mm"] == pytest.approx(expected["lumen_height_mm"], abs=0.02)
     assert found["lumen_width_mm"] == pytest.approx(expected["lumen_width_mm"], abs=width_tolerance)
-    assert found["lumen_area_mm2"] == pytest.approx(expected["lumen_area_mm2"], abs=0.1)
+    assert found["lumen_area_mm2"] == pytest.approx(expected["lumen_area_mm2"], abs=0.15)
 
 
 @pytest.mark.parametrize("depth_mm", [1, 2])
 def test_shallow_press_agrees_with_calculix(depth_mm):
-    """Force within 2 %: measured 0.5 to 0.6 %, the reference's own accuracy."""
-    assert_reference(pressed(1, 2), depth_mm, 0.02)
+    """Force within 1.5 %: measured 0.7 and 0.6 %; the reference's own accuracy is 0.5 %."""
+    assert_reference(pressed(1, 2), depth_mm, 0.015)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("depth_mm", "force_tolerance", "width_tolerance"),
-    [(3, 0.02, 0.02), (4, 0.02, 0.02), (5, 0.02, 0.02), (6, 0.05, 0.02), (7, 0.05, 0.1)],
+    [(3, 0.015, 0.02), (4, 0.015, 0.02), (5, 0.015, 0.02), (6, 0.015, 0.03), (7, 0.03, 0.1)],
 )
 def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolerance):
-    """Force within 2 % to 5 mm (measured 0.8 %), 5 % to 7 mm (1.9 and 3.5 %).
+    """Force within 1.5 % to 6 mm and 3 % at 7 mm: measured 0.7, 1.2 and 2.6 %.
 
-    The reference is held to 1 and 2 % there: the lateral folds are sharper than either mesh. At 7
-    mm the width across them comes out 0.08 mm short.
+    The reference is held to 1 and 2 % at 6 and 7 mm: the lateral folds are sharper than either
+    mesh. At 7 mm the width across them comes out short.
     """
-    deep = pressed(1, 2, 3, 4, 5, 6, 7)
-    assert_reference(deep, depth_mm, force_tolerance, width_tolerance)
+    assert_reference(pressed(*DEEP), depth_mm, force_tolerance, width_tolerance)
+
+
+@pytest.mark.slow
+def test_press_closes_the_lumen_and_its_walls_never_cross():
+    """The reference's height extrapolates to closure near 7.99 mm; the barrier acts 0.02 mm before.
+
+    Open at 7.5 mm, closed at 8 mm, and at every increment the roof of the lumen is above its bed.
+    """
+    deep = pressed(*DEEP)
+    assert not deep.closed[np.flatnonzero(deep.depth == 7.5e-3)[0]]
+    assert deep.closed[-1]
+    assert deep.smallest_gap.min() > 0
+    for increment in range(len(deep.depth)):
+        z = np.linspace(0, 30e-3, 61)
+        assert measure(deep, increment, z).height.min() > 0
+
+
+def sharpest_turn(indentation):
+    """Return the largest angle in degrees between neighbouring chords of the fold at the press."""
+    mesh = indentation.mesh
+    inner = np.unique(mesh.inner_faces)
+    ring = inner[mesh.sweep.station[inner] == 0]
+    at_side = ring[mesh.sweep.across[ring] > 0.7]
+    chords = np.diff(indentation.position()[at_side, :2], axis=0)
+    angle = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+    return np.rad2deg(np.abs(np.diff(angle)).max())
+
+
+@pytest.mark.slow
+def test_folds_stay_smooth_to_a_closed_lumen():
+    """A closed fold turns by 180 degrees over some five chords; creases turn back and forth.
+
+    Measured 52 degrees at most, J at least 0.67; without the skin 150 degrees and 0.45.
+    """
+    deep = pressed(*DEEP)
+    assert sharpest_turn(deep) < 75
+    assert deep.smallest_volume_ratio.min() > 0.6
+
+
+@pytest.mark.slow
+def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
+    """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
+    with_skin = pressed(4, 6)
+    monkeypatch.setattr(folds, "STIFFNESS", 0.0)
+    without = indent(Tube(), Press(diameter=ROD), depth=[4e-3, 6e-3], support="free")
+    for depth_mm in (4, 6):
+        one, other = sections(with_skin, depth_mm), sections(without, depth_mm)
+        assert one["force_N"] == pytest.approx(other["force_N"], rel=5e-3)
+        assert one["lumen_area_mm2"] == pytest.approx(other["lumen_area_mm2"], abs=0.02)
 
 
 def test_asked_depths_are_met_exactly_and_in_order():
@@ -98,23 +162,25 @@ def test_increments_are_in_equilibrium_and_on_their_symmetry_planes():
     found, tube = pressed(0.3, 0.31, 0.8, size=COARSE), Tube()
     tolerance = press.FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2
     assert found.residual.max() <= tolerance
-    assert np.all(found.displacement[:, :, [0, -1], :, 0] == 0.0)
-    assert np.all(found.displacement[:, 0, :, :, 2] == 0.0)
+    x, _, z = found.mesh.points.T
+    assert np.all(found.displacement[:, x == 0, 0] == 0.0)
+    assert np.all(found.displacement[:, z == 0, 2] == 0.0)
     assert np.all(np.diff(found.contact_force) > 0)
 
 
 def test_held_support_keeps_the_bottom_line_and_free_lets_it_tilt():
     """Held is 3 to 4 % stiffer at 2 mm (reference solution); 2 to 6 % on this mesh."""
     free, held = (pressed(2, size=COARSE, support=support) for support in ("free", "held"))
-    assert np.all(held.displacement[:, :, 0, -1, 1] == 0.0)
-    assert free.displacement[-1, -1, 0, -1, 1] > 1e-4
+    bottom = held.mesh.bottom
+    assert np.all(held.displacement[:, bottom, 1] == 0.0)
+    assert free.displacement[-1, bottom[-1], 1] > 1e-4
     stiffening = held.contact_force[-1] / free.contact_force[-1]
     assert 1.02 < stiffening < 1.06
 
 
 def test_progress_rises_to_one_with_every_increment():
     shares = []
-    found = indent(Tube(), rod_diameter=ROD, depth=2e-4, size=COARSE, progress=shares.append)
+    found = indent(Tube(), depth=2e-4, mesh=COARSE, progress=shares.append)
     assert len(shares) == len(found.depth) - 1
     assert shares[0] > 0.0
     assert np.all(np.diff(shares) > 0)
@@ -124,22 +190,26 @@ def test_progress_rises_to_one_with_every_increment():
 def test_twice_the_size_takes_four_times_the_force():
     """Dimensional analysis: force = mu D^2 f(depth / D, ...), and so does the algorithm's path.
 
-    The path is the same but for round-off, the result to the force tolerance: 1e-6.
+    The path is the same but for round-off, which decides where Newton's method stops. It stops at
+    a norm of 3e-7 N, and a sum over 2000 nodes may be fifty times the norm: 2e-5 of 1 N.
     """
     tube = Tube()
     twice = Tube(inner_diameter=2 * tube.inner_diameter, wall_thickness=2 * tube.wall_thickness)
-    small = indent(tube, rod_diameter=ROD, depth=5e-4, support="free", size=COARSE)
-    large = indent(twice, rod_diameter=2 * ROD, depth=1e-3, support="free", size=COARSE)
-    assert large.contact_force[-1] == pytest.approx(4 * small.contact_force[-1], rel=1e-6)
+    small = indent(tube, Press(diameter=ROD), depth=5e-4, support="free", mesh=COARSE)
+    large = indent(twice, Press(diameter=2 * ROD), depth=1e-3, support="free", mesh=COARSE)
+    assert large.contact_force[-1] == pytest.approx(4 * small.contact_force[-1], rel=2e-5)
     assert large.displacement[-1] == pytest.approx(2 * small.displacement[-1], abs=1e-9)
 
 
 def test_force_is_proportional_to_the_shear_modulus():
-    """At a given Poisson's ratio; 3.7 so that no power of two hides round-off. Shapes are equal."""
+    """At a given Poisson's ratio; 3.7 so that no power of two hides round-off. Shapes are equal.
+
+    To where Newton's method may stop, 2e-5 of 1 N.
+    """
     tube = Tube()
     stiff = Tube(shear_modulus=3.7 * tube.shear_modulus)
     soft, hard = (pressed(0.5, size=COARSE, tube=case) for case in (tube, stiff))
-    assert hard.contact_force[-1] == pytest.approx(3.7 * soft.contact_force[-1], rel=1e-6)
+    assert hard.contact_force[-1] == pytest.approx(3.7 * soft.contact_force[-1], rel=2e-5)
     assert hard.displacement[-1] == pytest.approx(soft.displacement[-1], abs=1e-9)
 
 
@@ -148,10 +218,10 @@ def forces_at_2mm(*sizes):
 
 
 def test_force_falls_to_a_limit_as_the_mesh_is_refined():
-    """Displacement elements are too stiff: 1.067, 1.040, 1.037 N, the steps shrinking tenfold."""
+    """Displacement elements are too stiff: 1.149, 1.056, 1.031 N; the reference gives 1.030 N."""
     coarse, middle, default = forces_at_2mm(COARSE, MIDDLE, None)
     assert coarse > middle > default
-    assert middle - default < 0.25 * (coarse - middle)
+    assert middle - default < 0.3 * (coarse - middle)
 
 
 @pytest.mark.slow
@@ -162,50 +232,179 @@ def test_default_mesh_is_within_half_a_percent_of_a_finer_one():
     assert abs(default - fine) < 0.25 * abs(coarse - default)
 
 
-def test_press_that_cannot_converge_says_how_deep_it_came(monkeypatch):
+def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypatch):
     """Newton fails below 0.3 mm: the increments are halved towards it, to within the smallest."""
     wall, minimise = 3e-4, press.minimise
-    lowest = (Tube().outer_diameter + ROD) / 2 - wall
+    lowest = Tube().outer_diameter / 2 - wall
 
     def blocked(model, start, bodies, tolerance):
         result = minimise(model, start, bodies, tolerance)
-        good = result.converged and bodies.rod_height >= lowest
-        if good:
-            reached.append(wall - (bodies.rod_height - lowest))
-        return result._replace(converged=good)
+        if result.converged and bodies[0].height < lowest:
+            return dataclasses.replace(result, converged=False, reason="the wall buckles")
+        return result
 
-    reached = []
     monkeypatch.setattr(press, "minimise", blocked)
-    with pytest.raises(SimulationError, match=r"depth of 0\.30 mm of 1\.00 mm.*less depth"):
-        indent(Tube(), rod_diameter=ROD, depth=1e-3, size=COARSE)
+    message = r"depth of 0\.30 mm of 1\.00 mm: the wall buckles.*less depth"
+    with pytest.raises(PressError, match=message) as stopped:
+        indent(Tube(), depth=[1e-4, 1e-3], mesh=COARSE)
+    kept = stopped.value.indentation
     smallest = press.SMALLEST_INCREMENT * Tube().inner_diameter
-    assert wall - 2 * smallest < reached[-1] <= wall
+    assert wall - 2 * smallest < kept.depth[-1] <= wall
+    assert 1e-4 in kept.depth
+    assert len(kept.contact_force) == len(kept.displacement) == len(kept.depth)
+    assert np.all(np.diff(kept.contact_force) > 0)
 
 
 def test_newton_without_iterations_stops_the_press(monkeypatch):
     """One iteration cannot find a contact; nothing but the first touch is reached."""
     monkeypatch.setattr(equilibrium, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(press, "SMALLEST_INCREMENT", press.FIRST_INCREMENT)
-    with pytest.raises(SimulationError, match=r"depth of 0\.00 mm of 1\.00 mm"):
-        indent(Tube(), rod_diameter=ROD, depth=1e-3, size=COARSE)
+    with pytest.raises(PressError, match=r"depth of 0\.00 mm of 1\.00 mm") as stopped:
+        indent(Tube(), depth=1e-3, mesh=COARSE)
+    assert list(stopped.value.indentation.depth) == [0.0]
+
+
+# Symmetry, other tools, other supports
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", [Press(diameter=ROD), Press(shape="sphere", diameter=20e-3)])
+def test_whole_tube_is_pressed_like_its_quarter(tool):
+    """The same elements four times: force, section and energy agree to Newton's tolerance, 1e-6."""
+    size = MeshSize(through_wall=1, around=6, along=5)
+    quarter, whole = (pressed(1, tool=tool, size=size, whole=w) for w in (False, True))
+    assert whole.mesh.halved == (False, False)
+    assert len(whole.mesh.elements) == 4 * len(quarter.mesh.elements)
+    assert whole.contact_force[-1] == pytest.approx(quarter.contact_force[-1], rel=1e-6)
+    assert whole.contact_area[-1, 0] == pytest.approx(quarter.contact_area[-1, 0], rel=1e-6)
+    assert whole.energy[-1] == pytest.approx(quarter.energy[-1], rel=1e-6)
+    one, other = (sections(found, 1) for found in (quarter, whole))
+    assert other["lumen_area_mm2"] == pytest.approx(one["lumen_area_mm2"], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_turned_rod_presses_alike_to_either_side():
+    """Mirror images: a rod turned by 20 degrees one way and the other, force to 1e-6.
+
+    It crosses the tube on a longer strip than a straight one and needs more force.
+    """
+    size = MeshSize(through_wall=1, around=6, along=5)
+    left, right = (
+        pressed(1, tool=Press(diameter=ROD, yaw=yaw), size=size).contact_force[-1]
+        for yaw in np.deg2rad([-20, 20])
+    )
+    straight = pressed(1, size=size).contact_force[-1]
+    assert left == pytest.approx(right, rel=1e-6)
+    assert 1.0 < left / straight < 1.1
+
+
+@pytest.mark.slow
+def test_press_beside_the_axis_leaves_the_lumen_lopsided():
+    """2 mm to the right: the wall goes down there, and mirrored to the left; force to 1e-6."""
+    size = MeshSize(through_wall=1, around=6, along=5)
+    left, right = (
+        pressed(1, tool=Press(shape="sphere", diameter=10e-3, x=x), size=size)
+        for x in (-2e-3, 2e-3)
+    )
+    assert right.mesh.halved == (False, True)
+    assert left.contact_force[-1] == pytest.approx(right.contact_force[-1], rel=1e-6)
+    sampling, _ = triangulated(right.mesh)
+    x, y, z = (sampling @ right.mesh.points).T
+    dy = sampling @ right.displacement[-1, :, 1]
+    top = (z == 0) & (y > 0) & (np.abs(x) > 1e-3) & (np.abs(x) < 3e-3)
+    assert dy[top & (x > 0)].mean() < dy[top & (x < 0)].mean() - 0.1e-3
+
+
+@pytest.mark.slow
+def test_two_distant_presses_are_each_like_one_alone():
+    """60 mm apart, over five outer diameters: within 1 %; both to depths of their own.
+
+    Measured 0.2 and 0.6 %; the elements at a press, cut to fit the other, decide this.
+    """
+    size = MeshSize(through_wall=1, around=8, along=20)
+    tools = (
+        Press(diameter=10e-3, z=-30e-3),
+        Press(shape="sphere", diameter=10e-3, z=30e-3, share=0.5),
+    )
+    both = pressed(1, tool=tools, size=size, support="held")
+    rod = pressed(1, tool=Press(diameter=10e-3), size=size, support="held")
+    sphere = pressed(0.5, tool=Press(shape="sphere", diameter=10e-3), size=size, support="held")
+    assert both.press_force.shape == (len(both.depth), 2)
+    assert both.press_force[-1, 0] == pytest.approx(rod.contact_force[-1], rel=0.01)
+    assert both.press_force[-1, 1] == pytest.approx(sphere.contact_force[-1], rel=0.01)
+    assert both.contact_force[-1] == pytest.approx(both.press_force[-1].sum(), rel=1e-12)
+
+
+def test_stiff_layer_is_a_floor_and_a_soft_one_takes_depth_away():
+    """A layer of 1 GPa and 1 mm gives way by micrometres: force within 1 % of the floor's.
+
+    One of 0.1 MPa and 10 mm shares the depth with the tube: less than 0.9 of the force.
+    """
+    floor = pressed(0.5, size=COARSE).contact_force[-1]
+    stiff, soft = (
+        indent(Tube(), depth=0.5e-3, support="free", mesh=COARSE, layer=layer).contact_force[-1]
+        for layer in (Layer(thickness=1e-3, modulus=1e9), Layer(thickness=10e-3, modulus=1e5))
+    )
+    assert stiff == pytest.approx(floor, rel=0.01)
+    assert 0.2 < soft / floor < 0.9
+
+
+def test_remembered_results_make_the_same_indentation():
+    found = pressed(0.3, 0.31, 0.8, size=COARSE)
+    again = restored(Tube(), Press(diameter=ROD), found.results, support="free", mesh=COARSE)
+    assert again.touch_heights == found.touch_heights
+    assert np.array_equal(again.mesh.points, found.mesh.points)
+    assert np.array_equal(again.displacement, found.displacement)
+    assert np.array_equal(again.contact_force, found.contact_force)
+    assert np.array_equal(again.closed, found.closed)
+
+
+def test_mesh_of_ones_own_is_pressed():
+    """A mesh made beforehand is the mesh that its sizes would make."""
+    tube = Tube()
+    mesh = sweep(tube, press.pressed_reach(tube.outer_diameter, ROD), COARSE)
+    own = indent(tube, depth=3e-4, support="free", mesh=mesh)
+    assert own.mesh is mesh
+    by_size = indent(tube, depth=3e-4, support="free", mesh=COARSE)
+    assert own.contact_force[-1] == pytest.approx(by_size.contact_force[-1], rel=1e-12)
 
 
 @pytest.mark.parametrize(
     "depth",
-    [0.0, -1e-3, 7.9e-3, np.nan, np.inf, [2e-3, 1e-3], [1e-3, 1e-3], [1e-3, np.nan], []],
+    [0.0, -1e-3, 8.8e-3, np.nan, np.inf, [2e-3, 1e-3], [1e-3, 1e-3], [1e-3, np.nan], []],
 )
 def test_impossible_depths_are_refused(depth):
-    """Not in (0, bore), not rising, not numbers, or none."""
+    """Not above zero, half a wall beyond the bore (8.7 mm), not rising, not numbers, or none."""
     with pytest.raises(ConfigError, match="depth = "):
-        indent(Tube(), rod_diameter=ROD, depth=depth, size=COARSE)
+        indent(Tube(), depth=depth, mesh=COARSE)
 
 
-@pytest.mark.parametrize("rod_diameter", [0.0, -1e-3, np.nan, np.inf])
-def test_impossible_rods_are_refused(rod_diameter):
-    with pytest.raises(ConfigError, match=f"rod_diameter = {rod_diameter}"):
-        indent(Tube(), rod_diameter=rod_diameter, depth=1e-3, size=COARSE)
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"diameter": 0.0}, "diameter = 0.0 m is not a size"),
+        ({"diameter": np.nan}, "diameter = nan m is not a size"),
+        ({"shape": "cone"}, "shape = 'cone' is unknown; use 'rod', 'punch' or 'sphere'"),
+        ({"x": np.inf}, "x = inf m is no place"),
+        ({"yaw": 1.5}, "yaw = 1.5 rad is outside"),
+        ({"share": 0.0}, "share = 0.0 of the depth"),
+        ({"shape": "punch", "edge_radius": 0.02}, "edge_radius = 0.02 m must be"),
+    ],
+)
+def test_impossible_presses_are_refused(values, message):
+    with pytest.raises(ConfigError, match=message):
+        Press(**values)
 
 
-def test_unknown_support_is_refused():
-    with pytest.raises(ConfigError, match="support = 'glued'"):
-        indent(Tube(), rod_diameter=ROD, depth=1e-3, support="glued", size=COARSE)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"support": "glued"}, "support = 'glued' is unknown"),
+        ({"layer": Layer(thickness=1e-3, modulus=1e5)}, "support = 'held' needs a rigid floor"),
+        ({"press": ()}, "at least one Press"),
+        ({"press": Press(shape="sphere", diameter=5e-3, x=9e-3)}, "misses the tube"),
+    ],
+)
+def test_impossible_arrangements_are_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        indent(Tube(), depth=1e-3, mesh=COARSE, **arguments)

@@ -1,9 +1,24 @@
-"""Pressing the tube: Neo-Hookean finite elements against a rigid rod and a rigid floor.
+"""Pressing the tube: finite elements against rigid tools, up to a closed lumen.
 
-Reading order: ``material`` (the strain energy), ``element`` (its integral over a hexahedron),
-``contact`` (the rigid bodies), ``equilibrium`` (assembly and Newton), ``press`` (the increments).
+Reading order: ``reference`` (shape functions), ``mesh`` (the swept tube), ``material`` (the strain
+energy), ``element`` (its integral), ``contact`` and ``tools`` (what presses and what supports),
+``self_contact`` (the lumen's walls), ``linear`` (the stiffness matrix), ``folds`` (what keeps
+them smooth), ``equilibrium`` (Newton),
+``press`` (the increments).
 """
 
-from acoustube.indentation.press import Indentation, Support, indent
+from acoustube.indentation.mesh import Mesh, MeshSize
+from acoustube.indentation.press import Indentation, PressError, indent, restored
+from acoustube.indentation.tools import Layer, Press, Support
 
-__all__ = ["Indentation", "Support", "indent"]
+__all__ = [
+    "Indentation",
+    "Layer",
+    "Mesh",
+    "MeshSize",
+    "Press",
+    "PressError",
+    "Support",
+    "indent",
+    "restored",
+]

@@ -1,154 +1,189 @@
-"""Assembly over the mesh, and Newton's method for the minimum of the energy."""
+"""Energy of the pressed tube, and Newton's method for its minimum."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy import sparse
+from scipy.linalg import LinAlgError
 
-from acoustube.indentation import contact, element
-from acoustube.indentation.contact import Bodies
-from acoustube.indentation.element import Material, Quadrature
-from acoustube.tube import HexMesh
+from acoustube.indentation import contact, element, linear
+from acoustube.indentation.contact import Body
+from acoustube.indentation.element import Quadrature
+from acoustube.indentation.linear import Pattern
+from acoustube.indentation.material import Material
+from acoustube.indentation.mesh import Mesh
+from acoustube.indentation.self_contact import SelfContact
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 MAX_ITERATIONS = 25
 MAX_HALVINGS = 8
 SUFFICIENT_DECREASE = 1e-4
 
-_energies = jax.jit(element.energies)
-_forces = jax.jit(element.forces)
-_tangents = jax.jit(element.tangents)
-_contact_energies = jax.jit(contact.energies)
-_contact_forces = jax.jit(contact.forces)
-_contact_tangents = jax.jit(contact.tangents)
-_rod_force = jax.jit(contact.rod_force)
-
-
-class Band(NamedTuple):
-    """Where each entry of the element matrices goes in the banded stiffness matrix.
-
-    Attributes
-    ----------
-    source : array of int
-        Positions of the entries of the lower triangle in the concatenated element matrices, those
-        that are summed into one place of the band next to each other.
-    starts : array of int
-        Where in `source` each such group begins.
-    target : array of int
-        Position of each group's sum in the flat band.
-    width, n_free : int
-        Number of stored diagonals, and of unknowns.
-    """
-
-    source: Index
-    starts: Index
-    target: Index
-    width: int
-    n_free: int
+_wall = jax.jit(element.energies_and_forces)
+_wall_tangents = jax.jit(element.tangents)
+_touch = jax.jit(contact.energies_and_forces)
+_touch_tangents = jax.jit(contact.tangents)
+_force = jax.jit(contact.force)
+_touched = jax.jit(contact.touched_area)
+_areas = jax.jit(contact.areas)
+_volume_ratios = jax.jit(element.volume_ratios)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A discretised quarter of a tube: everything that does not change during a press.
+    """A discretised tube: everything that does not change during a press.
 
     Attributes
     ----------
-    mesh : HexMesh
+    mesh : Mesh
     material : Material
     rule : Quadrature
     outer_area : array of shape (n_faces, n_points)
         Undeformed area in m2 at the points of the outer faces.
-    free : array of bool, shape (n_nodes, 3)
-        Displacement components that are unknowns; the others are zero.
-    band : Band
+    pattern : Pattern
+    lumen : SelfContact
+        Contact of the inner wall with itself.
+    skin : sparse array of shape (3 n_nodes, 3 n_nodes)
+        Stiffness in N/m that keeps the inner wall smooth; see
+        :mod:`acoustube.indentation.folds`.
     """
 
-    mesh: HexMesh
+    mesh: Mesh
     material: Material
     rule: Quadrature
     outer_area: Array
-    free: NDArray[np.bool_]
-    band: Band
+    pattern: Pattern
+    lumen: SelfContact
+    skin: sparse.csr_array
+
+    @cached_property
+    def skin_tangent(self) -> sparse.csc_array:
+        """The lower triangle of `skin` for the unknowns."""
+        return self.pattern.restrict(self.skin)
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Displacement components that are unknowns, shape (n_nodes, 3)."""
+        return self.pattern.free
 
 
-def build_model(mesh: HexMesh, material: Material, fixed: NDArray[np.bool_]) -> Model:
-    """Prepare the assembly on a mesh with the displacement components `fixed` held at zero."""
-    free = ~fixed
+def build_model(
+    mesh: Mesh,
+    material: Material,
+    fixed: NDArray[np.bool_],
+    lumen: SelfContact,
+    skin: sparse.csr_array | None = None,
+) -> Model:
+    """Prepare the assembly on a mesh with the displacement components `fixed` held at zero.
+
+    Without a `skin` nothing keeps the inner wall from wrinkling.
+    """
+    face, n_components = mesh.face, mesh.points.size
+    outer_area = _areas(mesh.points[mesh.outer_faces], face.slopes, face.weights)
     return Model(
         mesh=mesh,
         material=material,
-        rule=element.quadrature(mesh.points[mesh.elements]),
-        outer_area=contact.areas(mesh.points[mesh.outer_faces]),
-        free=free,
-        band=_band(free, [mesh.elements, mesh.outer_faces]),
+        rule=element.quadrature(mesh.points[mesh.elements], mesh.reference),
+        outer_area=np.asarray(outer_area),
+        pattern=linear.pattern(~fixed, [mesh.elements, mesh.outer_faces]),
+        lumen=lumen,
+        skin=sparse.csr_array((n_components, n_components)) if skin is None else skin,
     )
 
 
-def _band(free: NDArray[np.bool_], connectivities: list[Index]) -> Band:
-    number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    rows, columns = [], []
-    for nodes in connectivities:
-        unknowns = number[nodes].reshape(len(nodes), -1)
-        size = unknowns.shape[1]
-        rows.append(np.repeat(unknowns, size, axis=1).ravel())
-        columns.append(np.tile(unknowns, size).ravel())
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    (source,) = np.nonzero((column >= 0) & (row >= column))
-    offset = row[source] - column[source]
-    width = int(offset.max()) + 1
-    place = column[source] * width + offset
-    order = np.argsort(place, kind="stable")
-    target, starts = np.unique(place[order], return_index=True)
-    return Band(source[order], starts, target, width, int(free.sum()))
+class State(NamedTuple):
+    """Displacements (n_nodes, 3) with their energy, gradient (n_free,) and its norm."""
+
+    displacement: Array
+    energy: float
+    gradient: Array
+    norm: float
 
 
-def potential(model: Model, displacement: Array, bodies: Bodies) -> float:
-    """Return the energy in J of the wall and the contacts; NaN where an element is inverted."""
+def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> State:
+    """Return energy and out-of-balance forces; NaN where an element is inverted."""
     mesh, position = model.mesh, model.mesh.points + displacement
-    wall = _energies(displacement[mesh.elements], model.rule, model.material)
-    touch = _contact_energies(position[mesh.outer_faces], model.outer_area, bodies)
-    return float(wall.sum() + touch.sum())
+    wall, inner = _wall(displacement[mesh.elements], model.rule, model.material)
+    touch, outer = _touch(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies)
+    closing, total = model.lumen.energy_and_forces(position)
+    np.add.at(total, mesh.elements, inner)
+    np.add.at(total, mesh.outer_faces, outer)
+    smoothing = (model.skin @ displacement.ravel()).reshape(displacement.shape)
+    gradient = (total + smoothing)[model.free]
+    energy = float(np.sum(wall) + np.sum(touch) + 0.5 * np.sum(smoothing * displacement)) + closing
+    return State(displacement, energy, gradient, float(np.linalg.norm(gradient)))
 
 
-def residual(model: Model, displacement: Array, bodies: Bodies) -> Array:
-    """Return the gradient of :func:`potential` for the free components, in N."""
+def stiffness(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> sparse.csc_array:
+    """Return the lower triangle of the tangent for the unknowns, in N/m."""
     mesh, position = model.mesh, model.mesh.points + displacement
-    wall = _forces(displacement[mesh.elements], model.rule, model.material)
-    touch = _contact_forces(position[mesh.outer_faces], model.outer_area, bodies)
-    nodes = np.concatenate([mesh.elements.ravel(), mesh.outer_faces.ravel()])
-    values = np.concatenate([np.reshape(wall, (-1, 3)), np.reshape(touch, (-1, 3))])
-    total = np.zeros_like(position)
-    np.add.at(total, nodes, values)
-    return total[model.free]
+    matrices = [
+        _wall_tangents(displacement[mesh.elements], model.rule, model.material),
+        _touch_tangents(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies),
+    ]
+    lower = model.pattern.assemble(matrices) + model.skin_tangent
+    closing = model.lumen.tangent(position)
+    return lower if closing is None else lower + model.pattern.restrict(closing)
 
 
-def stiffness(model: Model, displacement: Array, bodies: Bodies) -> Array:
-    """Return the lower band of the tangent, shape (width, n_free), as SciPy's solvers take it."""
+class Measures(NamedTuple):
+    """What is told of a converged state, for the whole tube.
+
+    Attributes
+    ----------
+    press_force : array of shape (n_presses,)
+        Force on each press, upwards, in N.
+    contact_area : array of shape (n_presses,)
+        Deformed outer wall that touches each press, in m2.
+    energy : float
+        Elastic energy of the wall in J.
+    smallest_volume_ratio : float
+        Smallest J at any quadrature point.
+    smallest_gap : float
+        Between the lower and the upper inner wall, in m.
+    """
+
+    press_force: Array
+    contact_area: Array
+    energy: float
+    smallest_volume_ratio: float
+    smallest_gap: float
+
+
+def measures(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Measures:
+    """Return force, contact area and soundness of a state; the last of the bodies is the ground."""
     mesh, position = model.mesh, model.mesh.points + displacement
-    wall = _tangents(displacement[mesh.elements], model.rule, model.material)
-    touch = _contact_tangents(position[mesh.outer_faces], model.outer_area, bodies)
-    entries = np.concatenate([np.ravel(wall), np.ravel(touch)])
-    source, starts, target, width, n_free = model.band
-    flat = np.zeros(width * n_free)
-    flat[target] = np.add.reduceat(entries[source], starts)
-    return flat.reshape(n_free, width).T
+    local = displacement[mesh.elements]
+    wall, _ = _wall(local, model.rule, model.material)
+    faces = position[mesh.outer_faces]
+    deformed = _areas(faces, mesh.face.slopes, mesh.face.weights)
+    touched = [_touched(faces, deformed, mesh.face.shapes, body) for body in bodies[:-1]]
+    return Measures(
+        press_force=np.array([tool_force(model, displacement, body) for body in bodies[:-1]]),
+        contact_area=mesh.copies * np.array(touched),
+        energy=mesh.copies * float(np.sum(wall)),
+        smallest_volume_ratio=float(np.min(_volume_ratios(local, model.rule))),
+        smallest_gap=model.lumen.smallest_gap(position),
+    )
 
 
-def rod_force(model: Model, displacement: Array, bodies: Bodies) -> float:
-    """Return the force in N with which the rod presses on the modelled quarter."""
+def tool_force(model: Model, displacement: Array, body: Body) -> float:
+    """Return the force in N on a body from the whole tube, upwards."""
     position = (model.mesh.points + displacement)[model.mesh.outer_faces]
-    return float(_rod_force(position, model.outer_area, bodies))
+    part = _force(position, model.outer_area, model.mesh.face.shapes, body)
+    return model.mesh.copies * float(part)
 
 
-class Equilibrium(NamedTuple):
-    """What Newton's method came to.
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """Where Newton's method came to.
 
     Attributes
     ----------
@@ -158,27 +193,30 @@ class Equilibrium(NamedTuple):
     iterations : int
     residual : float
         Norm of the out-of-balance nodal forces, in N.
+    reason : str
+        Why it did not converge.
     """
 
     displacement: Array
     converged: bool
     iterations: int
     residual: float
+    reason: str = ""
 
 
-def minimise(model: Model, start: Array, bodies: Bodies, tolerance: float) -> Equilibrium:
+def minimise(model: Model, start: Array, bodies: tuple[Body, ...], tolerance: float) -> Equilibrium:
     """Find the displacements at which the energy is least, from a given start.
 
-    Newton's method with a line search on the energy. A tangent that is not positive definite ends
-    the search: the start lies across a buckling, and the caller does better to come closer in a
-    shorter increment than to follow it into a crumpled state.
+    Newton's method with a line search on the energy, in which no step crosses the lumen. A tangent
+    that is not positive definite ends the search: the start lies across a buckling, and the caller
+    does better to come closer in a shorter increment than to follow it into a crumpled state.
 
     Parameters
     ----------
     model : Model
     start : array of shape (n_nodes, 3)
-        First guess of the displacements, in m.
-    bodies : Bodies
+        First guess of the displacements, in m; the inner wall does not cross itself there.
+    bodies : tuple of Body
     tolerance : float
         Largest accepted norm of the out-of-balance nodal forces, in N.
 
@@ -188,48 +226,38 @@ def minimise(model: Model, start: Array, bodies: Bodies, tolerance: float) -> Eq
         With ``converged`` false if the iterations ran out, no step went downhill or the tangent
         was indefinite.
     """
-    state = _evaluate(model, start, bodies)
-    for iteration in range(MAX_ITERATIONS):
-        if not state.norm > tolerance:  # also true where the start inverts an element (NaN)
-            return Equilibrium(state.displacement, state.norm <= tolerance, iteration, state.norm)
+    state = evaluate(model, start, bodies)
+    order = linear.section_order(model.mesh.points, model.free)
+    for iteration in range(MAX_ITERATIONS + 1):
+        if not state.norm > tolerance:
+            # Also reached where the start inverts an element, by NaN.
+            reason = "" if state.norm <= tolerance else "an element is turned inside out"
+            break
+        if iteration == MAX_ITERATIONS:
+            reason = "Newton's method does not settle"
+            break
         try:
-            factor = cholesky_banded(
-                stiffness(model, state.displacement, bodies),
-                overwrite_ab=True,
-                lower=True,
-                check_finite=False,
-            )
+            solve = linear.factorise(stiffness(model, state.displacement, bodies), order)
         except LinAlgError:
-            return Equilibrium(state.displacement, False, iteration, state.norm)
+            reason = "the wall buckles"
+            break
         step = np.zeros_like(start)
-        step[model.free] = -cho_solve_banded((factor, True), state.force, check_finite=False)
+        step[model.free] = -solve(state.gradient)
         lower = _search_line(model, state, step, bodies)
         if lower is None:
-            return Equilibrium(state.displacement, False, iteration, state.norm)
+            reason = "no step lowers the energy"
+            break
         state = lower
-    return Equilibrium(state.displacement, state.norm <= tolerance, MAX_ITERATIONS, state.norm)
+    return Equilibrium(state.displacement, not reason, iteration, state.norm, reason)
 
 
-class _State(NamedTuple):
-    """Displacements with their energy, free nodal forces and the norm of these."""
-
-    displacement: Array
-    energy: float
-    force: Array
-    norm: float
-
-
-def _evaluate(model: Model, displacement: Array, bodies: Bodies) -> _State:
-    force = residual(model, displacement, bodies)
-    energy = potential(model, displacement, bodies)
-    return _State(displacement, energy, force, float(np.linalg.norm(force)))
-
-
-def _search_line(model: Model, state: _State, step: Array, bodies: Bodies) -> _State | None:
+def _search_line(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:
     """Return the first of the halved steps that lowers the energy enough, if any does."""
-    slope = float(state.force @ step[model.free])
-    for length in 0.5 ** np.arange(MAX_HALVINGS):
-        trial = _evaluate(model, state.displacement + length * step, bodies)
+    position = model.mesh.points + state.displacement
+    longest = model.lumen.free_share(position, position + step)
+    slope = float(state.gradient @ step[model.free])
+    for length in longest * 0.5 ** np.arange(MAX_HALVINGS):
+        trial = evaluate(model, state.displacement + length * step, bodies)
         enough = state.energy + SUFFICIENT_DECREASE * length * slope
         # Close to the solution the energy's decrease drowns in round-off, the residual's does not.
         if trial.energy <= enough or trial.norm < 0.5 * state.norm:

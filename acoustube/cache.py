@@ -1,0 +1,131 @@
+"""Results that need not be computed twice, in files named by the hash of what they depend on.
+
+An entry is a NumPy archive with the SHA-256 of its own content. One that cannot be read, or whose
+content is not what it was, counts as missing and is replaced.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from platformdirs import user_cache_path
+
+if TYPE_CHECKING:  # the command line lists and clears without NumPy
+    from numpy.typing import NDArray
+
+    Arrays = Mapping[str, NDArray[Any]]
+
+DIGEST = "digest"
+
+
+class Entry(NamedTuple):
+    """A result in the cache.
+
+    Attributes
+    ----------
+    path : Path
+    size : int
+        In bytes.
+    modified : float
+        When it was written, in seconds since 1970.
+    """
+
+    path: Path
+    size: int
+    modified: float
+
+
+def folder() -> Path:
+    """Return where entries are kept: ``$ACOUSTUBE_CACHE``, or the user's cache folder."""
+    chosen = os.environ.get("ACOUSTUBE_CACHE")
+    return Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
+
+
+def key(dependencies: Mapping[str, Any]) -> str:
+    """Return the name of a result.
+
+    Parameters
+    ----------
+    dependencies : mapping
+        Everything that the result depends on, in what JSON can hold. The source code that computes
+        it is added here.
+    """
+    text = json.dumps(dict(dependencies) | {"code": _code()}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _code() -> str:
+    """Return the hash of the modules that a press is computed by."""
+    package = files("acoustube")
+    modules = [package / "tube.py", *(package / "indentation").iterdir()]
+    code = hashlib.sha256()
+    for module in sorted(modules, key=lambda module: module.name):
+        if module.name.endswith(".py"):
+            code.update(module.read_bytes())
+    return code.hexdigest()
+
+
+def recall(name: str) -> dict[str, NDArray[Any]] | None:
+    """Return the arrays of an entry, or None where there is none that can be trusted."""
+    import numpy as np
+
+    try:
+        with (folder() / f"{name}.npz").open("rb") as file, np.load(file) as archive:
+            arrays = {array: archive[array] for array in archive.files}
+    except Exception:  # a damaged archive fails in many ways, and all mean the same
+        return None
+    digest = arrays.pop(DIGEST, None)
+    return arrays if digest is not None and str(digest) == _digest(arrays) else None
+
+
+def store(name: str, arrays: Arrays) -> None:
+    """Write an entry in one step; where that is impossible it is only not remembered."""
+    import numpy as np
+
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder(), suffix=".part", delete=False) as file:
+            try:
+                content: dict[str, Any] = {**arrays, DIGEST: np.array(_digest(arrays))}
+                np.savez_compressed(file, **content)
+                file.close()
+                Path(file.name).replace(folder() / f"{name}.npz")
+            except BaseException:
+                file.close()
+                Path(file.name).unlink(missing_ok=True)
+                raise
+    except OSError:
+        return
+
+
+def _digest(arrays: Arrays) -> str:
+    import numpy as np
+
+    content = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        content.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        content.update(array.tobytes())
+    return content.hexdigest()
+
+
+def entries() -> list[Entry]:
+    """Return all entries, the newest first."""
+    found = [(path, path.stat()) for path in folder().glob("*.npz")]
+    listed = [Entry(path, status.st_size, status.st_mtime) for path, status in found]
+    return sorted(listed, key=lambda entry: -entry.modified)
+
+
+def clear() -> list[Entry]:
+    """Remove all entries, and what an interrupted write left; return the entries."""
+    gone = entries()
+    for path in [*(entry.path for entry in gone), *folder().glob("*.part")]:
+        path.unlink(missing_ok=True)
+    return gone

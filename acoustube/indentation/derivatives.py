@@ -1,0 +1,288 @@
+"""How force and lumen area change with the design, by the implicit function theorem.
+
+An equilibrium u makes the out-of-balance forces r(u, p) vanish for the design p. If p changes at a
+fixed depth, u follows by ``du = -K^-1 dr``, with the tangent K that Newton's method has, and a
+result q(u, p) changes by ``q_u du + q_p dp``: one factorisation and one solution for each
+parameter, no further press. The partial derivatives are JAX's; those of the barrier between the
+lumen's walls come from ``ipctk``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError
+from threadpoolctl import threadpool_limits
+
+from acoustube.errors import ConfigError, SimulationError
+from acoustube.indentation import contact, element, linear, tools
+from acoustube.indentation.contact import Body
+from acoustube.indentation.equilibrium import Model, stiffness
+from acoustube.indentation.material import Material, neo_hookean
+from acoustube.indentation.press import Indentation, build
+from acoustube.indentation.self_contact import triangulated
+from acoustube.limits import pressed_reach
+
+Array = NDArray[np.float64]
+
+SECTION_PARTS = 8
+"""Edges of the polygon in which the lumen's area is measured, along the edge of an element."""
+
+
+class Design(NamedTuple):
+    """The parameters, or a derivative with respect to each of them.
+
+    Attributes
+    ----------
+    shear_modulus : float
+        In Pa, at a given Poisson's ratio.
+    wall_thickness, inner_diameter : float
+        Of the tube, in m.
+    indenter_diameter : float
+        Of the press, in m.
+    """
+
+    shear_modulus: Any
+    wall_thickness: Any
+    inner_diameter: Any
+    indenter_diameter: Any
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of the results with respect to the design.
+
+    Attributes
+    ----------
+    contact_force : Design
+        In N per unit of each parameter.
+    lumen_area : Design
+        Of the cross-section at the press, in m2 per unit of each parameter.
+    """
+
+    contact_force: Design
+    lumen_area: Design
+
+
+class _Problem(NamedTuple):
+    """The discretised press of one design: what the energy and the results are functions of."""
+
+    points: Any
+    material: Material
+    rule: element.Quadrature
+    outer_area: Any
+    bodies: tuple[Body, ...]
+    skin: Any
+
+
+def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
+    """Differentiate force and lumen area at a depth with respect to the design.
+
+    Parameters
+    ----------
+    indentation : Indentation
+        One press at z = 0 on a round, Neo-Hookean tube, of which the half z >= 0 is modelled.
+    increment : int, optional
+        Which increment; the last by default. The lumen may be closed there.
+
+    Returns
+    -------
+    Derivatives
+        At a fixed depth, and a fixed distance at which the lumen's walls feel each other.
+
+    Raises
+    ------
+    ConfigError
+        If the indentation is not of that kind.
+    SimulationError
+        If the state is at a point of instability, where a derivative does not exist.
+    """
+    _check(indentation)
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
+        model, displacement = build(indentation), indentation.displacement[increment]
+        design = _design(indentation)
+        problem = _problem(indentation, model, increment)
+        try:
+            lower = stiffness(model, displacement, indentation.bodies(increment))
+            solve = linear.factorise(lower)
+        except LinAlgError as error:
+            raise SimulationError(
+                "The press has no derivative at a depth of "
+                f"{1e3 * indentation.depth[increment]:.3f} mm, where the tube is unstable; "
+                "ask for another depth."
+            ) from error
+        change_of_forces = _forces_along(indentation, model, problem, displacement, design)
+        results = [
+            _along(result, displacement, design)
+            for result in (_force(indentation, problem), _area(indentation, problem))
+        ]
+        rows = []
+        for direction in np.eye(len(design)):
+            along = Design(*direction)
+            moved = np.zeros_like(displacement)
+            moved[model.free] = -solve(change_of_forces(along)[model.free])
+            rows.append([float(result(moved, along)) for result in results])
+    force, area = np.transpose(rows)
+    return Derivatives(Design(*force), Design(*area))
+
+
+def _check(indentation: Indentation) -> None:
+    mesh, presses = indentation.mesh, indentation.presses
+    if mesh.sweep is None or not mesh.halved[1] or len(presses) != 1:
+        raise ConfigError(
+            "Only one press at z = 0 on a round tube can be differentiated; it must be symmetric "
+            "about z = 0."
+        )
+    if indentation.material.isochoric.func is not neo_hookean:
+        raise ConfigError("Only a Neo-Hookean tube can be differentiated.")
+
+
+def _design(indentation: Indentation) -> Design:
+    tube = indentation.tube
+    numbers = tube.shear_modulus, tube.wall_thickness, tube.inner_diameter
+    return Design(*map(np.float64, (*numbers, indentation.presses[0].diameter)))
+
+
+def _problem(
+    indentation: Indentation, model: Model, increment: int
+) -> Callable[[Design], _Problem]:
+    """Return the problem as a function of the design that JAX can differentiate."""
+    tube, mesh, (press,) = indentation.tube, indentation.mesh, indentation.presses
+    assert mesh.sweep is not None
+    grid, ratio = mesh.sweep, tube.bulk_modulus / tube.shear_modulus
+    reach = mesh.points[:, 2].max()
+    sampling, _ = triangulated(mesh, mesh.outer_faces)
+    (touch,), depth = indentation.touch_heights, indentation.depth[increment]
+    first = _first_point(sampling @ mesh.points, press, touch)
+    row = sampling[[first]].toarray()[0]
+    skin = model.skin / (tube.shear_modulus * reach)
+
+    def problem(design: Design) -> _Problem:
+        mu, wall, bore, diameter = design
+        length = pressed_reach(bore + 2 * wall, diameter)
+        points = jnp.stack(grid.place(bore, wall, length), axis=-1)
+        gap = press.gap(diameter)
+        height = _touch_height(gap, row @ points, touch)
+        law = tools.rigid_law(mu, wall)
+        floor = tools.ground(tube, 0.0, indentation.layer)
+        if indentation.layer is None:
+            floor = floor._replace(law=law)
+        bodies = (
+            Body(gap, height - press.share * depth, law),
+            floor._replace(height=-(bore / 2 + wall)),
+        )
+        corners = points[mesh.outer_faces]
+        return _Problem(
+            points=points,
+            material=Material(Partial(neo_hookean, mu), ratio * mu),
+            rule=element.quadrature(points[mesh.elements], mesh.reference),
+            outer_area=contact.areas(corners, mesh.face.slopes, mesh.face.weights),
+            bodies=bodies,
+            skin=lambda displacement: mu * length * _apply(skin, displacement),
+        )
+
+    return problem
+
+
+def _first_point(points: Array, press: tools.Press, touch: float) -> int:
+    """Return which of the outer wall's points is touched first."""
+    gaps = jax.vmap(press.gap())(points - np.array([0.0, touch, 0.0]))
+    return int(np.argmin(gaps))
+
+
+def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
+    """Return the height of first touch with its derivative: one step of Newton's method."""
+    up = jnp.array([0.0, 1.0, 0.0])
+
+    def clearance(height: Any, point: Any) -> Any:
+        return gap(point - height * up)
+
+    rate = jax.lax.stop_gradient(jax.grad(clearance)(touch, point))
+    return touch - clearance(touch, point) / rate
+
+
+def _apply(matrix: Any, values: Any) -> Any:
+    """Multiply a constant sparse matrix by the components of an array that JAX traces."""
+    entries = matrix.tocoo()
+    flat = jnp.ravel(values)
+    product = entries.data * flat[entries.col]
+    return jnp.zeros_like(flat).at[entries.row].add(product).reshape(values.shape)
+
+
+def _forces_along(
+    indentation: Indentation,
+    model: Model,
+    problem: Callable[[Design], _Problem],
+    displacement: Array,
+    design: Design,
+) -> Callable[[Design], Array]:
+    """Return how the nodal forces (n_nodes, 3) of fixed displacements change along a design."""
+    mesh = indentation.mesh
+    position = mesh.points + displacement
+    _, barrier = model.lumen.energy_and_forces(position)
+
+    def forces(design: Design) -> tuple[Any, Any]:
+        case = problem(design)
+        _, wall = element.energies_and_forces(displacement[mesh.elements], case.rule, case.material)
+        faces = (case.points + displacement)[mesh.outer_faces]
+        _, touch = contact.energies_and_forces(
+            faces, case.outer_area, mesh.face.shapes, case.bodies
+        )
+        total = case.skin(displacement).at[mesh.elements].add(wall)
+        return total.at[mesh.outer_faces].add(touch), case.points
+
+    tangent = jax.jit(lambda along: jax.jvp(forces, (design,), (along,))[1])
+
+    def along_design(along: Design) -> Array:
+        change, moved = tangent(along)
+        stiffer = along.shear_modulus / design.shear_modulus
+        walls = model.lumen.forces_along(position, np.asarray(moved)) + stiffer * barrier
+        return np.asarray(change) + walls
+
+    return along_design
+
+
+def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
+    """Return the force of the whole tube on the press, as a function of displacement and design."""
+    mesh = indentation.mesh
+
+    def force(displacement: Any, design: Design) -> Any:
+        case = problem(design)
+        position = (case.points + displacement)[mesh.outer_faces]
+        part = contact.force(position, case.outer_area, mesh.face.shapes, case.bodies[0])
+        return mesh.copies * part
+
+    return force
+
+
+def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
+    """Return the lumen's cross-section at z = 0, as a function of displacement and design."""
+    mesh = indentation.mesh
+    sampling, _ = triangulated(mesh, parts=SECTION_PARTS)
+    rest = sampling @ mesh.points
+    (ring,) = np.nonzero(rest[:, 2] == 0)
+    order = np.argsort(np.arctan2(rest[ring, 0], -rest[ring, 1]) % (2 * np.pi))
+    rows = sampling[ring[order]].toarray()
+    symmetric = mesh.halved[0]
+
+    def area(displacement: Any, design: Design) -> Any:
+        x, y, _ = (rows @ (problem(design).points + displacement)).T
+        # The closing line of a half, x = 0, adds nothing.
+        cross = x * jnp.roll(y, -1) - y * jnp.roll(x, -1)
+        return (1 if symmetric else 0.5) * jnp.abs(jnp.sum(cross))
+
+    return area
+
+
+def _along(result: Any, displacement: Array, design: Design) -> Any:
+    """Return the derivative of a result along a change of displacement and design."""
+
+    def directional(moved: Any, along: Design) -> Any:
+        return jax.jvp(result, (displacement, design), (moved, along))[1]
+
+    return jax.jit(directional)

@@ -1,0 +1,217 @@
+"""Finite-element meshes of the wall: the sweep of a round tube, in whole or in symmetric parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.indentation.reference import FACE, HEX20, Reference, lattice
+from acoustube.tube import Tube
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BOTTOM = 1e-3
+"""How far above its lowest point the outer wall counts as its bottom line, in its heights."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSize:
+    """Number of elements of a swept tube, and how they are graded.
+
+    Parameters
+    ----------
+    through_wall, around, along : int
+        Elements through the wall, around half the circle, and along the tube to one side of the
+        press.
+    grading : float
+        Strength of the refinement towards the press: the first element is
+        ``grading / sinh(grading)`` times as long as an even division would make it.
+    fold, touch : float
+        By which share the elements at the sides of the tube, where the wall folds, and those at its
+        top and bottom, where it is touched, are narrower than the average; zero for an even
+        division.
+    """
+
+    through_wall: int = 2
+    around: int = 20
+    along: int = 13
+    grading: float = 3.2
+    fold: float = 0.55
+    touch: float = 0.2
+
+
+class Sweep(NamedTuple):
+    """Where the nodes of a swept tube are, in coordinates that do not depend on its size.
+
+    Attributes
+    ----------
+    layer : array of shape (n_nodes,)
+        0 on the inner wall, 1 on the outer.
+    across, up : arrays of shape (n_nodes,)
+        Direction of the radius in the section.
+    station : array of shape (n_nodes,)
+        Distance along the tube from z = 0, as a share of the modelled length to one side.
+    shape : tuple of int
+        Elements along, around and through the wall.
+    """
+
+    layer: Array
+    across: Array
+    up: Array
+    station: Array
+    shape: tuple[int, int, int]
+
+    def place(self, bore: Any, wall: Any, reach: Any) -> tuple[Any, Any, Any]:
+        """Return the node coordinates x, y and z in m for one size of the tube."""
+        radius = bore / 2 + self.layer * wall
+        return radius * self.across, radius * self.up, reach * self.station
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A mesh of quadratic elements, its nodes numbered along the tube.
+
+    Parameters
+    ----------
+    points : array of shape (n_nodes, 3)
+        Node coordinates (x, y, z) in m.
+    elements : array of shape (n_elements, n_local)
+    inner_faces, outer_faces : array of shape (n_faces, n_face_local)
+        Node numbers of the element faces on the inner and the outer wall; on a swept tube in the
+        order of the elements, along slowest.
+    reference : Reference
+        The kind of element.
+    halved : tuple of bool
+        Whether only the part x >= 0, and only the part z >= 0, is modelled.
+    sweep : Sweep, optional
+        Of a round tube.
+    """
+
+    points: Array
+    elements: Index
+    inner_faces: Index
+    outer_faces: Index
+    reference: Reference
+    halved: tuple[bool, bool]
+    sweep: Sweep | None = None
+
+    @property
+    def face(self) -> Reference:
+        """The kind of the elements' faces."""
+        return FACE[self.reference]
+
+    @property
+    def copies(self) -> int:
+        """How many times the whole tube contains the modelled part."""
+        return 2 ** sum(self.halved)
+
+    @cached_property
+    def bottom(self) -> Index:
+        """Numbers of the nodes on the lowest line of the outer wall."""
+        outer = np.unique(self.outer_faces)
+        height = self.points[outer, 1]
+        return outer[height - height.min() < BOTTOM * np.ptp(height)]
+
+
+def sweep(
+    tube: Tube,
+    reach: float,
+    size: MeshSize | None = None,
+    *,
+    halved: tuple[bool, bool] = (True, True),
+    presses: Sequence[float] = (0.0,),
+) -> Mesh:
+    """Mesh a round tube with 20-node hexahedra.
+
+    Parameters
+    ----------
+    tube : Tube
+        The tube; its axis is the z axis.
+    reach : float
+        Length of the modelled part to each side of z = 0, in m.
+    size : MeshSize, optional
+        Number of elements.
+    halved : tuple of bool
+        Whether only x >= 0, and only z >= 0, is meshed.
+    presses : sequence of float
+        Places along z at which the mesh is fine, in m.
+
+    Returns
+    -------
+    Mesh
+        Through the wall from the bore outwards, around from the bottom line (-y) by the side
+        x > 0 to the top line (+y) and, where the tube is whole, back on the other side.
+    """
+    size = size or MeshSize()
+    around = size.around * (1 if halved[0] else 2)
+    station = _stations(np.asarray(presses) / reach, size, from_zero=halved[1])
+    half = np.pi * _crowded(np.linspace(0, 1, 2 * size.around + 1), size)
+    angle = half if halved[0] else np.concatenate([half, 2 * np.pi - half[-2:0:-1]])
+    layer = np.linspace(0, 1, 2 * size.through_wall + 1)
+    s, a, e = np.meshgrid(station, angle, layer, indexing="ij")
+    # Exact zeros on the symmetry plane, where sin(pi) is not.
+    sine = np.where(np.isclose(np.sin(a), 0, atol=1e-12), 0.0, np.sin(a))
+    number = np.arange(s.size).reshape(s.shape)
+    if not halved[0]:
+        number = np.concatenate([number, number[:, :1]], axis=1)
+    blocks = _windows(number, 3).reshape(-1, 27)
+    elements = blocks[:, np.sum(lattice(2, 3) == 1, axis=1) <= 1]
+    edge = np.sum(lattice(2, 2) == 1, axis=1) <= 1
+    inner, outer = (_windows(number[:, :, i], 2).reshape(-1, 9)[:, edge] for i in (0, -1))
+    used, elements = np.unique(elements, return_inverse=True)
+    layers, across, up, stations = (np.ravel(c)[used] for c in (e, sine, -np.cos(a), s))
+    shape = (len(station) // 2, around, size.through_wall)
+    grid = Sweep(layers, across, up, stations, shape)
+    return Mesh(
+        points=np.stack(grid.place(tube.inner_diameter, tube.wall_thickness, reach), axis=-1),
+        elements=elements,
+        inner_faces=np.searchsorted(used, inner),
+        outer_faces=np.searchsorted(used, outer),
+        reference=HEX20,
+        halved=halved,
+        sweep=grid,
+    )
+
+
+def _crowded(turn: Array, size: MeshSize) -> Array:
+    """Return shares of half the circle, evenly spaced ones being moved towards sides and ends."""
+    sides, all_four = (size.fold - size.touch) / 2, (size.fold + size.touch) / 2
+    wave = 2 * np.pi * turn
+    return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
+
+
+def _windows(number: Index, d: int) -> Index:
+    """Return the node numbers of all elements, which share one plane of nodes with the next."""
+    views = np.lib.stride_tricks.sliding_window_view(number, (3,) * d)
+    return views[(slice(None, None, 2),) * d]
+
+
+def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
+    """Return the stations of the nodes along the tube, as shares of the reach.
+
+    Between two presses, and from the last to the end, the elements grow from the press outwards.
+    """
+    centres = np.unique(np.abs(presses) if from_zero else presses)
+    between = (centres[1:] + centres[:-1]) / 2
+    borders = np.concatenate([[0.0 if from_zero else -1.0], between, [1.0]])
+    parts = []
+    for centre, low, high in zip(centres, borders[:-1], borders[1:], strict=True):
+        parts += [centre - _graded(centre - low, size)[::-1], centre + _graded(high - centre, size)]
+    edges = np.unique(np.round(np.concatenate(parts), 12))
+    # A mid-station halfway between its neighbours keeps the axial map of each element affine.
+    return np.interp(np.arange(2 * len(edges) - 1) / 2, np.arange(len(edges)), edges)
+
+
+def _graded(length: float, size: MeshSize) -> Array:
+    """Return stations from 0 to `length` that begin as fine as those of the whole reach."""
+    whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
+    if length <= 0:
+        return np.zeros(1)
+    n = max(int(np.argmin(np.abs(whole - length))), 1)
+    return whole[: n + 1] * (length / whole[n])

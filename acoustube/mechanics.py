@@ -1,0 +1,148 @@
+"""The press that the settings describe, computed once and remembered."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube import cache
+from acoustube.config import Config, Mechanics
+from acoustube.indentation import Indentation, Layer, Mesh, Press, indent, restored
+from acoustube.indentation.reference import TET10
+from acoustube.limits import pressed_reach
+from acoustube.rules import filled
+from acoustube.tube import Tube, shear_modulus_from_shore
+
+Arrays = Mapping[str, NDArray[Any]]
+
+MESH = ("points", "elements", "inner_faces", "outer_faces")
+
+
+def shear_modulus_from(config: Config | Mechanics) -> float:
+    """Return the wall's shear modulus in Pa."""
+    settings = config.tube
+    if settings.shear_modulus_mpa is not None:
+        return 1e6 * settings.shear_modulus_mpa
+    return shear_modulus_from_shore(filled(settings.shore_a))
+
+
+def tube_from(config: Config | Mechanics) -> Tube:
+    """Return the round tube that the settings describe, in SI units."""
+    settings = config.tube
+    return Tube(
+        inner_diameter=1e-3 * settings.inner_diameter_mm,
+        wall_thickness=1e-3 * settings.wall_mm,
+        length=1e-2 * settings.length_cm,
+        shear_modulus=shear_modulus_from(config),
+        poisson_ratio=settings.poisson_ratio,
+    )
+
+
+def press_from(config: Config | Mechanics) -> Press:
+    """Return the press that the settings describe, in SI units."""
+    settings = config.indentation
+    return Press(
+        shape=settings.shape,
+        diameter=1e-3 * settings.indenter_mm,
+        x=1e-3 * settings.offset_mm,
+        yaw=float(np.deg2rad(settings.yaw_deg)),
+    )
+
+
+def layer_from(config: Config | Mechanics) -> Layer | None:
+    """Return the elastic layer under the tube, in SI units, if there is one."""
+    settings = config.indentation
+    if settings.layer_mm is None:
+        return None
+    return Layer(thickness=1e-3 * settings.layer_mm, modulus=1e6 * filled(settings.layer_mpa))
+
+
+def pressed(
+    config: Config | Mechanics,
+    depths: Sequence[float],
+    progress: Callable[[float], None] | None = None,
+) -> Indentation:
+    """Press the tube that the settings describe, or recall that it has been pressed before.
+
+    Parameters
+    ----------
+    config : Config or Mechanics
+    depths : sequence of float
+        Rising depths in m, each of which is met exactly.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    Indentation
+        From the cache, if it holds a press of the same tube to the same depths; see
+        :mod:`acoustube.cache`.
+
+    Raises
+    ------
+    ConfigError, PressError
+        See :func:`acoustube.indentation.indent` and :mod:`acoustube.indentation.tetrahedra`.
+    """
+    press, layer, support = press_from(config), layer_from(config), config.indentation.support
+    surface = config.tube.surface
+    round_tube = tube_from(config)
+    name = cache.key(
+        {
+            "tube": dataclasses.asdict(round_tube),
+            "surface": surface and _content(Path(surface)),
+            "press": dataclasses.asdict(press),
+            "layer": layer and dataclasses.asdict(layer),
+            "support": support,
+            "depths": list(depths),
+        }
+    )
+    known = cache.recall(name)
+    tube, mesh = (round_tube, None) if surface is None else _imported(config, press, known)
+    if known is not None:
+        return restored(tube, press, known, support=support, layer=layer, mesh=mesh)
+    found = indent(
+        tube, press, depth=depths, support=support, layer=layer, mesh=mesh, progress=progress
+    )
+    cache.store(name, _arrays(found))
+    return found
+
+
+def _content(path: Path) -> str:
+    """Return the hash of a file's content; one that cannot be read is refused when it is read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "unreadable"
+
+
+def _imported(config: Config | Mechanics, press: Press, known: Arrays | None) -> tuple[Tube, Mesh]:
+    """Return an imported tube with its mesh, which is not made again where it is remembered."""
+    from acoustube.indentation import tetrahedra
+
+    surface = tetrahedra.read_surface(str(config.tube.surface))
+    tube = tetrahedra.tube_of(
+        surface,
+        shear_modulus=shear_modulus_from(config),
+        poisson_ratio=config.tube.poisson_ratio,
+    )
+    if known is not None:
+        halved = bool(known["halved"][0]), bool(known["halved"][1])
+        parts: dict[str, Any] = {name: known[name] for name in MESH}
+        return tube, Mesh(**parts, reference=TET10, halved=halved)
+    reach = pressed_reach(tube.outer_diameter, press.diameter)
+    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=press.halves)
+
+
+def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:
+    """Return what is remembered of a press: its results, and a mesh that was imported."""
+    mesh = indentation.mesh
+    found = dict(indentation.results)
+    if mesh.sweep is None:
+        found |= {name: getattr(mesh, name) for name in MESH} | {"halved": np.array(mesh.halved)}
+    return found

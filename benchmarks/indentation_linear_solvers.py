@@ -1,0 +1,158 @@
+"""Which direct solver factorises the stiffness matrix of a pressed tube quickest?
+
+The paper's tube, held, 1 mm under a 25 mm rod: the quarter that symmetry leaves, its half, the
+whole, and two refinements of the quarter. The state is that of the quarter, interpolated. Each row:
+unknowns, bandwidth as numbered and in the order of sections, entries of the lower triangle, and per
+solver the processor time to factorise and to solve (median of three, one thread) and the residual
+relative to the right-hand side. PARDISO (pypardiso) and CHOLMOD (cvxopt) are timed where they are
+installed: ``python benchmarks/indentation_linear_solvers.py``. Some four minutes on one core.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from statistics import median
+from time import process_time
+from typing import Any
+
+import jax
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.interpolate import RBFInterpolator
+from threadpoolctl import threadpool_limits
+
+from acoustube.indentation import Indentation, MeshSize, Press, indent, linear
+from acoustube.indentation.equilibrium import stiffness
+from acoustube.indentation.mesh import Mesh, sweep
+from acoustube.indentation.press import build
+from acoustube.limits import pressed_reach
+from acoustube.tube import Tube
+
+Array = NDArray[np.float64]
+Factorise = Callable[[sparse.csc_array], linear.Solve]
+
+TUBE, ROD, DEPTH, REPEATS = Tube(), Press(), 1e-3, 3
+REACH = pressed_reach(TUBE.outer_diameter, ROD.diameter)
+SIZE = MeshSize()
+CASES = {
+    "quarter": (SIZE, (True, True)),
+    "half": (SIZE, (True, False)),
+    "whole": (SIZE, (False, False)),
+    "quarter, 3 layers": (MeshSize(through_wall=3, around=24, along=21), (True, True)),
+    "quarter, 4 layers": (MeshSize(through_wall=4, around=32, along=28), (True, True)),
+}
+LARGEST_FOR_SUPERLU = 7.5e7
+"""Numbers in the band beyond which SuperLU, at half a minute a time, is left out."""
+
+
+def in_elements(points: Array) -> Array:
+    """Return |x|, y and |z| in units in which the elements are about as long as they are wide."""
+    x, y, z = points.T
+    along = np.arcsinh(np.abs(z) / REACH * np.sinh(SIZE.grading)) / SIZE.grading * SIZE.along
+    wide = TUBE.wall_thickness / SIZE.through_wall
+    return np.stack([np.abs(x) / wide, y / wide, along], axis=-1)
+
+
+def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, NDArray[np.int64]]:
+    """Return the lower triangle of the stiffness and the order by sections, for another mesh."""
+    known = RBFInterpolator(
+        in_elements(pressed.mesh.points), pressed.displacement[-1], neighbors=100
+    )
+    mirrored = np.where(mesh.points < 0, -1, 1) * [1, 0, 1] + [0, 1, 0]
+    displacement = mirrored * known(in_elements(mesh.points))
+    state = Indentation(
+        **{
+            **vars(pressed),
+            "mesh": mesh,
+            "depth": np.array([DEPTH]),
+            "displacement": displacement[None],
+        }
+    )
+    model = build(state)
+    displacement[~model.free] = 0
+    return (
+        stiffness(model, displacement, state.bodies()),
+        linear.section_order(mesh.points, model.free),
+    )
+
+
+def cholmod(library: Any, lower: sparse.csc_array) -> linear.Solve:
+    """Factorise by CHOLMOD, supernodal."""
+    library.cholmod.options["supernodal"] = 2
+    columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
+    a = library.spmatrix(lower.data, lower.indices.astype(int), columns, size=lower.shape)
+    factor = library.cholmod.symbolic(a)
+    library.cholmod.numeric(a, factor)
+
+    def solve(right: Array) -> Array:
+        solution = library.matrix(right)
+        library.cholmod.solve(factor, solution)
+        return np.array(solution).reshape(right.shape)
+
+    return solve
+
+
+def solvers(order: NDArray[np.int64]) -> dict[str, Factorise]:
+    """Return the solvers that are installed; name the others."""
+    found: dict[str, Factorise] = {
+        "banded Cholesky, as numbered": linear.banded,
+        "banded Cholesky, by sections": partial(linear.banded, order=order),
+        "SuperLU": linear.superlu,
+    }
+    for name, module, solver in (
+        ("PARDISO", "pypardiso.pardiso_wrapper", lambda lib: partial(linear.pardiso, library=lib)),
+        ("CHOLMOD", "cvxopt.cholmod", lambda _: partial(cholmod, import_module("cvxopt"))),
+    ):
+        try:
+            found[name] = solver(import_module(module))
+        except ImportError:
+            print(f"{module.split('.')[0]} is not installed: {name} is left out.")
+    found["factorise()"] = partial(linear.factorise, order=order)
+    return found
+
+
+def times(factorise: Factorise, lower: sparse.csc_array) -> tuple[float, float, float]:
+    """Return processor time in s to factorise and to solve, and the relative residual."""
+    right = np.random.default_rng(0).normal(size=lower.shape[0])
+    factorising, solving = [], []
+    for _ in range(REPEATS):
+        start = process_time()
+        solve = factorise(lower)
+        middle = process_time()
+        solution = solve(right)
+        factorising.append(middle - start)
+        solving.append(process_time() - middle)
+    residual = lower @ solution + sparse.tril(lower, -1).T @ solution - right
+    error = float(np.linalg.norm(residual) / np.linalg.norm(right))
+    return median(factorising), median(solving), error
+
+
+if __name__ == "__main__":
+    print(
+        f"{platform.machine()} x {os.cpu_count()}, load {os.getloadavg()[0]:.1f}, "
+        f"scipy {scipy.__version__}, float64"
+    )
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
+        pressed = indent(TUBE, ROD, depth=DEPTH, mesh=SIZE)
+        # MKL is loaded after this limit is set and does not hear of it.
+        os.environ["MKL_NUM_THREADS"] = "1"
+        header = (
+            "| mesh | unknowns | band | by sections | entries | solver | factorise s | solve s "
+        )
+        print(header + "| residual |\n" + "|" + "---|" * 9)
+        for name, (size, halved) in CASES.items():
+            lower, order = matrix(sweep(TUBE, REACH, size, halved=halved), pressed)
+            widths = linear.bandwidth(lower), linear.bandwidth(lower, order)
+            case = f"| {name} | {lower.shape[0]} | {widths[0]} | {widths[1]} | {lower.nnz} "
+            for solver, factorise in solvers(order).items():
+                if solver == "SuperLU" and lower.shape[0] * min(widths) > LARGEST_FOR_SUPERLU:
+                    print(case + f"| {solver} | not timed | | |")
+                    continue
+                factor, solve, error = times(factorise, lower)
+                print(f"{case}| {solver} | {factor:.2f} | {solve:.4f} | {error:.0e} |", flush=True)

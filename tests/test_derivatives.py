@@ -1,0 +1,113 @@
+"""Derivatives of force and area by the design, against new equilibria of changed designs."""
+
+import dataclasses
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from acoustube.errors import ConfigError
+from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation.derivatives import Design, derivatives
+from acoustube.indentation.equilibrium import minimise, tool_force
+from acoustube.indentation.material import Material, mooney_rivlin
+from acoustube.indentation.mesh import sweep
+from acoustube.indentation.press import build, first_touch, neo_hookean_wall
+from acoustube.limits import pressed_reach
+from acoustube.lumen import measure
+from acoustube.tube import Tube
+
+pytestmark = pytest.mark.slow
+
+SIZE = MeshSize(through_wall=1, around=8, along=8)
+STEP = 1e-5
+
+
+@cache
+def closed(shape, support):
+    """Return a press with rows at 4, 7.9 and 8.1 mm; this coarse tube is closed from 7.9 mm."""
+    tool = Press(shape=shape, diameter=25e-3)
+    return indent(Tube(), tool, depth=[4e-3, 7.9e-3, 8.1e-3], support=support, mesh=SIZE)
+
+
+def settled(indentation, increment, design):
+    """Return force and area of a changed design: Newton from the known state, to round-off."""
+    tube = dataclasses.replace(
+        indentation.tube,
+        shear_modulus=design.shear_modulus,
+        wall_thickness=design.wall_thickness,
+        inner_diameter=design.inner_diameter,
+    )
+    tool = dataclasses.replace(indentation.presses[0], diameter=design.indenter_diameter)
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
+        changed = first_touch(
+            tube,
+            (tool,),
+            support=indentation.support,
+            layer=None,
+            material=neo_hookean_wall(tube),
+            mesh=sweep(tube, pressed_reach(tube.outer_diameter, tool.diameter), SIZE),
+            closing_distance=indentation.closing_distance,
+        )
+        changed = dataclasses.replace(changed, depth=indentation.depth[[increment]])
+        model, bodies = build(changed), changed.bodies(0)
+        tolerance = 1e-11 * tube.shear_modulus * tube.inner_diameter**2
+        found = minimise(model, indentation.displacement[increment], bodies, tolerance)
+        assert found.converged, found.reason
+        changed = dataclasses.replace(changed, displacement=found.displacement[None])
+        force = tool_force(model, found.displacement, bodies[0])
+    return np.array([force, measure(changed, 0, np.zeros(1)).area[0]])
+
+
+@pytest.mark.parametrize(
+    ("shape", "support", "depth_mm"),
+    [("rod", "free", 4.0), ("rod", "free", 7.9), ("rod", "held", 8.1), ("sphere", "held", 4.0)],
+)
+def test_derivatives_are_those_of_central_differences(shape, support, depth_mm):
+    """Steps of 1e-5, which move a wall by less than the width of a contact's onset: 1e-4 is asked.
+
+    Measured 1e-6. At 7.9 and 8.1 mm the lumen is closed and its walls press on each other. The area
+    does not depend on the modulus at all, by dimensional analysis: there 1e-4 of area per modulus.
+    """
+    indentation = closed(shape, support)
+    (increment,) = np.flatnonzero(indentation.depth == 1e-3 * depth_mm)
+    assert indentation.closed[increment] == (depth_mm > 7)
+    found = derivatives(indentation, increment)
+    tube = indentation.tube
+    base = Design(tube.shear_modulus, tube.wall_thickness, tube.inner_diameter, 25e-3)
+    scale = settled(indentation, increment, base)
+    for name, value in base._asdict().items():
+        ahead, behind = (
+            settled(indentation, increment, base._replace(**{name: value * (1 + s * STEP)}))
+            for s in (1, -1)
+        )
+        expected = (ahead - behind) / (2 * STEP * value)
+        force, area = (getattr(result, name) for result in found)
+        assert force == pytest.approx(expected[0], rel=1e-4)
+        if name == "shear_modulus":
+            assert abs(area) < 1e-4 * scale[1] / value
+        else:
+            assert area == pytest.approx(expected[1], rel=1e-4, abs=1e-6 * scale[1] / value)
+
+
+def test_force_is_proportional_to_the_modulus():
+    """F = mu f(shape): dF/dmu = F / mu, to Newton's tolerance."""
+    indentation = closed("rod", "free")
+    found = derivatives(indentation)
+    expected = indentation.contact_force[-1] / indentation.tube.shear_modulus
+    assert found.contact_force.shear_modulus == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_cannot_be_differentiated_is_refused():
+    tube, tool = Tube(), Press(diameter=25e-3)
+    whole = indent(tube, tool, depth=5e-5, mesh=SIZE, whole=True)
+    with pytest.raises(ConfigError, match="must be symmetric about z = 0"):
+        derivatives(whole)
+    with jax.enable_x64(True):
+        half = np.float64(tube.shear_modulus / 4)
+        material = Material(jax.tree_util.Partial(mooney_rivlin, half, half), tube.bulk_modulus)
+    other = indent(tube, tool, depth=5e-5, mesh=SIZE, material=material)
+    with pytest.raises(ConfigError, match="Neo-Hookean"):
+        derivatives(other)

@@ -1,0 +1,169 @@
+"""The command ``acoustube indent``: what it writes, remembers, and keeps when it cannot go on."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+import xarray as xr
+from rich.console import Console
+
+from acoustube import load_config, mechanics, plot, run
+from acoustube.config import Mechanics
+from acoustube.indentation import MeshSize, PressError, indent, press
+from acoustube.indentation.self_contact import triangulated
+
+COMMAND = str(Path(sys.executable).with_name("acoustube"))
+COARSE = MeshSize(through_wall=1, around=6, along=6)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Run the command; return its result and the folder."""
+    folder = tmp_path_factory.mktemp("presses") / "press"
+    words = ["--indenter", "25", "--depth", "0.5", "--steps", "2", "--support", "free"]
+    result = subprocess.run(
+        [COMMAND, "indent", *words, "--out", str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    return result, folder
+
+
+@pytest.fixture(scope="module")
+def dataset(finished):
+    with xr.open_dataset(finished[1] / "run.nc", engine="h5netcdf") as data:
+        return data.load()
+
+
+def test_folder_holds_data_settings_figure_and_meshes(finished):
+    _, folder = finished
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    assert names == {
+        "run.nc",
+        "config.toml",
+        "figure.png",
+        "vtu/press.pvd",
+        "vtu/press-0001.vtu",
+        "vtu/press-0002.vtu",
+    }
+    settings = load_config(folder / "config.toml", Mechanics)
+    assert settings.indentation.steps == 2
+    assert settings.indentation.support == "free"
+
+
+def test_depths_are_equally_spaced_and_met(dataset):
+    assert dataset.sizes["depth"] == 2
+    assert dataset["indentation_depth"].values == pytest.approx([0.25e-3, 0.5e-3], rel=1e-15)
+    assert list(dataset["converged"].values) == [1, 1]
+    assert list(dataset["closed"].values) == [0, 0]
+    assert "0.01975 mm" in dataset.attrs["closed"]
+
+
+def test_force_and_section_are_those_of_the_independent_solution(dataset):
+    """CalculiX at 0.25 and 0.5 mm: 0.11873 and 0.25197 N, good to 1 %; 0.01 mm and 0.1 mm2.
+
+    At 0.25 mm the contact is narrower than an element: measured 1.4 %, and 0.5 % at 0.5 mm.
+    """
+    assert dataset["contact_force"].values[0] == pytest.approx(0.11873, rel=0.02)
+    assert dataset["contact_force"].values[1] == pytest.approx(0.25197, rel=0.015)
+    assert 1e3 * dataset["lumen_height"].values == pytest.approx([7.68764, 7.44431], abs=0.01)
+    assert 1e3 * dataset["lumen_width"].values == pytest.approx([8.03456, 8.18937], abs=0.01)
+    assert 1e6 * dataset["lumen_area"].values == pytest.approx([48.75173, 48.39382], abs=0.1)
+
+
+def test_profile_is_even_about_the_press_and_round_far_from_it(dataset):
+    """Mirrored by construction; at 50 mm the bore's 49.017 mm2 within 0.02."""
+    z, area = dataset["z"].values, dataset["lumen_area_profile"].values
+    assert area.shape == (2, z.size)
+    assert z[z.size // 2] == 0.0
+    assert area == pytest.approx(area[:, ::-1], rel=1e-12)
+    assert area[:, z.size // 2] == pytest.approx(dataset["lumen_area"].values, rel=1e-12)
+    assert 1e6 * area[:, 0] == pytest.approx([49.017, 49.017], abs=0.02)
+    assert np.all(np.argmin(area, axis=1) == z.size // 2)
+
+
+def test_every_variable_has_a_unit_and_a_name(dataset):
+    bare = [
+        name
+        for name, variable in dataset.variables.items()
+        if not {"units", "long_name"} <= set(variable.attrs)
+    ]
+    assert bare == []
+
+
+def test_work_of_the_press_is_in_the_wall(dataset):
+    """The force's work from 0.25 to 0.5 mm, by the trapezoids of a nearly straight line: 3 %."""
+    energy, force = dataset["elastic_energy"].values, dataset["contact_force"].values
+    assert np.diff(energy)[0] == pytest.approx(0.25e-3 * force.mean(), rel=0.03)
+
+
+def test_meshes_for_paraview_have_the_elements_volume(finished, dataset):
+    """VTK's own volume of the quadratic cells is the quarter's; the last file has the last row.
+
+    VTK splits a quadratic cell into linear ones: 1 % of the curved wall.
+    """
+    grid = pyvista.read(finished[1] / "vtu" / "press-0002.vtu")
+    assert grid.n_cells == dataset.sizes["element"]
+    assert set(grid.celltypes) == {pyvista.CellType.QUADRATIC_HEXAHEDRON}
+    sizes = grid.compute_cell_sizes(length=False, area=False)["Volume"]
+    assert sizes.min() > 0
+    reach = grid.bounds[5]
+    assert sizes.sum() == pytest.approx(np.pi / 2 * (5.55e-3**2 - 3.95e-3**2) * reach, rel=0.01)
+    moved = dataset["node_displacement"].values[-1]
+    assert np.array_equal(grid.point_data["displacement"], moved)
+
+
+def test_second_run_is_recalled_and_the_same(finished, tmp_path):
+    words = ["--indenter", "25", "--depth", "0.5", "--steps", "2", "--support", "free"]
+    subprocess.run([COMMAND, "indent", *words, "--out", "again"], check=True, capture_output=True)
+    with (
+        xr.open_dataset(finished[1] / "run.nc", engine="h5netcdf") as first,
+        xr.open_dataset(tmp_path / "again" / "run.nc", engine="h5netcdf") as second,
+    ):
+        assert np.array_equal(first["node_displacement"], second["node_displacement"])
+        assert float(second["elapsed_time"]) < 0.5 * float(first["elapsed_time"])
+
+
+def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch):
+    """Increments cannot be smaller than 1 mm: those from first touch fail at the first cut-back."""
+    minimise = press.minimise
+
+    def blocked(model, start, bodies, tolerance):
+        found = minimise(model, start, bodies, tolerance)
+        if bodies[0].height < 5.55e-3 - 0.35e-3:
+            found.__dict__.update(converged=False, reason="the wall buckles")
+        return found
+
+    monkeypatch.setattr(press, "minimise", blocked)
+    monkeypatch.setattr(mechanics, "indent", lambda *a, **o: indent(*a, **(o | {"mesh": COARSE})))
+    config = load_config(None, Mechanics, depth_mm=0.6, steps=6)
+    with pytest.raises(PressError, match=r"stopped at a depth of 0\.35 mm of 0\.60 mm"):
+        run.run_press(config, tmp_path / "kept", Console(quiet=True))
+    with xr.open_dataset(tmp_path / "kept" / "run.nc", engine="h5netcdf") as data:
+        assert list(data["converged"].values) == [1, 1, 1, 0, 0, 0]
+        assert np.all(np.isfinite(data["contact_force"].values[:3]))
+        assert np.all(np.isnan(data["contact_force"].values[3:]))
+        assert np.all(np.isnan(data["lumen_area_profile"].values[3:]))
+        assert "the wall buckles" in data.attrs["warnings"]
+        sheet = plot.press_figure(data)
+    assert len(sheet.axes) == 4
+
+
+def test_triangles_of_the_lumen_are_oriented_alike():
+    """Each inner edge is passed once each way."""
+    found = indent(load_tube(), depth=5e-5, mesh=COARSE)
+    _, faces = triangulated(found.mesh)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    assert counts.max() == 1
+
+
+def load_tube():
+    return mechanics.tube_from(load_config(None, Mechanics))
