@@ -9,8 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,7 +24,10 @@ if TYPE_CHECKING:  # the command line lists and clears without NumPy
 
     Arrays = Mapping[str, NDArray[Any]]
 
-DIGEST = "digest"
+DIGEST, LABEL = "digest", "label"
+NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
+LIBRARIES = ("ipctk", "pytetwild")
+"""Packages whose version decides a result, beside acoustube's own code."""
 
 
 class Entry(NamedTuple):
@@ -40,6 +45,17 @@ class Entry(NamedTuple):
     path: Path
     size: int
     modified: float
+
+    @property
+    def label(self) -> str:
+        """What it is, in words; empty where it cannot be read."""
+        import numpy as np
+
+        try:
+            with np.load(self.path) as archive:
+                return str(archive[LABEL])
+        except Exception:  # as in `recall`
+            return ""
 
 
 def folder() -> Path:
@@ -64,11 +80,15 @@ def key(dependencies: Mapping[str, Any]) -> str:
 def _code() -> str:
     """Return the hash of the modules that a press is computed by."""
     package = files("acoustube")
-    modules = [package / "tube.py", *(package / "indentation").iterdir()]
+    around = ("tube.py", "limits.py", "mechanics.py")
+    modules = [package.joinpath(name) for name in around]
+    modules += (package / "indentation").iterdir()
     code = hashlib.sha256()
     for module in sorted(modules, key=lambda module: module.name):
         if module.name.endswith(".py"):
             code.update(module.read_bytes())
+    for library in LIBRARIES:
+        code.update(version(library).encode())
     return code.hexdigest()
 
 
@@ -82,18 +102,30 @@ def recall(name: str) -> dict[str, NDArray[Any]] | None:
     except Exception:  # a damaged archive fails in many ways, and all mean the same
         return None
     digest = arrays.pop(DIGEST, None)
+    arrays.pop(LABEL, None)
     return arrays if digest is not None and str(digest) == _digest(arrays) else None
 
 
-def store(name: str, arrays: Arrays) -> None:
-    """Write an entry in one step; where that is impossible it is only not remembered."""
+def store(name: str, arrays: Arrays, label: str = "") -> None:
+    """Write an entry in one step; where that is impossible it is only not remembered.
+
+    Parameters
+    ----------
+    name : str
+        From :func:`key`.
+    arrays : mapping of str to array
+    label : str
+        What it is, in words, for a list.
+    """
     import numpy as np
 
     try:
         folder().mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder(), suffix=".part", delete=False) as file:
+        part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
+        with tempfile.NamedTemporaryFile(**part, delete=False) as file:
             try:
-                content: dict[str, Any] = {**arrays, DIGEST: np.array(_digest(arrays))}
+                marks = {DIGEST: np.array(_digest(arrays)), LABEL: np.array(label)}
+                content: dict[str, Any] = {**arrays, **marks}
                 np.savez_compressed(file, **content)
                 file.close()
                 Path(file.name).replace(folder() / f"{name}.npz")
@@ -118,14 +150,15 @@ def _digest(arrays: Arrays) -> str:
 
 def entries() -> list[Entry]:
     """Return all entries, the newest first."""
-    found = [(path, path.stat()) for path in folder().glob("*.npz")]
+    paths = [path for path in folder().glob("*.npz") if NAME.fullmatch(path.stem)]
+    found = [(path, path.stat()) for path in paths]
     listed = [Entry(path, status.st_size, status.st_mtime) for path, status in found]
     return sorted(listed, key=lambda entry: -entry.modified)
 
 
 def clear() -> list[Entry]:
-    """Remove all entries, and what an interrupted write left; return the entries."""
+    """Remove all entries, and what an interrupted write left, but nothing else; return them."""
     gone = entries()
-    for path in [*(entry.path for entry in gone), *folder().glob("*.part")]:
+    for path in [*(entry.path for entry in gone), *folder().glob(f"{PREFIX}*.part")]:
         path.unlink(missing_ok=True)
     return gone

@@ -20,12 +20,12 @@ from cyclopts import App, CycloptsError, Parameter
 from acoustube import __version__, cache
 from acoustube.config import Mechanics, describe, load_config
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.io import check_out, fresh_folder
+from acoustube.io import check_out, check_surface, fresh_folder
 
 app = App(
     name="acoustube",
     version=__version__,
-    help="Simulate a silicone tube that carries ultrasound and is pressed by a cylinder.",
+    help="Simulate a silicone tube that carries ultrasound and feels where it is pressed.",
     default_parameter=Parameter(negative=()),
     # An interrupt must reach `main`, which says what became of the run.
     suppress_keyboard_interrupt=False,
@@ -134,6 +134,8 @@ def indent(
         support=support,
         surface=tube,
     )
+    if settings.tube.surface is not None:
+        check_surface(settings.tube.surface)
     folder = check_out(out if out is not None else fresh_folder("indent"))
 
     with _interrupts_held_back():
@@ -152,8 +154,8 @@ app.command(remembered)
 def list_cache() -> None:
     """List the remembered presses, the newest first."""
     for entry in cache.entries():
-        written = datetime.fromtimestamp(entry.modified).astimezone().isoformat(timespec="seconds")
-        print(f"{entry.path.stem}  {entry.size / 1e6:6.1f} MB  {written}")
+        written = datetime.fromtimestamp(entry.modified).strftime("%Y-%m-%d %H:%M")
+        print(f"{written}  {entry.size / 1e6:6.1f} MB  {entry.label}")
 
 
 @remembered.command(name="size")
@@ -161,7 +163,7 @@ def cache_size() -> None:
     """Print how many presses are remembered, how large they are and where."""
     found = cache.entries()
     total = sum(entry.size for entry in found) / 1e6
-    print(f"{len(found)} presses, {total:.1f} MB in {cache.folder()}")
+    print(f"{_presses(len(found))}, {total:.1f} MB in {cache.folder()}")
 
 
 @remembered.command(name="clear")
@@ -169,7 +171,11 @@ def clear_cache() -> None:
     """Forget all remembered presses."""
     gone = cache.clear()
     total = sum(entry.size for entry in gone) / 1e6
-    print(f"{len(gone)} presses forgotten, {total:.1f} MB freed")
+    print(f"{_presses(len(gone))} forgotten, {total:.1f} MB freed")
+
+
+def _presses(count: int) -> str:
+    return f"{count} press" if count == 1 else f"{count} presses"
 
 
 @contextmanager

@@ -179,8 +179,8 @@ class Config:
     Raises
     ------
     ConfigError
-        If the sections contradict each other: a press past the floor or deeper than the solver
-        follows, too near an end, or a grid that is too coarse for the sound or too large.
+        If the sections contradict each other: a press past the floor or deeper than sound
+        is followed, too near an end, or a grid that is too coarse for the sound or too large.
     """
 
     tube: TubeSettings = TubeSettings()
@@ -402,6 +402,8 @@ def load_config(
             raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
         if value is not None:
             given[_SECTION_OF[name]][name] = value
+    # From the folder that the caller is in; those of the file are already absolute.
+    _make_absolute(given, Path.cwd())
     wanted = [field.name for field in dataclasses.fields(kind)]
     return kind(**{name: _SECTIONS[name](**given[name]) for name in wanted})
 
@@ -421,7 +423,16 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
         ) from error
     for section, values in document.items():
         _check_names(path, section, values)
-    return {name: dict(document.get(name, {})) for name in _SECTIONS}
+    given = {name: dict(document.get(name, {})) for name in _SECTIONS}
+    _make_absolute(given, path.resolve().parent)
+    return given
+
+
+def _make_absolute(given: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Let the name of a surface, which a file gives from its own folder, be read from anywhere."""
+    surface = given["tube"].get("surface")
+    if isinstance(surface, str | Path) and str(surface):
+        given["tube"]["surface"] = str(folder / Path(surface).expanduser())
 
 
 def _check_names(path: Path, section: str, values: Any) -> None:

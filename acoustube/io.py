@@ -52,6 +52,17 @@ def check_out(path: str | Path) -> Path:
         ) from error
 
 
+def check_surface(path: str | Path) -> None:
+    """Refuse the file of a wall that is not there.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if not Path(path).is_file():
+        raise ConfigError(f"{path} does not exist; give an STL, PLY or OBJ file of the wall.")
+
+
 def fresh_folder(stem: str) -> Path:
     """Return a folder name in the current folder that is not taken, such as ``simulate-3``.
 

@@ -198,7 +198,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     ConfigError
         If the modelled part does not fit between the tube's ends.
     SimulationError
-        If opposite walls have passed through each other.
+        If the lumen is closed.
     """
     tube, mesh = indentation.tube, indentation.mesh
     inner, outer = (deformed_wall(indentation, increment, outer=layer) for layer in (False, True))

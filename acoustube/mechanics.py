@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from acoustube import cache
 from acoustube.config import Config, Mechanics
+from acoustube.errors import ConfigError
 from acoustube.indentation import Indentation, Layer, Mesh, Press, indent, restored
+from acoustube.indentation.press import deepest_press
 from acoustube.indentation.reference import TET10
 from acoustube.limits import pressed_reach
 from acoustube.rules import filled
@@ -109,8 +111,27 @@ def pressed(
     found = indent(
         tube, press, depth=depths, support=support, layer=layer, mesh=mesh, progress=progress
     )
-    cache.store(name, _arrays(found))
+    cache.store(name, _arrays(found), f"{wall_in_words(config)}; {press_in_words(config)}")
     return found
+
+
+def wall_in_words(config: Config | Mechanics) -> str:
+    """Return in words what is pressed."""
+    tube = config.tube
+    if tube.surface is not None:
+        return Path(tube.surface).name
+    return f"bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm"
+
+
+def press_in_words(config: Config | Mechanics) -> str:
+    """Return in words how it is pressed."""
+    press = config.indentation
+    words = [f"{press.indenter_mm:g} mm {press.shape}", f"{press.depth_mm:g} mm deep"]
+    words += [f"{press.offset_mm:g} mm beside the axis"] * (press.offset_mm != 0)
+    words += [f"turned by {press.yaw_deg:g} deg"] * (press.yaw_deg != 0)
+    if press.layer_mm is not None:
+        words.append(f"on {press.layer_mm:g} mm of {filled(press.layer_mpa):g} MPa")
+    return ", ".join([*words, f"support {press.support}"])
 
 
 def _content(path: Path) -> str:
@@ -131,12 +152,24 @@ def _imported(config: Config | Mechanics, press: Press, known: Arrays | None) ->
         shear_modulus=shear_modulus_from(config),
         poisson_ratio=config.tube.poisson_ratio,
     )
+    _check_depth(tube, config)
     if known is not None:
         halved = bool(known["halved"][0]), bool(known["halved"][1])
         parts: dict[str, Any] = {name: known[name] for name in MESH}
         return tube, Mesh(**parts, reference=TET10, halved=halved)
     reach = pressed_reach(tube.outer_diameter, press.diameter)
     return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=press.halves)
+
+
+def _check_depth(tube: Tube, config: Config | Mechanics) -> None:
+    """Refuse a depth beyond what an imported tube allows, before it is meshed."""
+    deepest, depth_mm = deepest_press(tube), config.indentation.depth_mm
+    if 1e-3 * depth_mm > deepest * (1 + 1e-9):
+        raise ConfigError(
+            f"depth_mm = {depth_mm:g} is beyond a closed lumen by more than half a wall (bore "
+            f"{1e3 * tube.inner_diameter:.3g} mm high, wall {1e3 * tube.wall_thickness:.3g} mm); "
+            f"use at most {1e3 * deepest:.3g}"
+        )
 
 
 def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:

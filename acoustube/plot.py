@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from acoustube.scene import STRIP_MAGNIFICATION, STRIP_PIXELS, Image
@@ -163,7 +164,7 @@ def press_figure(dataset: xr.Dataset) -> Figure:
     Parameters
     ----------
     dataset : xarray.Dataset
-        From :func:`acoustube.record.pressed`.
+        From :func:`acoustube.record.press_dataset`.
 
     Returns
     -------
@@ -188,6 +189,7 @@ def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
         axes.plot(depth[closed], force[closed], "s", color=RETURN, ms=5, label="lumen closed")
     axes.set_xlabel("depth (mm)")
     axes.set_ylabel("force (N)")
+    axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left", fontsize="small")
     return axes
@@ -196,31 +198,41 @@ def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
 def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot height, width and area of the lumen at the press against the depth."""
     depth = 1e3 * dataset["indentation_depth"].values
-    axes.plot(depth, 1e3 * dataset["lumen_height"].values, color=ENVELOPE, label="height (mm)")
-    axes.plot(depth, 1e3 * dataset["lumen_width"].values, color=SEND, label="width (mm)")
+    height, width = (1e3 * dataset[f"lumen_{name}"].values for name in ("height", "width"))
+    section = 1e6 * dataset["lumen_area"].values
+    axes.plot(depth, height, color=ENVELOPE, label="height (mm)")
+    axes.plot(depth, width, color=SEND, label="width (mm)")
     axes.set_xlabel("depth (mm)")
     axes.set_ylabel("lumen at the press (mm)")
-    axes.set_ylim(bottom=0)
+    axes.set_xlim(left=0)
+    axes.set_ylim(0, _top(height, width))
     area = axes.twinx()
-    area.plot(depth, 1e6 * dataset["lumen_area"].values, color=AREA, ls="--")
+    area.plot(depth, section, color=AREA, ls="--")
     area.set_ylabel("area (mm²), dashed", color=AREA)
-    area.set_ylim(bottom=0)
+    area.set_ylim(0, _top(section))
     axes.legend(loc="lower left", fontsize="small")
     return axes
 
 
 def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
-    """Plot the lumen's area along the tube at every depth, deeper ones darker."""
+    """Plot the lumen's area along the tube at every depth, in its colour."""
     z, area = 1e3 * dataset["z"].values, 1e6 * dataset["lumen_area_profile"].values
-    colours = colormaps["Blues"](np.linspace(0.25, 1, len(area)))
-    for row, colour, depth in zip(area, colours, dataset["depth"].values, strict=True):
+    depth = 1e3 * dataset["depth"].values
+    shades = ScalarMappable(Normalize(0, depth[-1]), "viridis_r")
+    for row, colour in zip(area, shades.to_rgba(depth), strict=True):
         axes.plot(z, row, color=colour, lw=1)
-        if np.isfinite(row).all() and depth in dataset["depth"].values[[0, -1]]:
-            axes.annotate(f"{1e3 * depth:.3g} mm", (0, row[len(z) // 2]), fontsize="small")
+    axes.figure.colorbar(shades, ax=axes, label="depth (mm)", pad=0.01)
     axes.set_xlabel("distance from the press (mm)")
     axes.set_ylabel("lumen area (mm²)")
-    axes.set_ylim(bottom=0)
+    axes.set_xlim(z[0], z[-1])
+    axes.set_ylim(0, _top(area))
     return axes
+
+
+def _top(*curves: Any) -> float:
+    """Return where an axis ends above curves; a press that stopped at once leaves nan only."""
+    highest = np.max([np.max(curve, initial=0.0, where=np.isfinite(curve)) for curve in curves])
+    return 1.15 * float(highest) or 1.0
 
 
 def save(sheet: Figure, path: Path) -> None:

@@ -22,14 +22,14 @@ from acoustube.waves import Pulse, Recording, SourceEnd
 EVEN_POINTS = 401
 """Points of the profile along the tube, besides those where the finite elements have rings."""
 
-SOUND_PART = 0.95
+MEASURED_PART = 0.95
 """Share of the modelled length within which the deformed tube is measured.
 
 The end of a tube that tilts off the floor is slanted.
 """
 DEPTH = "how far the tool has come down from first touch"
 
-Variable = tuple[tuple[str, ...], Any, dict[str, str]]
+Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
 
 def variable(dims: str, values: Any, units: str, long_name: str) -> Variable:
@@ -96,7 +96,7 @@ def dataset(
     return xr.Dataset(variables, coordinates, origin)
 
 
-def pressed(
+def press_dataset(
     config: Mechanics,
     indentation: Indentation,
     depths: Sequence[float],
@@ -111,7 +111,8 @@ def pressed(
     ----------
     config : Mechanics
     indentation : Indentation
-        It may end before the last depth; what is missing is nan, and not ``converged``.
+        It may end before the last depth; what is missing is not ``converged``, and nan, or zero
+        where it is a whole number.
     depths : sequence of float
         In m.
     seconds : float
@@ -126,7 +127,7 @@ def pressed(
     xarray.Dataset
         In SI units, of the whole tube; every variable has ``units`` and ``long_name``.
     """
-    reached = [i for i, depth in enumerate(indentation.depth) if depth in set(depths)]
+    reached = indentation.rows_at(depths)
     rows = _mechanics(indentation, reached) | _axial(indentation, reached)
     missing = len(depths) - len(reached)
     found = {name: _lengthened(value, missing) for name, value in rows.items()}
@@ -163,8 +164,8 @@ def _lengthened(value: Variable, missing: int) -> Variable:
 
 def _flag(values: Any, long_name: str) -> Variable:
     """Return a yes-or-no variable along the depths."""
-    attributes = {"units": "1", "long_name": long_name, "flag_meanings": "0: no, 1: yes"}
-    return ("depth",), np.asarray(values, np.int8), attributes
+    attributes = {"long_name": long_name, "flag_values": [0, 1], "flag_meanings": "no yes"}
+    return ("depth",), np.asarray(values, np.int8), {"units": "1"} | attributes
 
 
 def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
@@ -190,7 +191,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         "lumen_area": (at_press("area"), "m2", "cross-section of the lumen at the press"),
         "elastic_energy": (taken("energy"), "J", "elastic energy of the whole tube"),
         "smallest_gap": (
-            taken("smallest_gap"), "m", "smallest distance of the lower and upper inner wall",
+            taken("smallest_gap"), "m", "smallest distance of the level parts of bed and roof",
         ),
         "smallest_volume_ratio": (
             taken("smallest_volume_ratio"), "1", "smallest J at any quadrature point",
@@ -212,7 +213,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
 
 def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
     """Return the lumen along the modelled part of the tube, the press at zero."""
-    reach = SOUND_PART * indentation.mesh.points[:, 2].max()
+    reach = MEASURED_PART * indentation.mesh.points[:, 2].max()
     ahead = np.linspace(0, reach, EVEN_POINTS // 2 + 1)
     z = np.concatenate([-ahead[:0:-1], ahead])
     wall = inner_wall(indentation.mesh)
@@ -237,9 +238,11 @@ def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]
 def _mesh(mesh: Mesh) -> dict[str, Variable]:
     """Return the finite-element mesh."""
     kind = "20-node hexahedra" if mesh.sweep is not None else "10-node tetrahedra"
+    planes = [f"{axis} >= 0" for axis, halved in zip("xz", mesh.halved, strict=True) if halved]
+    part = " and ".join(planes) or "the whole tube"
     return {
         "node_position": variable(
-            "node xyz", mesh.points, "m", "nodes of the undeformed part that is modelled"
+            "node xyz", mesh.points, "m", f"nodes of the undeformed part that is modelled, {part}"
         ),
         "element_node": variable("element corner", mesh.elements, "1", f"nodes of the {kind}"),
     }

@@ -28,13 +28,15 @@ from acoustube.chain import Report, simulate
 from acoustube.config import Config, Mechanics, grid_cells, to_toml
 from acoustube.indentation import PressError
 from acoustube.io import partial_folder, publish, write_dataset
-from acoustube.mechanics import pressed
+from acoustube.mechanics import press_from, press_in_words, pressed
 
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
 FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
 STEPS_PER_CELL = 2 * 3.9  # time steps per axial cell, for both source ends
 SECONDS_PER_CELL_STEP, GIGABYTES_PER_CELL = 1.8e-9, 3e-7
+PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.0)}, 1.0
+"""Of a press: once and per mm of depth, by how often symmetry halves the tube."""
 
 TABLE_ROWS = 16
 """Depths of a press that are printed."""
@@ -121,7 +123,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
     started = time.perf_counter()
     press, stopped = config.indentation, None
-    depths = [1e-3 * press.depth_mm * i / press.steps for i in range(1, press.steps + 1)]
+    depths = [1e-3 * (press.depth_mm * i / press.steps) for i in range(1, press.steps + 1)]
     with _interrupts_heard() as check:
         _print_press_header(config, console)
         with partial_folder(folder) as partial:
@@ -136,7 +138,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
                     indentation = pressed(config, depths, progress)
                 except PressError as error:
                     indentation, stopped = error.indentation, error
-            dataset = record.pressed(
+            dataset = record.press_dataset(
                 config,
                 indentation,
                 depths,
@@ -146,8 +148,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
             )
             write_dataset(dataset, partial / "run.nc")
             (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
-            rows = [i for i, depth in enumerate(indentation.depth) if depth in set(depths)]
-            vtu.write(indentation, rows, partial / "vtu")
+            vtu.write(indentation, indentation.rows_at(depths), partial / "vtu")
             plot.save(plot.press_figure(dataset), partial / "figure.png")
             check()
             folder = publish(partial, folder)
@@ -161,16 +162,16 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
 def _print_press_header(config: Mechanics, console: Console) -> None:
     """Print what is about to be pressed."""
+    start, per_mm = PRESS_SECONDS[sum(press_from(config).halves)]
+    minutes = (start + per_mm * config.indentation.depth_mm) / 60
     console.print(
-        f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64",
+        f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64; "
+        f"about {max(minutes, 0.5):.1g} min unless it is remembered, {PRESS_GIGABYTES:g} GB",
         soft_wrap=True,
     )
     _print_wall(config, console)
-    press = config.indentation
     console.print(
-        f"press: {press.indenter_mm:g} mm {press.shape}, to {press.depth_mm:g} mm "
-        f"in {press.steps} steps, support {press.support}",
-        soft_wrap=True,
+        f"press: {press_in_words(config)}, in {config.indentation.steps} steps", soft_wrap=True
     )
 
 
@@ -234,8 +235,7 @@ def _print_header(config: Config, console: Console) -> None:
     console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
     _print_wall(config, console)
     console.print(
-        f"press: {press.indenter_mm:g} mm {press.shape}, {press.depth_mm:g} mm deep "
-        f"at {press.position_cm:g} cm, support {press.support}",
+        f"press: {press_in_words(config)}, at {press.position_cm:g} cm",
         soft_wrap=True,
     )
     console.print(

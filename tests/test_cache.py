@@ -60,14 +60,18 @@ def test_name_depends_on_everything_given_and_on_the_code(monkeypatch):
 
 def test_entries_are_listed_sized_and_cleared():
     assert cache.entries() == []
-    for name in "ab":
-        cache.store(name, ARRAYS)
-    (cache.folder() / "left-over.part").write_bytes(b"x")
+    names = {letter: 32 * letter for letter in "ab"}
+    for letter, name in names.items():
+        cache.store(name, ARRAYS, f"press {letter}")
+    (cache.folder() / "acoustube-left-over.part").write_bytes(b"x")
+    foreign = cache.folder() / "recordings.npz"
+    foreign.write_bytes(b"somebody's")
     found = cache.entries()
-    assert {entry.path.stem for entry in found} == {"a", "b"}
+    labels = {entry.path.stem: entry.label for entry in found}
+    assert labels == {name: f"press {letter}" for letter, name in names.items()}
     assert all(entry.size == entry.path.stat().st_size > 0 for entry in found)
-    assert {entry.path.stem for entry in cache.clear()} == {"a", "b"}
-    assert list(cache.folder().iterdir()) == []
+    assert {entry.path.stem for entry in cache.clear()} == set(names.values())
+    assert list(cache.folder().iterdir()) == [foreign]
 
 
 def test_folder_that_cannot_be_written_only_forgets(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from acoustube.errors import ConfigError
-from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation import Layer, MeshSize, Press, indent
 from acoustube.indentation.derivatives import Design, derivatives
 from acoustube.indentation.equilibrium import minimise, tool_force
 from acoustube.indentation.material import Material, mooney_rivlin
@@ -111,3 +111,24 @@ def test_what_cannot_be_differentiated_is_refused():
     other = indent(tube, tool, depth=5e-5, mesh=SIZE, material=material)
     with pytest.raises(ConfigError, match="Neo-Hookean"):
         derivatives(other)
+
+
+def test_length_of_the_mesh_and_a_layer_are_part_of_the_design():
+    """dF/dmu = F / mu on a longer piece; on a layer, a thicker wall against a new equilibrium."""
+    tube, tool = Tube(), Press(diameter=25e-3)
+    longer = sweep(tube, 80e-3, SIZE)
+    press = indent(tube, tool, depth=5e-4, support="free", mesh=longer)
+    found = derivatives(press).contact_force.shear_modulus
+    assert found == pytest.approx(press.contact_force[-1] / tube.shear_modulus, rel=1e-6)
+
+    soft = Layer(thickness=5e-3, modulus=1e5)
+    step = 1e-4 * tube.wall_thickness
+    forces = []
+    for wall in (tube.wall_thickness + step, tube.wall_thickness - step):
+        other = dataclasses.replace(tube, wall_thickness=wall)
+        pressed = indent(other, tool, depth=5e-4, support="free", layer=soft, mesh=SIZE)
+        forces.append(pressed.contact_force[-1])
+    press = indent(tube, tool, depth=5e-4, support="free", layer=soft, mesh=SIZE)
+    found = derivatives(press).contact_force.wall_thickness
+    # Newton's method leaves 1e-5 of each force, and the two differ by 3e-4 of it.
+    assert (forces[0] - forces[1]) / (2 * step) == pytest.approx(found, rel=0.05)

@@ -28,7 +28,7 @@ from acoustube.tube import Tube
 ROD = 25e-3
 COARSE = MeshSize(through_wall=1, around=6, along=7)
 MIDDLE = MeshSize(through_wall=2, around=12, along=10)
-FINE = MeshSize(through_wall=3, around=22, along=18)
+FINE = MeshSize(through_wall=2, around=26, along=18)
 DEEP = (1, 2, 3, 4, 5, 6, 7, 7.5, 8)
 
 
@@ -80,20 +80,20 @@ def assert_reference(indentation, depth_mm, force_tolerance, width_tolerance=0.0
 
 @pytest.mark.parametrize("depth_mm", [1, 2])
 def test_shallow_press_agrees_with_calculix(depth_mm):
-    """Force within 1.5 %: measured 0.7 and 0.6 %; the reference's own accuracy is 0.5 %."""
+    """Force within 1.5 %: measured 0.2 and 0.1 %; the reference's own accuracy is 0.5 %."""
     assert_reference(pressed(1, 2), depth_mm, 0.015)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("depth_mm", "force_tolerance", "width_tolerance"),
-    [(3, 0.015, 0.02), (4, 0.015, 0.02), (5, 0.015, 0.02), (6, 0.015, 0.03), (7, 0.03, 0.1)],
+    [(3, 0.015, 0.02), (4, 0.015, 0.02), (5, 0.015, 0.02), (6, 0.015, 0.02), (7, 0.03, 0.04)],
 )
 def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolerance):
-    """Force within 1.5 % to 6 mm and 3 % at 7 mm: measured 0.7, 1.2 and 2.6 %.
+    """Force within 1.5 % to 6 mm and 3 % at 7 mm: measured 0.3, 1.2 and 2.9 % at 4, 6 and 7 mm.
 
     The reference is held to 1 and 2 % at 6 and 7 mm: the lateral folds are sharper than either
-    mesh. At 7 mm the width across them comes out short.
+    mesh, and the width across them differs by 0.03 mm.
     """
     assert_reference(pressed(*DEEP), depth_mm, force_tolerance, width_tolerance)
 
@@ -138,7 +138,7 @@ def test_folds_stay_smooth_to_a_closed_lumen():
 @pytest.mark.slow
 def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
     """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
-    with_skin = pressed(4, 6)
+    with_skin = pressed(*DEEP)
     monkeypatch.setattr(folds, "STIFFNESS", 0.0)
     without = indent(Tube(), Press(diameter=ROD), depth=[4e-3, 6e-3], support="free")
     for depth_mm in (4, 6):
@@ -408,3 +408,35 @@ def test_impossible_presses_are_refused(values, message):
 def test_impossible_arrangements_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         indent(Tube(), depth=1e-3, mesh=COARSE, **arguments)
+
+
+def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
+    """A 25 mm sphere 15 mm beside the axis touches 3.1 mm over the floor."""
+    beside = Press(shape="sphere", diameter=25e-3, x=15e-3)
+    with pytest.raises(ConfigError, match=r"sphere at x = 0\.015 m into the floor.*0\.0030"):
+        indent(Tube(), beside, depth=4e-3, mesh=COARSE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("support", ["held", "free"])
+@pytest.mark.parametrize(
+    "tool",
+    [
+        Press(diameter=10e-3),
+        Press(diameter=35e-3),
+        Press(shape="punch", diameter=10e-3),
+        Press(shape="sphere", diameter=20e-3),
+    ],
+    ids=lambda tool: f"{1e3 * tool.diameter:g} mm {tool.shape}",
+)
+def test_every_tool_goes_to_a_depth_of_8_mm(tool, support):
+    """On a coarse mesh; `benchmarks/indentation_presses.py` does it on the default one.
+
+    The force rises throughout, the walls never cross, and no element comes near to turning over.
+    """
+    size = MeshSize(through_wall=1, around=12, along=10)
+    found = pressed(8, tool=tool, size=size, support=support)
+    assert found.depth[-1] == 8e-3
+    assert np.all(np.diff(found.contact_force) > 0)
+    assert found.smallest_gap.min() > 0
+    assert found.smallest_volume_ratio.min() > 0.5

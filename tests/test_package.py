@@ -42,3 +42,17 @@ def test_readme_example_prints_what_it_says(capsys):
     (example,) = [block for block in blocks if "signals.process" in block]
     exec(example, {})
     assert capsys.readouterr().out.strip() == example.rstrip().rpartition("# ")[2]
+
+
+@pytest.mark.slow
+def test_readme_press_runs(capsys):
+    """At a tenth of its depths, which takes less time: two forces, and a force per wall."""
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    (example,) = [block for block in blocks if "derivatives(" in block]
+    shallow = re.sub(r"(?<=[=\[ ])([24])e-3(?=[,\]])", r"\1e-4", example)
+    assert shallow.count("e-4") == 3
+    exec(shallow, {})
+    forces, slope = capsys.readouterr().out.strip().splitlines()
+    assert all(0 < float(force) < 0.3 for force in forces.strip("[]").split())
+    assert float(slope) > 0

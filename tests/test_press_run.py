@@ -1,5 +1,6 @@
 """The command ``acoustube indent``: what it writes, remembers, and keeps when it cannot go on."""
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -78,12 +79,11 @@ def test_force_and_section_are_those_of_the_independent_solution(dataset):
     assert 1e6 * dataset["lumen_area"].values == pytest.approx([48.75173, 48.39382], abs=0.1)
 
 
-def test_profile_is_even_about_the_press_and_round_far_from_it(dataset):
-    """Mirrored by construction; at 50 mm the bore's 49.017 mm2 within 0.02."""
+def test_profile_is_narrowest_at_the_press_and_round_far_from_it(dataset):
+    """At 50 mm the bore's 49.017 mm2 within 0.02."""
     z, area = dataset["z"].values, dataset["lumen_area_profile"].values
     assert area.shape == (2, z.size)
     assert z[z.size // 2] == 0.0
-    assert area == pytest.approx(area[:, ::-1], rel=1e-12)
     assert area[:, z.size // 2] == pytest.approx(dataset["lumen_area"].values, rel=1e-12)
     assert 1e6 * area[:, 0] == pytest.approx([49.017, 49.017], abs=0.02)
     assert np.all(np.argmin(area, axis=1) == z.size // 2)
@@ -132,13 +132,13 @@ def test_second_run_is_recalled_and_the_same(finished, tmp_path):
 
 
 def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch):
-    """Increments cannot be smaller than 1 mm: those from first touch fail at the first cut-back."""
+    """Newton's method fails beyond 0.35 mm: increments are halved towards it, and then given up."""
     minimise = press.minimise
 
     def blocked(model, start, bodies, tolerance):
         found = minimise(model, start, bodies, tolerance)
         if bodies[0].height < 5.55e-3 - 0.35e-3:
-            found.__dict__.update(converged=False, reason="the wall buckles")
+            return dataclasses.replace(found, converged=False, reason="the wall buckles")
         return found
 
     monkeypatch.setattr(press, "minimise", blocked)
@@ -153,7 +153,7 @@ def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch
         assert np.all(np.isnan(data["lumen_area_profile"].values[3:]))
         assert "the wall buckles" in data.attrs["warnings"]
         sheet = plot.press_figure(data)
-    assert len(sheet.axes) == 4
+    assert len(sheet.axes) == 5  # force, lumen with its area, profiles with their colours
 
 
 def test_triangles_of_the_lumen_are_oriented_alike():

@@ -2,9 +2,9 @@
 
 Reading order: ``reference`` (shape functions), ``mesh`` (the swept tube), ``material`` (the strain
 energy), ``element`` (its integral), ``contact`` and ``tools`` (what presses and what supports),
-``self_contact`` (the lumen's walls), ``linear`` (the stiffness matrix), ``folds`` (what keeps
-them smooth), ``equilibrium`` (Newton),
-``press`` (the increments).
+``self_contact`` (the lumen's walls), ``folds`` (what keeps its folds smooth), ``linear`` (the
+stiffness matrix), ``equilibrium`` (Newton's method), ``press`` (the increments), ``derivatives``
+(by the design), ``tetrahedra`` (walls of any shape).
 """
 
 from acoustube.indentation.mesh import Mesh, MeshSize

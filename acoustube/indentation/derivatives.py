@@ -3,8 +3,8 @@
 An equilibrium u makes the out-of-balance forces r(u, p) vanish for the design p. If p changes at a
 fixed depth, u follows by ``du = -K^-1 dr``, with the tangent K that Newton's method has, and a
 result q(u, p) changes by ``q_u du + q_p dp``: one factorisation and one solution for each
-parameter, no further press. The partial derivatives are JAX's; those of the barrier between the
-lumen's walls come from ``ipctk``.
+parameter, no further press. The partial derivatives are JAX's, but for those of the barrier between
+the lumen's walls; see :meth:`acoustube.indentation.self_contact.SelfContact.forces_along`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from acoustube.indentation import contact, element, linear, tools
 from acoustube.indentation.contact import Body
 from acoustube.indentation.equilibrium import Model, stiffness
 from acoustube.indentation.material import Material, neo_hookean
-from acoustube.indentation.press import Indentation, build
+from acoustube.indentation.press import Indentation, build, neo_hookean_wall
 from acoustube.indentation.self_contact import triangulated
 from acoustube.limits import pressed_reach
 
@@ -138,8 +138,11 @@ def _check(indentation: Indentation) -> None:
             "Only one press at z = 0 on a round tube can be differentiated; it must be symmetric "
             "about z = 0."
         )
-    if indentation.material.isochoric.func is not neo_hookean:
-        raise ConfigError("Only a Neo-Hookean tube can be differentiated.")
+    material, own = indentation.material, neo_hookean_wall(indentation.tube)
+    if material.isochoric.func is not neo_hookean or not (
+        material.isochoric.args == own.isochoric.args and material.bulk_modulus == own.bulk_modulus
+    ):
+        raise ConfigError("Only a Neo-Hookean wall with the tube's moduli can be differentiated.")
 
 
 def _design(indentation: Indentation) -> Design:
@@ -161,20 +164,18 @@ def _problem(
     first = _first_point(sampling @ mesh.points, press, touch)
     row = sampling[[first]].toarray()[0]
     skin = model.skin / (tube.shear_modulus * reach)
+    # A mesh of another length than the default keeps its share of it.
+    share = reach / pressed_reach(tube.outer_diameter, press.diameter)
 
     def problem(design: Design) -> _Problem:
         mu, wall, bore, diameter = design
-        length = pressed_reach(bore + 2 * wall, diameter)
+        length = share * pressed_reach(bore + 2 * wall, diameter)
         points = jnp.stack(grid.place(bore, wall, length), axis=-1)
         gap = press.gap(diameter)
         height = _touch_height(gap, row @ points, touch)
-        law = tools.rigid_law(mu, wall)
-        floor = tools.ground(tube, 0.0, indentation.layer)
-        if indentation.layer is None:
-            floor = floor._replace(law=law)
         bodies = (
-            Body(gap, height - press.share * depth, law),
-            floor._replace(height=-(bore / 2 + wall)),
+            Body(gap, height - press.share * depth, tools.rigid_law(mu, wall)),
+            tools.ground(mu, wall, -(bore / 2 + wall), indentation.layer),
         )
         corners = points[mesh.outer_faces]
         return _Problem(

@@ -118,6 +118,11 @@ class Indentation:
         """All arrays with a row per increment, by name."""
         return {name: getattr(self, name) for name in RESULTS}
 
+    def rows_at(self, depths: Sequence[float]) -> list[int]:
+        """Return the numbers of those increments that are at one of the given depths, in m."""
+        wanted = set(depths)
+        return [i for i, depth in enumerate(self.depth) if depth in wanted]
+
     def position(self, increment: int = -1) -> Array:
         """Return the deformed nodes, shape (n_nodes, 3), in m."""
         return self.mesh.points + self.displacement[increment]
@@ -218,6 +223,7 @@ def indent(
             mesh=_mesh(tube, presses, mesh, whole),
             closing_distance=closing_distance or CLOSING_DISTANCE * tube.inner_diameter,
         )
+        _check_room(untouched, targets[-1])
         return _path(untouched, build(untouched), targets, progress)
 
 
@@ -312,19 +318,37 @@ def _presses(press: Press | Sequence[Press] | None) -> tuple[Press, ...]:
     return presses
 
 
+def deepest_press(tube: Tube) -> float:
+    """Return the largest depth in m that is followed: the bore and half a wall thickness."""
+    return tube.inner_diameter + tube.wall_thickness / 2
+
+
 def _check(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
     """Refuse what the model does not hold for."""
-    deepest = tube.inner_diameter + tube.wall_thickness / 2
-    rising = np.all(np.diff(depths, prepend=0.0) > 0)
-    if not (depths.size and rising and depths[-1] <= deepest):
+    deepest = deepest_press(tube)
+    if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
+        raise ConfigError("depth must be one or more rising depths in m, the first over 0.")
+    if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
-            f"depth = {depths} m must rise within 0 to {deepest:.6g} m, "
-            "half a wall thickness beyond the bore."
+            f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "
+            f"closed; use at most {deepest:.6g}."
         )
     if support not in tools.SUPPORTS:
         raise ConfigError(f"support = {support!r} is unknown; use 'held' or 'free'.")
     if layer is not None and support == "held":
         raise ConfigError("support = 'held' needs a rigid floor; use 'free' on an elastic layer.")
+
+
+def _check_room(untouched: Indentation, depth: float) -> None:
+    """Refuse to push a tool beside the tube into the floor."""
+    floor = untouched.mesh.points[:, 1].min()
+    for touch, press in zip(untouched.touch_heights, untouched.presses, strict=True):
+        room = (touch - floor) / press.share
+        if depth >= room:
+            raise ConfigError(
+                f"depth = {depth:.6g} m pushes the {press.shape} at x = {press.x:.6g} m into the "
+                f"floor, which is {room:.6g} m below first touch; use less, or less offset."
+            )
 
 
 def _mesh(tube: Tube, presses: Sequence[Press], mesh: Mesh | MeshSize | None, whole: bool) -> Mesh:
@@ -361,11 +385,9 @@ def _bodies(indentation: Indentation, depth: float) -> tuple[Body, ...]:
         touch - press.share * depth
         for touch, press in zip(indentation.touch_heights, presses, strict=True)
     ]
-    bottom = indentation.mesh.points[:, 1].min()
-    return (
-        *tools.tools(tube, presses, heights),
-        tools.ground(tube, bottom, indentation.layer),
-    )
+    bottom = np.float64(indentation.mesh.points[:, 1].min())
+    wall = np.float64(tube.shear_modulus), np.float64(tube.wall_thickness)
+    return *tools.tools(tube, presses, heights), tools.ground(*wall, bottom, indentation.layer)
 
 
 class _Done(NamedTuple):
@@ -437,7 +459,7 @@ def _stopped(
     return PressError(
         f"The indentation stopped at a depth of {1e3 * done[-1].depth:.2f} mm of "
         f"{1e3 * asked:.2f} mm: {failed.reason} (out-of-balance force {failed.residual:.1e} N). "
-        "Ask for less depth, a larger indenter or a finer mesh.",
+        "Ask for less depth or a larger indenter; from Python, for a finer mesh.",
         _gathered(untouched, done),
     )
 

@@ -18,11 +18,11 @@ edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
 0.65                        -        -1.3 %  -0.2 %  -       +1.3 %   30 000
 ==========================  =======  ======  ======  ======  =======  ==========
 
-while hexahedra give +0.7 %. The constant alone (k = 0) leaves each element swellings that nothing
+while hexahedra give +0.1 %. The constant alone (k = 0) leaves each element swellings that nothing
 resists; no projection (k = K) locks. A rule of 14 points in place of 4 changed the force by 0.6 %
 with the former and by 1.5 to 2 % with the latter, on one layer of elements. So k = 8 mu, which with
-these edges gives +0.7 and +0.1 % at 4 mm (hexahedra +0.7 %, K with the shorter edges +1.9 %) and
-+3.8 and +2.0 % at 6 mm (hexahedra +1.5 %, K +5.3 %). It costs some order: displacements of a smooth
+these edges gives +0.7 and +0.1 % at 4 mm (hexahedra +0.3 %, K with the shorter edges +1.9 %) and
++3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). It costs some order: displacements of a smooth
 problem converge with order 2.2, not 3.
 
 References
@@ -50,6 +50,7 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 from acoustube.errors import ConfigError
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference import TET10, edges
+from acoustube.io import check_surface
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
@@ -151,8 +152,7 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
 
 
 def _loaded(path: Path) -> trimesh.Trimesh:
-    if not path.is_file():
-        raise ConfigError(f"{path} does not exist; give an STL, PLY or OBJ file of the wall.")
+    check_surface(path)
     try:
         surface = trimesh.load_mesh(path)
     # The readers raise whatever their parsing trips over.

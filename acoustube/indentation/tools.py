@@ -160,14 +160,13 @@ def rigid_law(shear_modulus: Any, wall_thickness: Any) -> Partial:
     )
 
 
-def ground(tube: Tube, height: float, layer: Layer | None) -> Body:
-    """Return what the tube rests on, with its surface at a height y in m."""
-    law = rigid_law(np.float64(tube.shear_modulus), np.float64(tube.wall_thickness))
+def ground(shear_modulus: Any, wall_thickness: Any, height: Any, layer: Layer | None) -> Body:
+    """Return what a tube of such a wall rests on, with its surface at a height y in m."""
+    law = rigid_law(shear_modulus, wall_thickness)
     if layer is not None:
-        smoothing = np.float64(CONTACT_SMOOTHING * tube.wall_thickness)
         numbers = np.float64(layer.modulus), np.float64(layer.thickness)
-        law = Partial(contact.layer, *numbers, smoothing)
-    return Body(Partial(contact.floor_gap), np.float64(height), law)
+        law = Partial(contact.layer, *numbers, CONTACT_SMOOTHING * wall_thickness)
+    return Body(Partial(contact.floor_gap), height, law)
 
 
 def tools(tube: Tube, presses: Sequence[Press], heights: Sequence[float]) -> tuple[Body, ...]:
@@ -191,4 +190,7 @@ def touch_height(points: Array, gap: Partial) -> float:
     for above, below in itertools.pairwise(ladder):
         if float(nearest(below)) < 0:
             return float(brentq(lambda height: float(nearest(height)), below, above, xtol=1e-15))
-    raise ConfigError("The press misses the tube; move it nearer to the axis or use a larger one.")
+    raise ConfigError(
+        "The press misses the tube: its offset is too large for its size; move it nearer to the "
+        "axis or use a larger one."
+    )
