@@ -11,6 +11,7 @@ import json
 import os
 import re
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from importlib.metadata import version
 from importlib.resources import files
@@ -24,7 +25,7 @@ if TYPE_CHECKING:  # the command line lists and clears without NumPy
 
     Arrays = Mapping[str, NDArray[Any]]
 
-DIGEST, LABEL = "digest", "label"
+DIGEST = "digest"
 NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
 LIBRARIES = ("ipctk", "pytetwild")
 """Packages whose version decides a result, beside acoustube's own code."""
@@ -49,12 +50,10 @@ class Entry(NamedTuple):
     @property
     def label(self) -> str:
         """What it is, in words; empty where it cannot be read."""
-        import numpy as np
-
         try:
-            with np.load(self.path) as archive:
-                return str(archive[LABEL])
-        except Exception:  # as in `recall`
+            with zipfile.ZipFile(self.path) as archive:
+                return archive.comment.decode(errors="replace")
+        except (OSError, zipfile.BadZipFile):
             return ""
 
 
@@ -102,7 +101,6 @@ def recall(name: str) -> dict[str, NDArray[Any]] | None:
     except Exception:  # a damaged archive fails in many ways, and all mean the same
         return None
     digest = arrays.pop(DIGEST, None)
-    arrays.pop(LABEL, None)
     return arrays if digest is not None and str(digest) == _digest(arrays) else None
 
 
@@ -124,10 +122,11 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
         part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
         with tempfile.NamedTemporaryFile(**part, delete=False) as file:
             try:
-                marks = {DIGEST: np.array(_digest(arrays)), LABEL: np.array(label)}
-                content: dict[str, Any] = {**arrays, **marks}
+                content: dict[str, Any] = {**arrays, DIGEST: np.array(_digest(arrays))}
                 np.savez_compressed(file, **content)
                 file.close()
+                with zipfile.ZipFile(file.name, "a") as archive:
+                    archive.comment = label.encode()
                 Path(file.name).replace(folder() / f"{name}.npz")
             except BaseException:
                 file.close()

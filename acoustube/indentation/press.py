@@ -327,7 +327,8 @@ def _check(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None
     """Refuse what the model does not hold for."""
     deepest = deepest_press(tube)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
-        raise ConfigError("depth must be one or more rising depths in m, the first over 0.")
+        shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
+        raise ConfigError(f"depth = {shown} m must be one or more depths over 0 that rise.")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "

@@ -33,7 +33,9 @@ References
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -427,18 +429,20 @@ def _filled(piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float) -> 
     """
     box, cells = _column(piece.bounds, z)
     diagonal = float(np.linalg.norm(piece.extents))
-    points, tetrahedra = pytetwild.tetrahedralize(
-        # In wall thicknesses, for lengths near one.
-        piece.vertices / thickness,
-        piece.faces,
-        edge_length_fac=float(edge.max() / diagonal),
-        epsilon=ENVELOPE * thickness / diagonal,
-        stop_energy=STOP_ENERGY,
-        num_threads=1,
-        bg_vertices=box / thickness,
-        bg_tets=cells.astype(np.int32),
-        bg_values=np.repeat(edge, 4) / thickness,
-    )
+    # It leaves a file in the current folder.
+    with tempfile.TemporaryDirectory() as aside, contextlib.chdir(aside):
+        points, tetrahedra = pytetwild.tetrahedralize(
+            # In wall thicknesses, for lengths near one.
+            piece.vertices / thickness,
+            piece.faces,
+            edge_length_fac=float(edge.max() / diagonal),
+            epsilon=ENVELOPE * thickness / diagonal,
+            stop_energy=STOP_ENERGY,
+            num_threads=1,
+            bg_vertices=box / thickness,
+            bg_tets=cells.astype(np.int32),
+            bg_values=np.repeat(edge, 4) / thickness,
+        )
     used, corners = np.unique(tetrahedra, return_inverse=True)
     points, corners = thickness * points[used], corners.reshape(-1, 4)
     return points, _upright(points, corners)
