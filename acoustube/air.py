@@ -1,14 +1,28 @@
-"""Air as an ideal gas at one standard atmosphere."""
+"""Air: its sound speed, density, transport properties and absorption.
+
+References
+----------
+.. [1] ISO 9613-1:1993, Acoustics - Attenuation of sound during propagation outdoors - Part 1:
+   Calculation of the absorption of sound by the atmosphere.
+.. [2] U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equations 51 and 53.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, pi, sqrt
+from typing import NamedTuple
+
+from acoustube.errors import ConfigError
 
 HEAT_CAPACITY_RATIO = 1.4
 SPECIFIC_GAS_CONSTANT = 287.05  # J/(kg K), dry air
 STANDARD_PRESSURE = 101_325.0  # Pa
 ABSOLUTE_ZERO = -273.15  # degC
+REFERENCE_TEMPERATURE = 293.15  # K, of the absorption formulas
+TRIPLE_POINT = 273.16  # K
+HUMIDITY = 50.0  # per cent
+TEMPERATURES = (-20.0, 60.0)  # degC, where the formulas are stated or were checked
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,13 +32,28 @@ class Air:
     Attributes
     ----------
     sound_speed : float
-        Speed of sound in m/s.
+        Speed of sound in m/s, without losses.
     density : float
         Density at rest in kg/m3.
+    viscosity : float
+        Dynamic viscosity in Pa s.
+    prandtl : float
+        Ratio of viscous to thermal diffusivity.
+    heat_capacity_ratio : float
+    classical_absorption : float
+        Attenuation in the bulk by viscosity, heat conduction and rotation, over the frequency
+        squared, in Np s2/m.
+    relaxations : tuple of Relaxation
+        Vibration of oxygen and of nitrogen.
     """
 
     sound_speed: float
     density: float
+    viscosity: float = 1.8134e-5
+    prandtl: float = 0.7094
+    heat_capacity_ratio: float = HEAT_CAPACITY_RATIO
+    classical_absorption: float = 0.0
+    relaxations: tuple[Relaxation, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values that no gas has."""
@@ -34,6 +63,39 @@ class Air:
                     f"{name} = {getattr(self, name)} must be positive; "
                     "take air_at(temperature) for ordinary air"
                 )
+
+    @property
+    def viscous_diffusivity(self) -> float:
+        """Kinematic viscosity in m2/s."""
+        return self.viscosity / self.density
+
+    @property
+    def thermal_diffusivity(self) -> float:
+        """In m2/s."""
+        return self.viscous_diffusivity / self.prandtl
+
+    def absorption(self, frequency: float) -> float:
+        """Return the attenuation of a free plane wave in Np/m at a frequency in Hz."""
+        relaxing = sum(
+            r.strength * frequency**2 / (r.frequency + frequency**2 / r.frequency)
+            for r in self.relaxations
+        )
+        return self.classical_absorption * frequency**2 + relaxing
+
+
+class Relaxation(NamedTuple):
+    """A relaxation whose attenuation is strength f^2 / (f_r + f^2 / f_r) in Np/m.
+
+    Attributes
+    ----------
+    frequency : float
+        Relaxation frequency f_r in Hz.
+    strength : float
+        In Np s/m.
+    """
+
+    frequency: float
+    strength: float
 
 
 def sound_speed(temperature: float) -> float:
@@ -57,21 +119,84 @@ def sound_speed(temperature: float) -> float:
     return sqrt(HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT * _absolute(temperature))
 
 
-def air_at(temperature: float) -> Air:
-    """Return dry air at a temperature and one standard atmosphere.
+def air_at(
+    temperature: float, *, humidity: float = HUMIDITY, pressure: float = STANDARD_PRESSURE
+) -> Air:
+    """Return air at a temperature.
 
     Parameters
     ----------
     temperature : float
         Temperature in degC.
+    humidity : float, optional
+        Relative humidity in per cent; it enters the absorption only.
+    pressure : float, optional
+        In Pa.
 
     Returns
     -------
     Air
-        Speed of sound and density p / (R T); 343.2 m/s and 1.204 kg/m3 at 20 degC.
+        Speed of sound and density p / (R T) of dry air (343.2 m/s and 1.204 kg/m3 at 20 degC),
+        viscosity and heat conductivity of dry air [2]_, absorption of moist air [1]_.
+
+    Raises
+    ------
+    ConfigError
+        If the temperature is outside -20 to 60 degC, or humidity or pressure are impossible.
+
+    Notes
+    -----
+    At 20 degC saturated air carries sound 0.35 % faster than dry air, at 50 % humidity 0.17 %: a
+    ranging that needs better has to be calibrated.
     """
-    density = STANDARD_PRESSURE / (SPECIFIC_GAS_CONSTANT * _absolute(temperature))
-    return Air(sound_speed=sound_speed(temperature), density=density)
+    low, high = TEMPERATURES
+    if not low <= temperature <= high:
+        raise ConfigError(
+            f"temperature = {temperature:g} degC is outside {low:g} to {high:g} degC, where the "
+            "properties of air are known"
+        )
+    if not 0.0 <= humidity <= 100.0:
+        raise ConfigError(f"humidity = {humidity:g} % is outside 0 to 100 %")
+    if not 1e4 <= pressure <= 2e5:
+        raise ConfigError(f"pressure = {pressure:g} Pa is outside 10 to 200 kPa")
+    kelvin = _absolute(temperature)
+    density = pressure / (SPECIFIC_GAS_CONSTANT * kelvin)
+    viscosity = 1.458e-6 * kelvin**1.5 / (kelvin + 110.4)
+    conductivity = 2.64638e-3 * kelvin**1.5 / (kelvin + 245.4 * 10 ** (-12 / kelvin))
+    ratio = HEAT_CAPACITY_RATIO
+    heat_capacity = ratio / (ratio - 1) * SPECIFIC_GAS_CONSTANT
+    return Air(
+        sound_speed=sound_speed(temperature),
+        density=density,
+        viscosity=viscosity,
+        prandtl=viscosity * heat_capacity / conductivity,
+        heat_capacity_ratio=ratio,
+        classical_absorption=_classical(kelvin, pressure),
+        relaxations=_relaxations(kelvin, humidity, pressure),
+    )
+
+
+def _classical(kelvin: float, pressure: float) -> float:
+    return 1.84e-11 * STANDARD_PRESSURE / pressure * sqrt(kelvin / REFERENCE_TEMPERATURE)
+
+
+def _relaxations(kelvin: float, humidity: float, pressure: float) -> tuple[Relaxation, Relaxation]:
+    """Return the vibrational relaxations of oxygen and nitrogen, equations 3 to 5 of the ISO."""
+    share, warmth = pressure / STANDARD_PRESSURE, kelvin / REFERENCE_TEMPERATURE
+    saturation = 10 ** (-6.8346 * (TRIPLE_POINT / kelvin) ** 1.261 + 4.6151)
+    moles = humidity * saturation / share  # of water vapour, in per cent
+    oxygen = share * (24 + 4.04e4 * moles * (0.02 + moles) / (0.391 + moles))
+    slowing = exp(-4.170 * (warmth ** (-1 / 3) - 1))
+    nitrogen = share / sqrt(warmth) * (9 + 280 * moles * slowing)
+    return (
+        Relaxation(oxygen, warmth**-2.5 * 0.01275 * exp(-2239.1 / kelvin)),
+        Relaxation(nitrogen, warmth**-2.5 * 0.1068 * exp(-3352.0 / kelvin)),
+    )
+
+
+def viscous_thickness(air: Air, frequency: float) -> float:
+    """Return the thickness in m of the viscous boundary layer, sqrt(2 nu / omega)."""
+    return sqrt(air.viscous_diffusivity / (pi * frequency))
 
 
 def _absolute(temperature: float) -> float:

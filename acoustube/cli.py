@@ -20,7 +20,7 @@ from cyclopts import App, CycloptsError, Parameter
 from acoustube import __version__, cache
 from acoustube.config import Mechanics, describe, load_config
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.io import check_out, check_surface, fresh_folder
+from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
 
 app = App(
     name="acoustube",
@@ -144,6 +144,71 @@ def indent(
         from acoustube.run import run_press
 
     run_press(settings, folder, Console(quiet=quiet))
+
+
+@app.command
+def scatter(
+    lumen: Path,
+    /,
+    *,
+    band: tuple[float, float] = (5.0, 60.0),
+    step: float = 0.1,
+    temperature: float = 20.0,
+    lossless: Annotated[bool, Parameter(show_default=False)] = False,
+    resolution: int = 32,
+    out: Path,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Compute how a lumen scatters the modes of its straight ends, over a band.
+
+    Parameters
+    ----------
+    lumen : Path
+        The air space as a closed surface in mm along z (STL, PLY, OBJ, VTP), with two straight
+        ends of the same section.
+    band : tuple of float
+        Lowest and highest frequency in kHz.
+    step : float
+        Between two frequencies, in kHz.
+    temperature : float
+        Of the air, in degC.
+    lossless : bool
+        Leave out the losses at the wall and in the air.
+    resolution : int
+        Grid cells across the ends.
+    out : Path
+        The file to write, which must be new.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    check_surface(lumen)
+    check_new_file(out)
+    low, high = band
+    if not 0 < low < high:
+        raise ConfigError(f"band = {low:g} {high:g} kHz must rise, and begin over 0")
+    count = (high - low) / step if step > 0 else 0.0
+    if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
+        raise ConfigError(
+            f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 parts"
+        )
+    if not 8 <= resolution <= 128:
+        raise ConfigError(f"resolution = {resolution} is outside 8 to 128 cells; use 32")
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.scattered import run_scatter
+
+    run_scatter(
+        lumen,
+        out,
+        Console(quiet=quiet),
+        band_khz=band,
+        step_khz=step,
+        temperature=temperature,
+        lossy=not lossless,
+        resolution=resolution,
+    )
 
 
 remembered = App(name="cache", help="Presses that need not be computed again.")

@@ -48,7 +48,7 @@ def check_out(path: str | Path) -> Path:
             raise
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(
-            f"out = {path} cannot be written ({reason}); name a folder that you may write to"
+            f"out = {path} cannot be written ({reason}); name a writable folder"
         ) from error
 
 
@@ -60,7 +60,28 @@ def check_surface(path: str | Path) -> None:
     ConfigError
     """
     if not Path(path).is_file():
-        raise ConfigError(f"{path} does not exist; give an STL, PLY or OBJ file of the wall.")
+        raise ConfigError(f"{path} does not exist; give the name of a surface: STL, PLY or OBJ.")
+
+
+def check_new_file(path: Path) -> None:
+    """Refuse a file that is there already, or in a folder that is not.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if path.exists():
+        raise ConfigError(f"out = {path} exists and nothing is overwritten; name a new file")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"out = {path} is in a folder that does not exist; make it first")
+    try:
+        with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigError(
+            f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+        ) from error
 
 
 def fresh_folder(stem: str) -> Path:
@@ -155,6 +176,17 @@ def publish(partial: Path, path: str | Path) -> Path:
 
 def _numbered(folder: Path) -> Iterator[Path]:
     return (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
+
+
+@contextlib.contextmanager
+def partial_file(path: Path) -> Iterator[Path]:
+    """Yield a name beside a file, which takes the file's name when the block ends well."""
+    partial = path.with_name(f".acoustube-partial-{uuid.uuid4().hex[:8]}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def write_dataset(dataset: xr.Dataset, path: Path) -> None:

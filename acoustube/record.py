@@ -134,7 +134,9 @@ def press_dataset(
     converged = np.arange(len(depths)) < len(reached)
     found |= _mesh(indentation.mesh) | {
         "indentation_depth": variable("depth", depths, "m", DEPTH),
-        "converged": _flag(converged, "whether the press came to equilibrium at this depth"),
+        "converged": flag(
+            "depth", converged, "whether the press came to equilibrium at this depth"
+        ),
         "elapsed_time": variable("", seconds, "s", "time that the press took"),
     }
     coordinates = {
@@ -162,10 +164,10 @@ def _lengthened(value: Variable, missing: int) -> Variable:
     return dims, np.concatenate([values, filler.astype(values.dtype)]), attributes
 
 
-def _flag(values: Any, long_name: str) -> Variable:
-    """Return a yes-or-no variable along the depths."""
+def flag(dims: str, values: Any, long_name: str) -> Variable:
+    """Return a dataset's yes-or-no variable; `dims` are names separated by spaces."""
     attributes = {"long_name": long_name, "flag_values": [0, 1], "flag_meanings": "no yes"}
-    return ("depth",), np.asarray(values, np.int8), {"units": "1"} | attributes
+    return tuple(dims.split()), np.asarray(values, np.int8), {"units": "1"} | attributes
 
 
 def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
@@ -204,7 +206,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         for name, (values, units, text) in scalars.items()
     }
     return found | {
-        "closed": _flag(taken("closed"), "whether the lumen's walls feel each other"),
+        "closed": flag("depth", taken("closed"), "whether the lumen's walls feel each other"),
         "node_displacement": variable(
             "depth node xyz", taken("displacement"), "m", "displacement of the nodes"
         ),

@@ -69,10 +69,10 @@ def run(config: Config, folder: Path, console: Console) -> Path:
         If a stage cannot finish.
     """
     started = time.perf_counter()
-    with _interrupts_heard() as check:
+    with heard_interrupts() as check:
         _print_header(config, console)
         with partial_folder(folder) as partial:
-            with _progress(console) as show:
+            with stage_progress(console) as show:
 
                 def report(stage: str, fraction: float) -> None:
                     check()
@@ -124,10 +124,10 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     started = time.perf_counter()
     press, stopped = config.indentation, None
     depths = [1e-3 * (press.depth_mm * i / press.steps) for i in range(1, press.steps + 1)]
-    with _interrupts_heard() as check:
+    with heard_interrupts() as check:
         _print_press_header(config, console)
         with partial_folder(folder) as partial:
-            with _progress(console) as show:
+            with stage_progress(console) as show:
 
                 def progress(fraction: float) -> None:
                     check()
@@ -280,7 +280,7 @@ def _estimate(case: xr.Dataset, prominence: float) -> str:
 
 
 @contextmanager
-def _interrupts_heard() -> Iterator[Callable[[], None]]:
+def heard_interrupts() -> Iterator[Callable[[], None]]:
     """Yield a check that repeats an interrupt which was lost.
 
     JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
@@ -311,7 +311,7 @@ def _interrupts_heard() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def _progress(console: Console) -> Iterator[Report]:
+def stage_progress(console: Console) -> Iterator[Report]:
     """Yield a function that shows a bar per stage, or a line now and then without a terminal."""
     if not console.is_terminal:
         yield _lines(console)

@@ -41,7 +41,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import ipctk
 import numpy as np
 import pytetwild
 import trimesh
@@ -49,10 +48,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
+from acoustube import surfaces
 from acoustube.errors import ConfigError
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference import TET10, edges
-from acoustube.io import check_surface
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
@@ -137,12 +136,12 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
         of several bodies, without two flat ends across z, or without one bore.
     """
     path = Path(path)
-    surface = _loaded(path)
-    _check_closed(surface, path)
+    surface = surfaces.load(path)
+    surfaces.check_closed(surface, path)
     if surface.volume < 0:
         surface.invert()
     surface.apply_translation(-surface.bounds.mean(axis=0))
-    _check_crossings(surface, path)
+    surfaces.check_crossings(surface, path)
     surface.apply_scale(unit)
     if surface.euler_number != 0:
         raise ConfigError(
@@ -151,50 +150,6 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
         )
     walls(surface, str(path))
     return surface
-
-
-def _loaded(path: Path) -> trimesh.Trimesh:
-    check_surface(path)
-    try:
-        surface = trimesh.load_mesh(path)
-    # The readers raise whatever their parsing trips over.
-    except Exception as error:
-        raise ConfigError(
-            f"{path} cannot be read as a surface ({error}); use STL, PLY or OBJ."
-        ) from error
-    if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
-        raise ConfigError(f"{path} holds no triangles; export the wall as one surface.")
-    surface.merge_vertices(merge_tex=True, merge_norm=True)
-    return surface
-
-
-def _check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-    if np.any(count != 2):
-        raise ConfigError(
-            f"{path}: the surface is not closed: {np.sum(count == 1)} edges belong to one facet "
-            f"only and {np.sum(count > 2)} to more than two; repair it, or export it as a solid."
-        )
-    if not surface.is_winding_consistent:
-        raise ConfigError(f"{path}: some facets are inside out; unify their orientation.")
-    n = len(np.unique(_components(surface)))
-    if n != 1:
-        raise ConfigError(f"{path} holds {n} separate bodies; export the tube's wall alone.")
-
-
-def _check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
-    """Refuse a surface that crosses itself; the library's tolerances want lengths near one."""
-    vertices = np.asfortranarray(surface.vertices / surface.extents.min())
-    faces = surface.faces.astype(np.int32)
-    if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):
-        raise ConfigError(f"{path}: the surface crosses itself; repair it before it is meshed.")
-
-
-def _components(surface: trimesh.Trimesh) -> Index:
-    """Return the number of the connected part that each facet belongs to."""
-    return trimesh.graph.connected_component_labels(
-        surface.face_adjacency, node_count=len(surface.faces)
-    )
 
 
 class Walls(NamedTuple):
@@ -225,7 +180,7 @@ def walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
     tolerance = 1e-4 * min(surface.extents)
     ends = np.all(z < low + tolerance, axis=1) | np.all(z > high - tolerance, axis=1)
     sides = _part(surface, ~ends)
-    parts = _components(sides)
+    parts = surfaces.components(sides)
     if not ends.any() or parts.max() != 1:
         raise ConfigError(
             f"{name} is not a tube along z: between flat ends it has {parts.max() + 1} separate "

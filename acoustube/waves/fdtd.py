@@ -89,6 +89,7 @@ def propagate(
     far_end: FarEnd = "absorbing",
     absorber_thickness: float = 0.02,
     time_step: float | None = None,
+    lossy_band: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Recording:
     """Send a pulse into a lumen and record what passes the probes.
@@ -105,7 +106,7 @@ def propagate(
         Recorded time in s.
     probes : tuple of float
         Positions of the plane-averaged probes in m.
-    source_end, far_end, absorber_thickness, time_step
+    source_end, far_end, absorber_thickness, time_step, lossy_band
         See `prepare`. With the release end the pressure at z = 0 is the pulse, afterwards 0; with
         the absorbing end the plane wave launched at z = 0 has the pulse's pressure.
     progress : callable, optional
@@ -128,7 +129,7 @@ def propagate(
     """
     setup = prepare(
         cells, air, probes=probes, source_end=source_end, far_end=far_end,
-        absorber_thickness=absorber_thickness, time_step=time_step,
+        absorber_thickness=absorber_thickness, time_step=time_step, lossy_band=lossy_band,
     )  # fmt: skip
     n_samples = ceil(duration / setup.time_step) + 1
     # Whole chunks only: a shorter last one would be compiled anew for every duration.

@@ -9,10 +9,7 @@ from math import pi, sqrt
 import numpy as np
 from scipy.special import jnp_zeros
 
-from acoustube.air import HEAT_CAPACITY_RATIO, Air
-
-KINEMATIC_VISCOSITY = 1.509e-5  # m2/s, air at 20 degC and 1 atm
-PRANDTL_NUMBER = 0.71
+from acoustube.air import Air
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,9 +98,6 @@ def attenuation(
     frequency: float,
     radius: float,
     air: Air,
-    *,
-    kinematic_viscosity: float = KINEMATIC_VISCOSITY,
-    prandtl: float = PRANDTL_NUMBER,
 ) -> float:
     """Return a mode's viscothermal attenuation, to first order in the boundary layers.
 
@@ -117,10 +111,6 @@ def attenuation(
         Bore radius in m.
     air : Air
         Gas in the lumen.
-    kinematic_viscosity : float
-        In m2/s.
-    prandtl : float
-        Ratio of viscous to thermal diffusivity.
 
     Returns
     -------
@@ -140,10 +130,10 @@ def attenuation(
     zero = bessel_zero(m, n)
     share = 1.0 - (m / zero) ** 2 if m else 1.0
     perimeter = 2.0 / (radius * share)
-    viscous = complex_sqrt(kinematic_viscosity / (1j * omega))
-    thermal = viscous / sqrt(prandtl)
+    viscous = complex_sqrt(air.viscous_diffusivity / (1j * omega))
+    thermal = viscous / sqrt(air.prandtl)
     right = (omega / air.sound_speed) ** 2 * (
-        1.0 + (HEAT_CAPACITY_RATIO - 1.0) * thermal * perimeter
+        1.0 + (air.heat_capacity_ratio - 1.0) * thermal * perimeter
     )
     right += viscous * perimeter * (m / radius) ** 2 - (zero / radius) ** 2
     return abs(complex_sqrt(right / (1.0 - viscous * perimeter)).imag)

@@ -7,11 +7,14 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 
 from acoustube.air import Air
 from acoustube.waves.absorber import Absorber, absorber, absorber_layers
 from acoustube.waves.cells import CutCells, with_straight_ends
+from acoustube.waves.losses import Losses, Memory, losses
+from acoustube.waves.polyhedron import Array
 from acoustube.waves.small_cells import share_small_volumes
 from acoustube.waves.stability import marching_step
 from acoustube.waves.wave_operator import (
@@ -23,6 +26,8 @@ from acoustube.waves.wave_operator import (
 
 SourceEnd = Literal["release", "absorbing", "rigid"]
 FarEnd = Literal["absorbing", "rigid"]
+FADING = 8e-3
+"""Length in m over which losses fade towards an absorber."""
 
 
 class State(NamedTuple):
@@ -36,12 +41,15 @@ class State(NamedTuple):
         Pressure change over the last step, sources excluded, (nx, ny, nz), in Pa.
     before, behind : Absorber or None
         Absorbing layers at the source end and at the far end.
+    memory : Memory or None
+        What the losses remember.
     """
 
     pressure: jax.Array
     change: jax.Array
     before: Absorber | None
     behind: Absorber | None
+    memory: Memory | None
 
 
 class Scheme(NamedTuple):
@@ -59,6 +67,8 @@ class Scheme(NamedTuple):
         Layer indices of the probes, (n_probes,).
     probe_weights : Array
         Volume weights of the plane average, (nx, ny, n_probes).
+    losses : Losses or None
+        At the wall and in the air.
     """
 
     operator: Operator
@@ -67,6 +77,7 @@ class Scheme(NamedTuple):
     source: jax.Array
     probe_layers: jax.Array
     probe_weights: jax.Array
+    losses: Losses | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,6 +117,7 @@ def prepare(
     far_end: FarEnd = "absorbing",
     absorber_thickness: float = 0.02,
     time_step: float | None = None,
+    lossy_band: tuple[float, float] | None = None,
     dtype: DTypeLike = jnp.float32,
 ) -> Setup:
     """Build the discrete problem.
@@ -128,6 +140,9 @@ def prepare(
         In m.
     time_step : float, optional
         In s; the default is `stable_step`.
+    lossy_band : tuple of float, optional
+        Frequencies in Hz between which the losses at the wall and in the air shall be right;
+        without it there are none.
     dtype : dtype
         Precision of the fields.
 
@@ -146,7 +161,8 @@ def prepare(
     ahead = layers if source_end == "absorbing" else 0
     behind = layers if far_end == "absorbing" else None
     nodes = [_layer(cells, probe) for probe in probes]
-    whole = share_small_volumes(with_straight_ends(cells, ahead, behind))
+    exact = with_straight_ends(cells, ahead, behind)
+    whole = share_small_volumes(exact)
     step = marching_step(whole, air) if time_step is None else time_step
     across, dz = whole.shape[:2], cells.spacing[2]
     ends = [
@@ -156,10 +172,17 @@ def prepare(
         for at_source, present in ((True, bool(ahead)), (False, behind is not None))
     ]
     silence = jnp.zeros(whole.shape, dtype)
+    scheme = _scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype)
+    lost, memory = None, None
+    if lossy_band is not None:
+        share = _fading(whole.shape[2], ahead, behind or 0, round(FADING / dz))
+        lost, memory = losses(
+            whole, exact, scheme.operator, air, step, lossy_band, share=share, dtype=dtype
+        )
     return Setup(
         cells=whole,
-        scheme=_scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype),
-        state=State(with_halo(silence), silence, *ends),
+        scheme=scheme._replace(losses=lost),
+        state=State(with_halo(silence), silence, ends[0], ends[1], memory),
         time_step=step,
         source_layer=ahead,
         probes=tuple(k * dz for k in nodes),
@@ -191,7 +214,21 @@ def _scheme(
         source=jnp.asarray(lit, dtype),
         probe_layers=jnp.asarray(probe_layers, jnp.int32),
         probe_weights=jnp.asarray(weights / weights.sum(axis=(0, 1)), dtype),
+        losses=None,
     )
+
+
+def _fading(n_layers: int, ahead: int, behind: int, fade: int) -> Array:
+    """Return by how much losses act in each layer: not in absorbers, and fading towards them.
+
+    The absorbers are made for air without losses; at a sudden end of the losses sound is reflected.
+    """
+    distance = np.full(n_layers, np.inf)
+    if ahead:
+        distance = np.minimum(distance, np.arange(n_layers) - ahead)
+    if behind:
+        distance = np.minimum(distance, n_layers - 1 - behind - np.arange(n_layers))
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(distance / max(fade, 1), 0.0, 1.0))
 
 
 def _check_ends(source_end: str, far_end: str) -> None:

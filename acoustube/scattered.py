@@ -1,0 +1,240 @@
+"""The command ``acoustube scatter``: a lumen from a file, its scattering matrix to a file."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from acoustube import __version__
+from acoustube.air import Air, air_at, viscous_thickness
+from acoustube.errors import ConfigError
+from acoustube.io import partial_file, write_dataset
+from acoustube.record import flag, variable
+from acoustube.run import heard_interrupts, stage_progress
+from acoustube.surfaces import read_lumen
+from acoustube.waves.cells import CutCells, cut_cells
+from acoustube.waves.scattering import Scattering, scatter, straight_ends_cut
+
+CELLS_PER_WAVELENGTH = 8
+LAYERS_OF_A_GAP = 10
+"""Openings of a lumen under so many viscous boundary layers are warned of."""
+NARROWEST = 2
+"""Cells across the narrowest place."""
+
+
+def run_scatter(
+    path: Path,
+    out: Path,
+    console: Console,
+    *,
+    band_khz: tuple[float, float],
+    step_khz: float,
+    temperature: float,
+    lossy: bool,
+    resolution: int,
+) -> Path:
+    """Compute the scattering matrix of a lumen and write it.
+
+    Parameters
+    ----------
+    path : Path
+        The lumen; see :func:`acoustube.surfaces.read_lumen`.
+    out : Path
+        The file to write.
+    console : rich.console.Console
+        Where to print.
+    band_khz : tuple of float
+        Lowest and highest frequency.
+    step_khz : float
+        Between two frequencies.
+    temperature : float
+        In degC.
+    lossy : bool
+        With losses at the wall and in the air.
+    resolution : int
+        Cells across the wider of width and height of the ends.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If the lumen or the band cannot be computed.
+    """
+    started = time.perf_counter()
+    air = air_at(temperature)
+    surface, start = read_lumen(path)
+    spacing = float(_end_size(surface) / resolution)
+    _check_grid(band_khz, spacing, air)
+    with heard_interrupts() as check, stage_progress(console) as show:
+
+        def progress(fraction: float) -> None:
+            check()
+            show("scattering", fraction)
+
+        cells = cut_cells(surface, spacing)
+        _check_width(cells, path)
+        progress(0.0)
+        low, high = band_khz
+        count = round((high - low) / step_khz)
+        frequency = 1e3 * np.linspace(low, high, count + 1)
+        found = scatter(
+            cells, air, frequency, reference=(-start, -start), lossy=lossy, progress=progress
+        )
+    notes = _notes(cells, found, air)
+    with partial_file(out) as partial:
+        write_dataset(_dataset(found, path, temperature, lossy, cells, notes), partial)
+    _print(found, notes, console)
+    elapsed = time.perf_counter() - started
+    console.print(f"Written to [bold]{out}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    return out
+
+
+def _end_size(surface: Any) -> float:
+    """Return the larger of width and height of the ends, in m."""
+    z = surface.vertices[:, 2]
+    rim = surface.vertices[np.abs(z - z.min()) < 1e-9 + 1e-6 * np.ptp(z)]
+    return float(np.ptp(rim[:, :2], axis=0).max())
+
+
+def _check_grid(band_khz: tuple[float, float], spacing: float, air: Air) -> None:
+    low, high = band_khz
+    finest = 1e-3 * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
+    if high > finest:
+        raise ConfigError(
+            f"band = {low:g} {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
+            f"{1e3 * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
+            "resolution or lower the band"
+        )
+
+
+def _openings(cells: CutCells) -> NDArray[np.floating[Any]]:
+    """Return the smaller of the largest height and the largest width of each layer, in m, (nz,)."""
+    high, wide = (cells.volume_fraction.sum(axis=axis).max(axis=0) for axis in (1, 0))
+    return np.asarray(np.minimum(high * cells.spacing[1], wide * cells.spacing[0]))
+
+
+def _check_width(cells: CutCells, path: Path) -> None:
+    openings = _openings(cells)[1:-1]
+    narrowest, place = float(openings.min()), int(openings.argmin())
+    if narrowest < NARROWEST * cells.spacing[1]:
+        at = 1e3 * (place + 1) * cells.spacing[2]
+        raise ConfigError(
+            f"{path} is {1e3 * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
+            f"{NARROWEST} cells of {1e3 * cells.spacing[1]:.3g} mm; raise resolution"
+        )
+
+
+def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
+    """Return one sentence for each way in which the run leaves the model's range."""
+    low, high = found.frequency[[0, -1]]
+    notes = []
+    inside = [
+        f"{name} at {1e-3 * cut_on:.2f} kHz"
+        for name, cut_on in zip(found.modes, found.cut_ons, strict=True)
+        if low < cut_on < high
+    ]
+    if inside:
+        notes.append(
+            f"Modes cut on inside the band: {', '.join(inside)}. Within 1 % of these, small errors "
+            "of size or temperature decide what propagates."
+        )
+    gap = float(_openings(straight_ends_cut(cells)).min())
+    layers = gap / viscous_thickness(air, float(low))
+    if layers < LAYERS_OF_A_GAP:
+        notes.append(
+            f"The lumen is {1e6 * gap:.0f} um wide at its narrowest, {layers:.0f} viscous boundary "
+            f"layers at {1e-3 * low:g} kHz: the losses there are more than first order."
+        )
+    n = len(found.frequency)
+    over = found.settled | ~_propagating(found)
+    still = n - int(np.sum(np.all(over.reshape(n, -1), axis=1)))
+    if still:
+        notes.append(
+            f"{still} of {n} frequencies, next to cut-ons, were still "
+            "ringing in some mode; see the variable settled."
+        )
+    return notes
+
+
+def _propagating(found: Scattering) -> NDArray[np.bool_]:
+    """Return whether both modes of each coefficient propagate, in the shape of `s`."""
+    travels = found.propagates
+    both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
+    return np.broadcast_to(both, found.s.shape)
+
+
+def _dataset(
+    found: Scattering,
+    path: Path,
+    temperature: float,
+    lossy: bool,
+    cells: CutCells,
+    notes: list[str],
+) -> xr.Dataset:
+    """Gather the scattering matrix with its coordinates and its origin."""
+    dims = "frequency port_out mode_out port_in mode_in"
+    s = np.where(_propagating(found), found.s, 0.0)
+    what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
+    variables = {
+        "s_real": variable(dims, s.real, "1", f"real part of the {what}"),
+        "s_imag": variable(dims, s.imag, "1", f"imaginary part of the {what}"),
+        "settled": flag(dims, found.settled, "whether the ringing was over"),
+        "propagates": flag("frequency mode_in", found.propagates, "whether the mode propagates"),
+        "cut_on": variable("mode_in", found.cut_ons, "Hz", "cut-on frequency on the grid"),
+    }
+    coordinates: dict[str, Any] = {
+        "frequency": variable("frequency", found.frequency, "Hz", "frequency")
+    }
+    for name in ("port_in", "port_out"):
+        coordinates[name] = variable(name, [1, 2], "1", "1: low z, 2: high z")
+    for name in ("mode_in", "mode_out"):
+        text = "nodal diameters, nodal circles; c: symmetric about x = 0, s: antisymmetric"
+        coordinates[name] = variable(name, list(found.modes), "1", text)
+    origin = {
+        "title": "Scattering of duct modes by a lumen",
+        "lumen": path.name,
+        "acoustube_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "time_convention": "exp(+j omega t)",
+        "temperature": temperature,
+        "losses": "wall and air" if lossy else "none",
+        "sound_speed": found.sound_speed,
+        "reference_z_1": 0.0,
+        "reference_z_2": 0.0,
+        "cell_size": cells.spacing[0],
+        "time_step": found.time_step,
+        "warnings": "\n".join(notes),
+    }
+    return xr.Dataset(variables, coordinates, origin)
+
+
+def _print(found: Scattering, notes: list[str], console: Console) -> None:
+    """Print the plane mode's coefficients, the grid and the notes."""
+    plane = found.modes.index("00")
+    s = found.s[:, :, plane, 0, plane]
+    table = Table("kHz", "|R00|", "|T00|", box=None, pad_edge=False)
+    for i in np.unique(np.linspace(0, len(s) - 1, 12).round().astype(int)):
+        table.add_row(
+            f"{1e-3 * found.frequency[i]:.2f}", f"{abs(s[i, 0]):.4f}", f"{abs(s[i, 1]):.4f}"
+        )
+    console.print(table)
+    nx, ny, nz = found.shape
+    console.print(
+        f"grid {nx} x {ny} x {nz}, {found.steps} steps of {1e6 * found.time_step:.3g} us; "
+        f"modes {', '.join(found.modes)}",
+        soft_wrap=True,
+    )
+    for note in notes:
+        console.print(f"[yellow]note:[/] {note}", soft_wrap=True)

@@ -1,0 +1,457 @@
+"""Scattering of duct modes by a lumen, over a band, from broadband runs on a short grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import ceil, log, pi, sqrt
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.air import Air
+from acoustube.errors import ConfigError
+from acoustube.waves.cells import CutCells, with_straight_ends
+from acoustube.waves.duct_modes import Phases, duct_modes, labels, phases
+from acoustube.waves.marching import march
+from acoustube.waves.polyhedron import Array
+from acoustube.waves.scheme import FADING, Setup, prepare
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Progress = Callable[[float], object]
+
+SAME = 1e-4
+"""Largest difference of the fractions of layers that count as straight."""
+ALIKE = 0.02
+"""Largest difference of the fractions of cells that count as the same, or as mirror images.
+
+The diagonals of two triangles are not mirrored, which moves the wall by a hundredth of a cell.
+"""
+EDGE = 0.05
+"""Spectrum of the source at the ends of the band, as a share of its peak."""
+GAP = 6
+"""Layers between source, probe and the first changed layer."""
+NARROWEST_CLICK = 20e3
+"""Width in Hz of the source's spectrum at the least; its pulse then lasts 0.4 ms."""
+SETTLED = 1e-3
+"""Largest change of a coefficient over the last quarter of a run that counts as settled."""
+QUIET = 1e-5
+"""Pressure, as a share of the highest, below which a run ends."""
+CHECKS = 2000
+"""Steps between two checks whether the ringing is over."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scattering:
+    """Scattering of duct modes by a lumen between two straight ends.
+
+    Attributes
+    ----------
+    frequency : ndarray
+        In Hz, (n,).
+    modes : tuple of str
+        As ``00``, ``11c``, ``21s``; of the round bore with the area of the end at low z.
+    s : ndarray
+        Outgoing over incoming amplitude, normalised by the power, at the reference planes; time
+        goes as exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and 1
+        at high z; nan where a mode has decayed before the probe.
+    propagates : ndarray of bool
+        (n, n_modes).
+    cut_ons : ndarray
+        Of the grid, in Hz, (n_modes,).
+    settled : ndarray of bool
+        Which coefficients changed by less than `SETTLED` over the last quarter of the runs; of the
+        shape of `s`.
+    sound_speed : float
+        In m/s.
+    shape : tuple of int
+        Cells of a run.
+    steps : int
+        Of the longest run.
+    time_step : float
+        In s.
+    """
+
+    frequency: Array
+    modes: tuple[str, ...]
+    s: Complex
+    propagates: NDArray[np.bool_]
+    cut_ons: Array
+    settled: NDArray[np.bool_]
+    sound_speed: float
+    shape: tuple[int, int, int]
+    steps: int
+    time_step: float
+
+
+def scatter(
+    cells: CutCells,
+    air: Air,
+    frequency: Array,
+    *,
+    reference: tuple[float, float] = (0.0, 0.0),
+    lossy: bool = True,
+    longest: float = 12e-3,
+    absorber_thickness: float = 0.02,
+    progress: Progress | None = None,
+) -> Scattering:
+    """Return how a lumen scatters the modes of its straight ends.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The whole lumen, not its half.
+    air : Air
+    frequency : ndarray
+        Rising frequencies in Hz.
+    reference : tuple of float
+        Heights z in m, in the coordinates of the cells, at which the amplitudes at low z and at
+        high z are given, as if the ends went on straight to there.
+    lossy : bool
+        With the losses at the wall and in the air.
+    longest : float
+        Time in s after which a run ends even if it still rings.
+    absorber_thickness : float
+        In m.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    Scattering
+
+    Raises
+    ------
+    ConfigError
+        If the lumen has no straight ends, or ends of different sections.
+
+    Notes
+    -----
+    One run for each port and mode: a source in a layer of the straight end launches the mode both
+    ways, the outer half of it into an absorber. What the probes hear, projected onto the modes of
+    the section, less the wave that the source sends there (known in closed form on the grid), is
+    what the lumen sends back. A lumen symmetric about x = 0 is computed by halves, the symmetric
+    and the antisymmetric modes apart.
+    """
+    core = straight_ends_cut(cells)
+    parities = (False, True) if is_symmetric(core) else (None,)
+    band = float(frequency[0]), float(frequency[-1])
+    parts = [_Part(core, air, frequency, band, odd, lossy, absorber_thickness) for odd in parities]
+    n_runs = sum(2 * len(part.modes.squares) for part in parts)
+    done = 0
+    blocks, earlier, steps = [], [], 0
+    for part in parts:
+        now, before, taken, done = part.run(reference, longest, progress, done, n_runs)
+        blocks.append(now)
+        earlier.append(before)
+        steps = max(steps, taken)
+    return _joined(parts, blocks, earlier, frequency, air, steps)
+
+
+def _joined(
+    parts: list[_Part],
+    blocks: list[Complex],
+    earlier: list[Complex],
+    frequency: Array,
+    air: Air,
+    steps: int,
+) -> Scattering:
+    """Put the parts of both symmetries together, in the order of the cut-ons."""
+    names = [name for part in parts for name in part.names]
+    cut_ons = np.concatenate([part.modes.cut_ons for part in parts])
+    order = np.lexsort((np.array(names), np.round(cut_ons, 0)))
+    s, before = (_block_diagonal(values)[:, :, order][..., order] for values in (blocks, earlier))
+    return Scattering(
+        frequency=np.asarray(frequency),
+        modes=tuple(names[i] for i in order),
+        s=s,
+        propagates=frequency[:, None] > cut_ons[order],
+        cut_ons=cut_ons[order],
+        settled=np.abs(s - before) < SETTLED,
+        sound_speed=air.sound_speed,
+        shape=parts[0].setup.cells.shape,
+        steps=steps,
+        time_step=parts[0].setup.time_step,
+    )
+
+
+def _block_diagonal(blocks: list[Complex]) -> Complex:
+    """Return the matrix of all modes; those of different symmetry do not meet."""
+    sizes = [block.shape[2] for block in blocks]
+    joined = np.zeros((len(blocks[0]), 2, sum(sizes), 2, sum(sizes)), complex)
+    for block, end in zip(blocks, np.cumsum(sizes), strict=True):
+        here = slice(end - block.shape[2], end)
+        joined[:, :, here][..., here] = block
+    return joined
+
+
+def is_symmetric(cells: CutCells) -> bool:
+    """Return whether a lumen is its own mirror image about x = 0."""
+    mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[::-1])
+    return bool(cells.origin[0] < 0 and mirrored.max() < ALIKE)
+
+
+def straight_ends_cut(cells: CutCells) -> CutCells:
+    """Return the part of a lumen between its straight ends, with one layer of each.
+
+    Raises
+    ------
+    ConfigError
+        If an end is not straight over three layers, or the two differ.
+    """
+    volume = cells.volume_fraction
+    last = int(np.floor(cells.length / cells.spacing[2] - 0.5 + 1e-6))
+    ends = []
+    for rim, inwards in ((1, 1), (last - 1, -1)):
+        off = np.abs(volume - volume[..., [rim]]).max(axis=(0, 1)) > SAME
+        inside = np.arange(rim, last if inwards > 0 else 0, inwards)
+        changed = inside[off[inside]]
+        straight = abs(int(changed[0]) - rim) if len(changed) else len(inside) // 2
+        if straight < 3:
+            where = "low" if inwards > 0 else "high"
+            raise ConfigError(
+                f"The lumen is not straight at its end of {where} z; let it end in at least "
+                f"{3e3 * cells.spacing[2]:.2g} mm of straight tube."
+            )
+        ends.append(rim + inwards * (straight - 1))
+    first, end = ends
+    section = volume[..., first]
+    if np.abs(section - volume[..., end]).max() > ALIKE:
+        raise ConfigError(
+            "The lumen's two ends differ in section, and their modes cannot be told by the same "
+            "names; let both ends have the same section."
+        )
+    if np.abs(section - section[::-1]).max() > ALIKE:
+        raise ConfigError(
+            "The lumen's ends are not symmetric about x = 0, by which their modes are named; move "
+            "or turn it so that they are."
+        )
+    layers = slice(first, end + 1)
+    dz = cells.spacing[2]
+    return replace(
+        cells,
+        origin=(*cells.origin[:2], cells.origin[2] + first * dz),
+        length=(end - first + 0.5) * dz,
+        volume_fraction=volume[..., layers],
+        open_x=cells.open_x[..., layers],
+        open_y=cells.open_y[..., layers],
+        open_z=cells.open_z[..., first : end + 2],
+    )
+
+
+class _Part:
+    """The modes of one symmetry about x = 0, or all of them."""
+
+    def __init__(
+        self,
+        core: CutCells,
+        air: Air,
+        frequency: Array,
+        band: tuple[float, float],
+        odd: bool | None,
+        lossy: bool,
+        absorber_thickness: float,
+    ) -> None:
+        cells, middle = (core, None) if odd is None else _half(core)
+        dz = cells.spacing[2]
+        lead = 2 * GAP + 2 + (ceil(FADING / dz) if lossy else 0)
+        lengthened = with_straight_ends(cells, lead, lead)
+        n = lengthened.shape[2]
+        lengthened = replace(lengthened, length=(n - 0.5) * dz)
+        setup = prepare(
+            lengthened, air, probes=(), source_end="absorbing", far_end="absorbing",
+            absorber_thickness=absorber_thickness, lossy_band=band if lossy else None,
+        )  # fmt: skip
+        self.setup = (
+            _antisymmetric(setup, middle, lead, air) if odd and middle is not None else setup
+        )
+        ahead = setup.source_layer
+        out = ahead + lead - 2 * GAP - 2
+        self.sources = out, ahead + n - 1 - (lead - 2 * GAP - 2)
+        self.probes = out + GAP, self.sources[1] - GAP
+        volume = np.asarray(self.setup.cells.volume_fraction)
+        self.frequency, self.air, self.spacing = frequency, air, dz
+        self.modes = duct_modes(
+            self.setup.scheme, volume, self.probes[0], band[1],
+            whole=odd is None, odd=bool(odd),
+        )  # fmt: skip
+        area = volume[:, :, self.probes[0]].sum() * cells.spacing[0] * cells.spacing[1]
+        radius = sqrt(area * (1 if odd is None else 2) / pi)
+        self.names = labels(self.modes, radius, air.sound_speed)
+        self.phases = phases(self.modes, self.setup.scheme, dz, frequency, air.sound_speed)
+
+    def heights(self, layers: tuple[int, int]) -> tuple[float, float]:
+        """Return the heights z in m of the centres of two layers."""
+        start = self.setup.cells.origin[2]
+        low, high = (start + (layer + 0.5) * self.spacing for layer in layers)
+        return low, high
+
+    def run(
+        self,
+        reference: tuple[float, float],
+        longest: float,
+        progress: Progress | None,
+        done: int,
+        n_runs: int,
+    ) -> tuple[Complex, Complex, int, int]:
+        """Return S over the part's modes, at the end and earlier, the steps and the runs done."""
+        m = len(self.modes.squares)
+        raw = np.zeros((2, len(self.frequency), 2, m, 2, m), complex)
+        steps = 0
+        for port in (0, 1):
+            for mode in range(m):
+
+                def show(share: float, done: int = done) -> None:
+                    if progress is not None:
+                        progress((done + share) / n_runs)
+
+                heard, taken = _heard(self, port, mode, longest, show)
+                raw[:, :, :, :, port, mode] = heard
+                steps, done = max(steps, taken), done + 1
+                show(0.0, done)
+        now, before = (_coefficients(self, heard, reference) for heard in raw)
+        return now, before, steps, done
+
+
+def _half(cells: CutCells) -> tuple[CutCells, Array]:
+    """Return the half x > 0 of a lumen, and how open the plane x = 0 is."""
+    n = cells.shape[0] // 2
+    open_x = cells.open_x[n:].copy()
+    middle = open_x[0].copy()
+    open_x[0] = 0.0
+    half = replace(
+        cells,
+        origin=(0.0, *cells.origin[1:]),
+        volume_fraction=cells.volume_fraction[n:],
+        open_x=open_x,
+        open_y=cells.open_y[n:],
+        open_z=cells.open_z[n:],
+    )
+    return half, middle
+
+
+def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
+    """Return a half with zero pressure in the plane x = 0, half a cell before the first centres."""
+    n = setup.cells.shape[2]
+    ahead = setup.source_layer + lead
+    layers = np.clip(np.arange(n) - ahead, 0, middle.shape[1] - 1)
+    inside = setup.cells.volume_fraction[0] > 0
+    speed = (air.sound_speed / setup.cells.spacing[0]) ** 2
+    faces = 2 * speed * middle[:, layers] * inside
+    operator = setup.scheme.operator
+    opened = jnp.asarray(faces, operator.area_x.dtype)
+    scheme = setup.scheme._replace(
+        operator=operator._replace(area_x=operator.area_x.at[0].set(opened))
+    )
+    if scheme.losses is not None:
+        drag, beside = scheme.losses.drag, operator.area_x[1]
+        share = jnp.where(beside > 0, drag.area_x[1] / jnp.where(beside > 0, beside, 1.0), 0.0)
+        drag = drag._replace(area_x=drag.area_x.at[0].set(opened * share))
+        scheme = scheme._replace(losses=scheme.losses._replace(drag=drag))
+    return replace(setup, scheme=scheme)
+
+
+def _click(setup: Setup, band: tuple[float, float], n: int) -> Array:
+    """Return the source, whose spectrum falls to `EDGE` at the ends of the band.
+
+    A narrow band is widened: its pulse would take longer than the run.
+    """
+    middle, width = (band[0] + band[1]) / 2, max(band[1] - band[0], NARROWEST_CLICK)
+    low, high = middle - width / 2, middle + width / 2
+    width = sqrt(2 * log(1 / EDGE)) / (pi * (high - low))
+    time = np.arange(n) * setup.time_step - 5 * width
+    return np.exp(-0.5 * (time / width) ** 2) * np.sin(pi * (low + high) * time)
+
+
+def _heard(
+    part: _Part, port: int, mode: int, longest: float, progress: Progress
+) -> tuple[Complex, int]:
+    """Return spectra at both probes of a whole run and of three quarters of it, over the source.
+
+    Returns
+    -------
+    spectra : ndarray
+        (2, n_frequencies, 2, n_modes).
+    steps : int
+    """
+    modes, setup = part.modes, part.setup
+    m = len(modes.squares)
+    layers = [probe for probe in part.probes for _ in range(m)]
+    weights = np.concatenate([modes.weights, modes.weights]).transpose(1, 2, 0)
+    dtype = setup.state.change.dtype
+    scheme = setup.scheme._replace(
+        source=jnp.asarray(modes.shapes[mode], dtype),
+        probe_layers=jnp.asarray(layers, jnp.int32),
+        probe_weights=jnp.asarray(weights, dtype),
+    )
+    driven = replace(setup, scheme=scheme, source_layer=part.sources[port])
+    band = float(part.frequency[0]), float(part.frequency[-1])
+    most = CHECKS * ceil(longest / setup.time_step / CHECKS)
+    click = _click(setup, band, most)
+    state, records = setup.state, []
+    for begin in range(0, most, CHECKS):
+        state, pressure = march(driven, state, click[begin : begin + CHECKS])
+        records.append(pressure)
+        progress((begin + CHECKS) / most)
+        loudest = max(np.abs(record).max() for record in records)
+        if begin > 0 and np.abs(pressure).max() < QUIET * loudest:
+            break
+    heard = np.concatenate(records, axis=1)
+    n = heard.shape[1]
+    omega = 2 * pi * part.frequency * setup.time_step
+    ends = (n, 3 * n // 4)
+    both = np.stack([_spectrum(heard, omega, 1, end) for end in ends])
+    # A source that is added to the pressure itself drives its second difference by its first.
+    first = 1 - np.exp(-1j * omega)
+    source = np.stack([first * _spectrum(click[None], omega, 0, end)[:, 0] for end in ends])
+    return (both / source[:, :, None]).reshape(2, len(part.frequency), 2, m), n
+
+
+def _spectrum(signals: Array, omega: Array, first: int, end: int) -> Complex:
+    """Return the spectra (n_frequencies, n_signals) of signals (n_signals, n) up to a sample.
+
+    Their last third is faded out: what still rings at a cut-on would spread over all frequencies if
+    it were cut.
+    """
+    fade = np.clip((end - np.arange(end)) / (end / 3), 0.0, 1.0)
+    faded = signals[:, :end] * (0.5 - 0.5 * np.cos(pi * fade))
+    total = np.zeros((len(omega), len(signals)), complex)
+    for begin in range(0, end, CHECKS):
+        times = first + np.arange(begin, min(begin + CHECKS, end))
+        total += np.exp(-1j * np.outer(omega, times)) @ faded[:, begin : begin + CHECKS].T
+    return total
+
+
+def _coefficients(part: _Part, heard: Complex, reference: tuple[float, float]) -> Complex:
+    """Return S from what the probes hear of a unit source.
+
+    Parameters
+    ----------
+    part : _Part
+    heard : ndarray
+        (n_frequencies, port_out, mode_out, port_in, mode_in).
+    reference : tuple of float
+        In m.
+    """
+    way: Phases = part.phases
+    theta, dz = way.theta, part.spacing
+    at_probe, at_source = part.heights(part.probes), part.heights(part.sources)
+    s = heard.copy()
+    m = theta.shape[1]
+    each = np.arange(m)
+    for port in (0, 1):
+        inwards = 1 if port == 0 else -1
+        travelled = inwards * (at_probe[port] - at_source[port]) / dz
+        s[:, port, each, port, each] -= np.exp(-1j * theta * travelled) / (1j * way.slope)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for port in (0, 1):
+            inwards = 1 if port == 0 else -1
+            to_plane = inwards * (reference[port] - at_source[port]) / dz
+            incoming = np.exp(-1j * theta * to_plane) / (1j * way.slope)
+            back = inwards * (reference[port] - at_probe[port]) / dz
+            root = np.sqrt(way.power)
+            s[:, :, :, port, :] /= (incoming * root)[:, None, None, :]
+            s[:, port] *= (np.exp(1j * theta * back) * root)[:, :, None, None]
+    return s
