@@ -1,4 +1,4 @@
-"""Air: its sound speed, density, transport properties and absorption.
+"""Air: its sound speed, density, transport properties [2]_ and absorption [1]_.
 
 References
 ----------
@@ -137,7 +137,7 @@ def air_at(
     -------
     Air
         Speed of sound and density p / (R T) of dry air (343.2 m/s and 1.204 kg/m3 at 20 degC),
-        viscosity and heat conductivity of dry air [2]_, absorption of moist air [1]_.
+        viscosity and heat conductivity of dry air, absorption of moist air.
 
     Raises
     ------

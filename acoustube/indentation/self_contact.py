@@ -22,7 +22,7 @@ import ipctk
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference import QUAD8
@@ -138,7 +138,7 @@ class SelfContact:
         """
         vertices = self.sampling @ position
         lower, upper = self._facing
-        away, nearest = cKDTree(vertices[upper]).query(vertices[lower])
+        away, nearest = KDTree(vertices[upper]).query(vertices[lower])
         across = vertices[upper[nearest]] - vertices[lower]
         normal = np.abs(np.sum(across * vertex_normals(vertices, self.faces)[lower], axis=1))
         # Where the nearest vertex is only beside the nearest point, the point is along the normal.
