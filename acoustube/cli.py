@@ -21,6 +21,7 @@ from acoustube import __version__, cache
 from acoustube.config import Mechanics, describe, load_config
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
+from acoustube.rules import Number
 
 app = App(
     name="acoustube",
@@ -155,7 +156,8 @@ def scatter(
     step: float = 0.1,
     temperature: float = 20.0,
     lossless: Annotated[bool, Parameter(show_default=False)] = False,
-    resolution: int = 32,
+    # A float, as in `simulate`.
+    resolution: float = 32,
     out: Path,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
@@ -191,8 +193,8 @@ def scatter(
         raise ConfigError(
             f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 parts"
         )
-    if not 8 <= resolution <= 128:
-        raise ConfigError(f"resolution = {resolution} is outside 8 to 128 cells; use 32")
+    cells = Number(8, 128, "", "grid cells across the ends", whole=True)
+    across = int(cells.check("resolution", resolution))
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -207,7 +209,7 @@ def scatter(
         step_khz=step,
         temperature=temperature,
         lossy=not lossless,
-        resolution=resolution,
+        resolution=across,
     )
 
 

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from acoustube import __version__
 from acoustube.air import Air, air_at, viscous_thickness
+from acoustube.config import CELLS_PER_WAVELENGTH
 from acoustube.errors import ConfigError
 from acoustube.io import partial_file, write_dataset
 from acoustube.record import flag, variable
@@ -23,7 +24,6 @@ from acoustube.surfaces import read_lumen
 from acoustube.waves.cells import CutCells, cut_cells
 from acoustube.waves.scattering import Scattering, scatter, straight_ends_cut
 
-CELLS_PER_WAVELENGTH = 8
 LAYERS_OF_A_GAP = 10
 """Openings of a lumen under so many viscous boundary layers are warned of."""
 NARROWEST = 2

@@ -170,7 +170,8 @@ def call(*words):
         (["lumen.stl", "--band", "60", "5"], "must rise"),
         (["lumen.stl", "--band", "5", "10", "--step", "3"], "step = 3 kHz must divide"),
         (["lumen.stl", "--band", "5", "600", "--step", "5"], "cells per wavelength"),
-        (["lumen.stl", "--resolution", "4"], "resolution = 4 is outside"),
+        (["lumen.stl", "--resolution", "4"], "resolution = 4 is out of range; use a whole number"),
+        (["lumen.stl", "--resolution", "12.7"], "resolution = 12.7 is not a whole number"),
         (["lumen.stl", "--temperature", "99"], "temperature = 99 degC"),
     ],
 )

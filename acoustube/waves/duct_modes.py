@@ -25,6 +25,8 @@ from acoustube.waves.losses import Losses
 from acoustube.waves.modes import Mode, cut_on_frequency, modes_below
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.scheme import Scheme
+from acoustube.waves.section import section_stiffness
+from acoustube.waves.wave_operator import Operator
 
 MIRROR = 1e-6
 """Trace of the mirror image that sets symmetric and antisymmetric modes apart."""
@@ -88,24 +90,25 @@ def duct_modes(
     """
     filled = volume[:, :, layer]
     operator = scheme.operator
-    stiffness = _section(operator.area_x, operator.area_y, layer, filled > 0)
     mass = filled[filled > 0]
     root = np.sqrt(mass)
-    matrix = stiffness / root[:, None] / root
-    # A pair of modes of a round bore mixes at will; a trace of the mirror sets the two apart.
-    number = np.cumsum(filled > 0).reshape(filled.shape) - 1
-    image = (number[::-1] * whole + number * (not whole))[filled > 0]
-    trace = MIRROR * (2 * np.pi * highest) ** 2
-    matrix[np.arange(len(image)), image] += trace * whole
-    matrix[image, np.arange(len(image))] += trace * whole
+    matrix = _across(operator, layer, filled > 0) / root[:, None] / root
+    parity = np.full(len(mass), -1.0 if odd else 1.0)
+    if whole:
+        # A pair of modes of a round bore mixes at will; a trace of the mirror sets the two apart.
+        number = np.cumsum(filled > 0).reshape(filled.shape) - 1
+        image, here = number[::-1][filled > 0], np.arange(len(mass))
+        trace = MIRROR * (2 * np.pi * highest) ** 2
+        matrix[here, image] += trace
+        matrix[image, here] += trace
     squares, vectors = eigh(matrix)
-    parity = np.sign(np.sum(vectors * vectors[image], axis=0))
-    squares = squares - 2 * trace * whole * parity
+    if whole:
+        parity = np.sign(np.sum(vectors * vectors[image], axis=0))
+        squares = squares - 2 * trace * parity
     order = np.argsort(squares)
-    squares, vectors, parity = squares[order], vectors[:, order], parity[order]
-    kept = squares < (2 * np.pi * highest) ** 2
-    parity = parity[kept]
-    squares, vectors = squares[kept], (vectors[:, kept] / root[:, None]).T * np.sqrt(mass.sum())
+    order = order[squares[order] < (2 * np.pi * highest) ** 2]
+    squares, parity = squares[order], parity[order]
+    vectors = (vectors[:, order] / root[:, None]).T * np.sqrt(mass.sum())
     # The plane mode's eigenvalue is zero but for rounding.
     squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
     shapes = np.zeros((len(vectors), *filled.shape))
@@ -120,36 +123,22 @@ def duct_modes(
         cut_ons=half_turns / (np.pi * dt),
         shapes=shapes,
         weights=shapes * filled / mass.sum(),
-        odd=parity < 0 if whole else np.full(len(squares), odd),
+        odd=parity < 0,
         losses=found,
     )
 
 
-def _section(area_x: Any, area_y: Any, layer: int, inside: NDArray[np.bool_]) -> Array:
-    """Return the matrix of c^2 times minus the flow across a layer, over its open cells."""
-    number = np.cumsum(inside).reshape(inside.shape) - 1
-    matrix = np.zeros((number.max() + 1,) * 2)
-    for axis, area in enumerate((area_x, area_y)):
-        faces = np.moveaxis(np.asarray(area[:, :, layer], float), axis, 0)
-        at = np.where(np.moveaxis(inside, axis, 0), np.moveaxis(number, axis, 0), -1)
-        a, b = at[:-1], at[1:]
-        between = (a >= 0) & (b >= 0)
-        flow = faces[1:-1][between]
-        np.add.at(matrix, (a[between], a[between]), flow)
-        np.add.at(matrix, (b[between], b[between]), flow)
-        np.add.at(matrix, (a[between], b[between]), -flow)
-        np.add.at(matrix, (b[between], a[between]), -flow)
-        # Beyond the grid the pressure is zero: no flow unless its outermost face is open.
-        for rim, face in ((at[0], faces[0]), (at[-1], faces[-1])):
-            np.add.at(matrix, (rim[rim >= 0], rim[rim >= 0]), face[rim >= 0])
-    return matrix
+def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> Array:
+    """Return the matrix of an operator across one layer, over its open cells."""
+    faces = operator.area_x[:, :, layer], operator.area_y[:, :, layer]
+    return np.asarray(section_stiffness(*faces, inside).toarray())
 
 
 def _lossy(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[str, Array]:
     """Return the wall's losses of each mode, from its own shape."""
     inside = filled > 0
     mass = filled[inside]
-    across = _section(losses.drag.area_x, losses.drag.area_y, layer, inside)
+    across = _across(losses.drag, layer, inside)
     compliance = np.asarray(losses.compliance[:, :, layer], float)[inside]
     # The axial faces of a straight part are as open as the cells, times (c / dz)^2.
     along = np.asarray(losses.drag.area_z[:, :, layer + 1], float)[inside]

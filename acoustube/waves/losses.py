@@ -277,21 +277,18 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     area = np.linalg.norm(vector, axis=0)
     volume = cells.volume_fraction * dx * dy * dz
     density = np.divide(1.0, area * volume, out=np.zeros_like(area), where=area * volume > 0)
-    return np.stack([_spread(cells, component) for component in vector**2 * density])
-
-
-def _spread(cells: CutCells, density: Array) -> Array:
-    """Return a density per volume of air after it has diffused over `BAND`, its total kept."""
-    still = Air(sound_speed=1.0, density=1.0)
-    operator = assemble(cells, still, 0.0)
-    highest = largest_eigenvalue(operator)
-    n_steps = int(np.ceil(BAND**2 / 2 * highest))
-    return np.asarray(_diffused(jnp.asarray(density, jnp.float32), operator, n_steps), float)
+    operator = assemble(cells, Air(sound_speed=1.0, density=1.0), 0.0)
+    n_steps = int(np.ceil(BAND**2 / 2 * largest_eigenvalue(operator)))
+    spread = [
+        _diffused(jnp.asarray(component, jnp.float32), operator, n_steps)
+        for component in vector**2 * density
+    ]
+    return np.asarray(spread, float)
 
 
 @partial(jax.jit, static_argnames="n_steps")
 def _diffused(density: jax.Array, operator: Operator, n_steps: int) -> jax.Array:
-    """Return a density after n steps of explicit diffusion, by BAND^2 / 2 in all."""
+    """Return a density after n steps of explicit diffusion over `BAND`, its total kept."""
 
     def step(_: int, density: jax.Array) -> jax.Array:
         return density + BAND**2 / (2 * n_steps) * laplacian(with_halo(density), operator)

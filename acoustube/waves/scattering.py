@@ -56,7 +56,7 @@ class Scattering:
     s : ndarray
         Outgoing over incoming amplitude, normalised by the power, at the reference planes; time
         goes as exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and 1
-        at high z; nan where a mode has decayed before the probe.
+        at high z; of no use, or not finite, where a mode has decayed before the probe.
     propagates : ndarray of bool
         (n, n_modes).
     cut_ons : ndarray
@@ -390,13 +390,14 @@ def _heard(
     band = float(part.frequency[0]), float(part.frequency[-1])
     most = CHECKS * ceil(longest / setup.time_step / CHECKS)
     click = _click(setup, band, most)
-    state, records = setup.state, []
+    state, records, loudest = setup.state, [], 0.0
     for begin in range(0, most, CHECKS):
         state, pressure = march(driven, state, click[begin : begin + CHECKS])
         records.append(pressure)
         progress((begin + CHECKS) / most)
-        loudest = max(np.abs(record).max() for record in records)
-        if begin > 0 and np.abs(pressure).max() < QUIET * loudest:
+        level = float(np.abs(pressure).max())
+        loudest = max(loudest, level)
+        if begin > 0 and level < QUIET * loudest:
             break
     heard = np.concatenate(records, axis=1)
     n = heard.shape[1]

@@ -1,8 +1,9 @@
-"""Cut-on frequencies of any cross-section."""
+"""The cross-section of a grid: how its cells are joined, and its cut-on frequencies."""
 
 from __future__ import annotations
 
 from math import pi
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -10,6 +11,37 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 
 from acoustube.waves.cells import CutCells
+
+
+def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp.csr_matrix:
+    """Return the matrix of minus the flow across a layer, ``sum A (p - p')`` of its open cells.
+
+    Parameters
+    ----------
+    area_x, area_y : ndarray
+        Open faces with the weight that a flow through them has, (nx+1, ny) and (nx, ny+1). Beyond
+        an open face at the rim of the grid the pressure is zero.
+    inside : ndarray of bool
+        The open cells, (nx, ny).
+
+    Returns
+    -------
+    sparse matrix of shape (n, n)
+        Over the open cells in the order of ``inside.ravel()``.
+    """
+    n = int(inside.sum())
+    number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
+    matrix = sp.csr_matrix((n, n))
+    for axis, area in enumerate((area_x, area_y)):
+        flow = np.moveaxis(np.asarray(area, float), axis, 0)
+        at = np.pad(np.moveaxis(number, axis, 0), ((1, 1), (0, 0)), constant_values=-1)
+        low, high = at[:-1], at[1:]
+        pairs = (low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)
+        for row, column, sign in pairs:
+            there = (row >= 0) & (column >= 0) & (flow > 0)
+            places = row[there], column[there]
+            matrix = matrix + sp.csr_matrix((sign * flow[there], places), (n, n))
+    return matrix
 
 
 def section_cut_ons(
@@ -44,16 +76,8 @@ def section_cut_ons(
     dx, dy, _ = cells.spacing
     volume = cells.volume_fraction[:, :, layer]
     inside = volume > 0.0
-    number = np.cumsum(inside).reshape(inside.shape) - 1
-    coupling = sp.csr_matrix((number.max() + 1,) * 2)
-    for axis, open_faces, h in ((0, cells.open_x, dx), (1, cells.open_y, dy)):
-        area = np.moveaxis(open_faces[:, :, layer], axis, 0)[1:-1]
-        at = np.moveaxis(number, axis, 0)
-        open_here = area > 0.0
-        pairs = at[:-1][open_here], at[1:][open_here]
-        coupling = coupling + sp.csr_matrix((area[open_here] / h**2, pairs), coupling.shape)
-    coupling = coupling + coupling.T
-    stiffness = sp.diags(np.asarray(coupling.sum(axis=1)).ravel()) - coupling
+    faces = cells.open_x[:, :, layer] / dx**2, cells.open_y[:, :, layer] / dy**2
+    stiffness = section_stiffness(*faces, inside)
     # Just below zero: the plane mode's eigenvalue is zero and would make the shift singular.
     squares = eigsh(
         stiffness.tocsc(),
