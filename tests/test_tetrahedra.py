@@ -366,6 +366,32 @@ def test_displacement_converges_with_order_two_to_three_and_force_with_order_fou
     assert orders[:, 1] == pytest.approx([4.0, 4.0], abs=0.2)
 
 
+def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
+    """One in twenty has four corners in one plane, whose volume of zero turns forces into NaN."""
+    judge, flat = tetrahedra._qualities, [True, False]
+
+    def judged(points, elements):
+        return 0.0 * judge(points, elements) if flat.pop(0) else judge(points, elements)
+
+    monkeypatch.setattr(tetrahedra, "_qualities", judged)
+    monkeypatch.setattr(tetrahedra, "ATTEMPTS", 2)
+    size = TetrahedronSize(fine=1.0, coarse=1.0)
+    mesh = tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
+    assert flat == []
+    assert judge(mesh.points, mesh.elements).min() > tetrahedra.LEAST_QUALITY
+
+    flat.extend([True] * tetrahedra.ATTEMPTS)
+    with pytest.raises(ConfigError, match="could not be filled with sound tetrahedra"):
+        tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
+    assert flat == []
+
+
+def test_quality_of_a_regular_tetrahedron_is_one():
+    corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 7
+    points = np.concatenate([corners, [(corners[i] + corners[j]) / 2 for i, j in edges(3)]])
+    assert tetrahedra._qualities(points, np.arange(10)[None]) == pytest.approx(1.0)
+
+
 # --- presses
 
 HEXAHEDRA = 2.1182
