@@ -11,9 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, pi, sqrt
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from acoustube.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+Frequency = TypeVar("Frequency", float, "NDArray[np.float64]")
 
 HEAT_CAPACITY_RATIO = 1.4
 SPECIFIC_GAS_CONSTANT = 287.05  # J/(kg K), dry air
@@ -74,8 +80,8 @@ class Air:
         """In m2/s."""
         return self.viscous_diffusivity / self.prandtl
 
-    def absorption(self, frequency: float) -> float:
-        """Return the attenuation of a free plane wave in Np/m at a frequency in Hz."""
+    def absorption(self, frequency: Frequency) -> Frequency:
+        """Return the attenuation of a free plane wave in Np/m at a frequency, or several, in Hz."""
         relaxing = sum(
             r.strength * frequency**2 / (r.frequency + frequency**2 / r.frequency)
             for r in self.relaxations

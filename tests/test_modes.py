@@ -1,5 +1,7 @@
 """Duct modes and the excitation against tabulated and closed-form values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from wave_lumens import BORE, straight_tube
@@ -8,6 +10,7 @@ from acoustube.air import Air, air_at, sound_speed
 from acoustube.waves import cut_cells, section_cut_ons
 from acoustube.waves.modes import (
     attenuation,
+    axial_wavenumber,
     bessel_zero,
     cut_on_frequency,
     cut_ons_in_band,
@@ -61,16 +64,37 @@ def test_cut_on_of_21_lies_in_the_carrier_band():
     assert critical[0].cut_on == pytest.approx(42.24e3, rel=1e-3)
 
 
-def test_attenuation_matches_kirchhoff_to_first_order():
-    """Zwikker and Kosten give 1.537 Np/m; first order in the boundary layer, 1.540."""
-    air = air_at(20.0)
-    assert attenuation(0, 0, 42e3, RADIUS, air) == pytest.approx(1.540, abs=2e-3)
-    assert attenuation(1, 1, 42e3, RADIUS, air) == pytest.approx(2.266, abs=3e-3)
+TABLE_AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
+
+
+def test_plane_mode_travels_as_zwikker_and_kosten_say():
+    """Attenuation in Np/m and phase speed in m/s, from arithmetic with 40 digits."""
+    frequency = np.array([1e3, 10e3, 28e3])
+    found = axial_wavenumber(0, 0, frequency, RADIUS, TABLE_AIR)
+    assert -found.imag == pytest.approx([0.239945, 0.752134, 1.25651], rel=1e-4)
+    assert 2 * np.pi * frequency / found.real == pytest.approx(
+        [338.8165, 341.8015, 342.3628], rel=1e-6
+    )
+
+
+def test_wall_and_air_attenuate_a_mode():
+    """(1,1) by its wall 2.266 Np/m to first order; the air adds to the plane mode its own share."""
+    assert attenuation(1, 1, 42e3, RADIUS, TABLE_AIR) == pytest.approx(2.266, abs=3e-3)
+    moist = air_at(20.0)
+    dry = replace(moist, classical_absorption=0.0, relaxations=())
+    added = attenuation(0, 0, 42e3, RADIUS, moist) - attenuation(0, 0, 42e3, RADIUS, dry)
+    assert added == pytest.approx(moist.absorption(42e3), rel=5e-3)
+    assert axial_wavenumber(0, 0, 42e3, RADIUS, moist, lossy=False) == pytest.approx(
+        2 * np.pi * 42e3 / moist.sound_speed
+    )
 
 
 def test_attenuation_below_cut_on_is_evanescent_decay():
     """(0,1) at 42 kHz decays over 1.7 mm, 1 / sqrt((j'/R)^2 - k^2)."""
     assert 1e3 / attenuation(0, 1, 42e3, RADIUS, air_at(20.0)) == pytest.approx(1.7, abs=0.1)
+    evanescent = axial_wavenumber(0, 1, 42e3, RADIUS, TABLE_AIR, lossy=False)
+    assert evanescent.real == 0.0
+    assert evanescent.imag < 0.0
 
 
 def test_mode_without_nodal_circle_count_is_refused():

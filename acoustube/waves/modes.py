@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from cmath import sqrt as complex_sqrt
 from dataclasses import dataclass
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
-from scipy.special import jnp_zeros
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import jnp_zeros, jve
 
 from acoustube.air import Air
+from acoustube.waves.polyhedron import Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,14 +94,79 @@ def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float
     return [m for m in modes_below(highest, radius, sound_speed) if m.cut_on >= lowest > 0.0]
 
 
-def attenuation(
-    m: int,
-    n: int,
-    frequency: float,
-    radius: float,
-    air: Air,
-) -> float:
-    """Return a mode's viscothermal attenuation, to first order in the boundary layers.
+def axial_wavenumber(
+    m: int, n: int, frequency: ArrayLike, radius: float, air: Air, *, lossy: bool = True
+) -> NDArray[np.complex128]:
+    """Return how a mode travels along a round bore, as exp(+j omega t - j kz z).
+
+    Parameters
+    ----------
+    m, n : int
+        Mode; (0, 0) is the plane mode.
+    frequency : array_like
+        In Hz.
+    radius : float
+        Bore radius in m.
+    air : Air
+        Gas in the lumen.
+    lossy : bool
+        With the losses at a smooth isothermal wall and in the air.
+
+    Returns
+    -------
+    ndarray
+        kz in 1/m, of the shape of `frequency`. Below cut-on it is imaginary but for the losses;
+        minus its imaginary part is the attenuation in Np/m.
+
+    Notes
+    -----
+    The plane mode has Zwikker and Kosten's solution: with F(s) = 1 - 2 J1(s) / (s J0(s)),
+    s_v = R sqrt(-j omega / nu) and s_t = sqrt(Pr) s_v,
+
+        kz^2 = k^2 (gamma - (gamma - 1) F(s_t)) / F(s_v).
+
+    The others have the boundary layers to first order: with D_v = sqrt(nu / (j omega)),
+    D_t = D_v / sqrt(Pr) and Q = 2/R for m = 0, otherwise 2 / (R (1 - m^2/j'^2)),
+
+        kz^2 (1 - D_v Q) = k^2 (1 + (gamma - 1) D_t Q) - (j'/R)^2 + D_v Q m^2/R^2.
+
+    The absorption of the air is in k = omega / c - j alpha.
+    """
+    frequency = np.asarray(frequency, float)
+    omega, zero = 2 * pi * frequency, bessel_zero(m, n)
+    k = omega / air.sound_speed + 0j
+    if not lossy:
+        return _root(k**2 - (zero / radius) ** 2)
+    k = k - 1j * air.absorption(frequency)
+    if zero == 0.0:
+        return _root(k**2 * _zwikker_kosten(omega, radius, air))
+    across = 2 / (radius * (1 - (m / zero) ** 2))
+    viscous = across * np.sqrt(air.viscous_diffusivity / (1j * omega))
+    thermal = viscous / sqrt(air.prandtl)
+    right = k**2 * (1 + (air.heat_capacity_ratio - 1) * thermal)
+    right += viscous * (m / radius) ** 2 - (zero / radius) ** 2
+    return _root(right / (1 - viscous))
+
+
+def _zwikker_kosten(omega: Array, radius: float, air: Air) -> NDArray[np.complex128]:
+    """Return (kz / k)^2 of the plane mode."""
+    viscous = radius * np.sqrt(-1j * omega / air.viscous_diffusivity)
+    # The scaled functions: those of a large imaginary argument leave the range of numbers.
+    part_v, part_t = (
+        1 - 2 * jve(1, s) / (s * jve(0, s)) for s in (viscous, sqrt(air.prandtl) * viscous)
+    )
+    gamma = air.heat_capacity_ratio
+    return np.asarray((gamma - (gamma - 1) * part_t) / part_v)
+
+
+def _root(square: NDArray[Any]) -> NDArray[np.complex128]:
+    """Return the root of a wave that decays, or else travels, towards positive z."""
+    root = np.sqrt(square)
+    return np.where(root.imag > 0, -root, root)
+
+
+def attenuation(m: int, n: int, frequency: float, radius: float, air: Air) -> float:
+    """Return a mode's attenuation in Np/m; see :func:`axial_wavenumber`.
 
     Parameters
     ----------
@@ -111,29 +178,5 @@ def attenuation(
         Bore radius in m.
     air : Air
         Gas in the lumen.
-
-    Returns
-    -------
-    float
-        Attenuation in Np/m of a smooth rigid isothermal wall; below cut-on mostly the mode's
-        evanescent decay. The plane mode at 42 kHz in a 7.9 mm bore: 1.540 Np/m, where the full
-        Zwikker-Kosten solution gives 1.537.
-
-    Notes
-    -----
-    With D_v = sqrt(nu / (i omega)), D_t = D_v / sqrt(Pr) and Q = 2/R for m = 0, otherwise
-    2 / (R (1 - m^2/j'^2)),
-
-        kz^2 (1 - D_v Q) = k^2 (1 + (gamma - 1) D_t Q) - (j'/R)^2 + D_v Q m^2/R^2.
     """
-    omega = 2.0 * pi * frequency
-    zero = bessel_zero(m, n)
-    share = 1.0 - (m / zero) ** 2 if m else 1.0
-    perimeter = 2.0 / (radius * share)
-    viscous = complex_sqrt(air.viscous_diffusivity / (1j * omega))
-    thermal = viscous / sqrt(air.prandtl)
-    right = (omega / air.sound_speed) ** 2 * (
-        1.0 + (air.heat_capacity_ratio - 1.0) * thermal * perimeter
-    )
-    right += viscous * perimeter * (m / radius) ** 2 - (zero / radius) ** 2
-    return abs(complex_sqrt(right / (1.0 - viscous * perimeter)).imag)
+    return -float(axial_wavenumber(m, n, frequency, radius, air).imag)
