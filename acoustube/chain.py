@@ -11,13 +11,14 @@ import numpy as np
 import xarray as xr
 
 from acoustube import record, signals
-from acoustube.air import air_at
+from acoustube.air import Air, air_at
 from acoustube.config import Config
 from acoustube.errors import SimulationError
-from acoustube.lumen import Lumen, lumen
+from acoustube.lumen import Lumen, lumen, pressed_part
 from acoustube.mechanics import pressed
 from acoustube.rules import filled
 from acoustube.waves import (
+    Placed,
     Pulse,
     Recording,
     SourceEnd,
@@ -25,7 +26,9 @@ from acoustube.waves import (
     cut_cells,
     cut_ons_in_band,
     grid_spacing,
+    heard,
     propagate,
+    scatter,
 )
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
@@ -33,6 +36,13 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 
 BAND_EDGE = -20.0
 """Level in dB under the pulse's spectral peak down to which a mode's cut-on is warned of."""
+
+HEARD = -60.0
+"""Level in dB under the pulse's spectral peak down to which its sound is followed."""
+FREQUENCY_STEP = 100.0
+"""Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
+TIME_STEP = 1e-6
+"""Of the sound in s that is put together from scattering and straight tube."""
 
 Report = Callable[[str, float], None]
 """Called with the name of a stage and the fraction of it that is done."""
@@ -69,14 +79,17 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     config = config or Config()
     report = report or _silent
     seconds: dict[str, float] = {}
-    air = air_at(config.waves.temperature_c)
+    air = air_of(config)
 
     with stage("indentation", seconds, report) as progress:
         indentation = pressed(config, [1e-3 * config.indentation.depth_mm], progress)
     with stage("lumen", seconds, report):
         space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
     with stage("waves", seconds, report) as progress:
-        recordings = listen(config, space, progress)
+        if config.waves.method == "full":
+            recordings = listen(config, space, progress)
+        else:
+            recordings = listen_by_parts(config, pressed_part(indentation), progress)
     with stage("signals", seconds, report):
         rangings = {end: locate(config, recording) for end, recording in recordings.items()}
 
@@ -96,7 +109,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
 def warnings_for(config: Config) -> list[str]:
     """Return one sentence for each way in which the settings leave the model's range."""
     waves, radius = config.waves, 0.5e-3 * config.tube.inner_diameter_mm
-    air, pulse = air_at(waves.temperature_c), _pulse(config)
+    air, pulse = air_of(config), _pulse(config)
     found = [
         f"Mode ({mode.m},{mode.n}) cuts on at {1e-3 * mode.cut_on:.2f} kHz, inside the pulse's "
         "band: small errors of bore or temperature decide whether it propagates."
@@ -109,12 +122,23 @@ def warnings_for(config: Config) -> list[str]:
             f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
             "looked for: move the press away from the source or raise the low-pass."
         )
-    loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
-    found.append(
-        "The walls are rigid and lossless; boundary layers of air at 20 degC would lower this "
-        f"echo by {loss:.1f} dB."
-    )
+    if waves.losses == "off":
+        loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
+        found.append(
+            f"The losses are off; boundary layers and the air, {waves.temperature_c:g} degC warm, "
+            f"would lower this echo by {loss:.1f} dB."
+        )
     return found
+
+
+def air_of(config: Config) -> Air:
+    """Return the air in the tube that the settings describe."""
+    waves = config.waves
+    return air_at(
+        waves.temperature_c,
+        humidity=waves.humidity_percent,
+        pressure=1e3 * waves.pressure_kpa,
+    )
 
 
 def _pulse(config: Config) -> Pulse:
@@ -140,11 +164,9 @@ def listen(
     dict of Recording
         For each choice of the source end.
     """
-    air, pulse, probe = air_at(config.waves.temperature_c), _pulse(config), _probe(config)
+    air, pulse, probe = air_of(config), _pulse(config), _probe(config)
     spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
     cells = cut_cells(space.surface, spacing, half=space.symmetric)
-    # Long enough for the middle of an echo from the far end.
-    duration = 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse.duration
     recordings: dict[SourceEnd, Recording] = {}
     # Both on the time axis of the first: their limits differ by less than a permille.
     time_step: float | None = None
@@ -153,14 +175,81 @@ def listen(
             cells,
             air,
             pulse,
-            duration=duration,
+            duration=_duration(config, air),
             probes=(probe,),
             source_end=source_end,
             time_step=time_step,
+            lossy_band=pulse.band(HEARD) if config.waves.losses == "on" else None,
             progress=_share_of(progress or _ignore, done),
         )
         time_step = recordings[source_end].time_step
     return recordings
+
+
+def listen_by_parts(
+    config: Config, part: Lumen, progress: Callable[[float], None] | None = None
+) -> dict[SourceEnd, Recording]:
+    """Return what :func:`listen` does, from the scattering of the pressed part and straight tube.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    part : Lumen
+        The pressed part, from :func:`acoustube.lumen.pressed_part`.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    dict of Recording
+        For each choice of the source end.
+    """
+    air, pulse, probe = air_of(config), _pulse(config), _probe(config)
+    bore, lossy = 1e-3 * config.tube.inner_diameter_mm, config.waves.losses == "on"
+    across, length = bore / config.waves.resolution, 2 * part.position
+    # A whole number of layers, so that the grid of a symmetric press is symmetric too.
+    spacing = across, across, length / np.ceil(length / across)
+    lowest, highest = pulse.band(HEARD)
+    count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
+    matrix = scatter(
+        cut_cells(part.surface, spacing),
+        air,
+        lowest + FREQUENCY_STEP * np.arange(count + 1),
+        reference=(part.position, part.position),
+        lossy=lossy,
+        symmetric_only=part.symmetric,
+        progress=progress,
+    )
+    press = Placed(matrix, 1e-2 * filled(config.indentation.position_cm))
+    recordings: dict[SourceEnd, Recording] = {}
+    for source_end in SOURCE_ENDS:
+        time, pressure = heard(
+            [press],
+            air,
+            pulse,
+            radius=bore / 2,
+            length=1e-2 * config.tube.length_cm,
+            duration=_duration(config, air),
+            time_step=TIME_STEP,
+            probes=[probe],
+            source_reflection=-1.0 if source_end == "release" else 0.0,
+            lossy=lossy,
+        )
+        recordings[source_end] = Recording(
+            time=time,
+            pressure=pressure,
+            time_step=TIME_STEP,
+            probes=(probe,),
+            spacing=matrix.spacing,
+            shape=matrix.shape,
+        )
+    return recordings
+
+
+def _duration(config: Config, air: Air) -> float:
+    """Return a time in s that is long enough for the middle of an echo from the far end."""
+    return 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * _pulse(config).duration
 
 
 def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:

@@ -52,6 +52,8 @@ def simulate(
     # A float, because a whole number would be rounded from 3.5 without a word.
     resolution: Annotated[float | None, _option("resolution")] = None,
     source_end: Annotated[Literal["release", "absorbing"] | None, _option("source_end")] = None,
+    losses: Annotated[Literal["off", "on"] | None, _option("losses")] = None,
+    method: Annotated[Literal["full", "scattering"] | None, _option("method")] = None,
     config: Path | None = None,
     out: Path | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
@@ -83,6 +85,8 @@ def simulate(
         temperature_c=temperature,
         resolution=resolution,
         source_end=source_end,
+        losses=losses,
+        method=method,
     )
     folder = check_out(out if out is not None else fresh_folder("simulate"))
 

@@ -114,6 +114,20 @@ class WaveSettings(Section):
     frequency_khz: float = setting(42.0, Number(5, 100, "kHz", "carrier of the pulse"))
     cycles: int = setting(11, Number(1, 100, "", "carrier cycles in the pulse", whole=True))
     temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
+    humidity_percent: float = setting(
+        50.0, Number(0, 100, "%", "relative humidity of the air, which absorbs sound")
+    )
+    pressure_kpa: float = setting(101.325, Number(10, 200, "kPa", "pressure of the air at rest"))
+    losses: Literal["off", "on"] = setting(
+        "off", Choice(("off", "on"), "losses at the wall and in the air")
+    )
+    method: Literal["full", "scattering"] = setting(
+        "full",
+        Choice(
+            ("full", "scattering"),
+            "march the whole tube, or the press alone and join it to straight tube",
+        ),
+    )
     resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))
     source_end: Literal["release", "absorbing"] = setting(
         "release",

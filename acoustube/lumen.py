@@ -225,6 +225,32 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
 
 
+def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
+    """Build the lumen of the deformed part alone, between short ends that are straight.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    increment : int, optional
+        Which increment; the last by default.
+
+    Returns
+    -------
+    Lumen
+        As :func:`lumen`, the press in its middle.
+
+    Raises
+    ------
+    SimulationError
+        If the lumen is closed.
+    """
+    tube = indentation.tube
+    # A tube that tilts off the floor gains a little length when it is straightened.
+    half = 1.02 * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
+    short = dataclasses.replace(tube, length=2 * half)
+    return lumen(dataclasses.replace(indentation, tube=short), half, increment)
+
+
 def _straight(wall: Array, bottom: Array, mesh: Mesh) -> Array:
     """Straighten the rings of both sides of the press along the tube's bottom line."""
     if mesh.halved[1]:

@@ -75,8 +75,11 @@ def run_scatter(
     started = time.perf_counter()
     air = air_at(temperature)
     surface, start = read_lumen(path)
-    spacing = float(_end_size(surface) / resolution)
-    _check_grid(band_khz, spacing, air)
+    across = float(_end_size(surface) / resolution)
+    _check_grid(band_khz, across, air)
+    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
+    length = float(np.ptp(surface.bounds[:, 2]))
+    spacing = across, across, length / np.ceil(length / across - 1e-6)
     with heard_interrupts() as check, stage_progress(console) as show:
 
         def progress(fraction: float) -> None:

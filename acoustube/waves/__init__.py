@@ -1,15 +1,18 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
+from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells
 from acoustube.waves.fdtd import Recording, grid_spacing, propagate
 from acoustube.waves.modes import (
     Mode,
     attenuation,
+    axial_wavenumber,
     cut_on_frequency,
     cut_ons_in_band,
     modes_below,
 )
 from acoustube.waves.pulse import Pulse
+from acoustube.waves.scattering import Scattering, scatter
 from acoustube.waves.scheme import SourceEnd
 from acoustube.waves.section import section_cut_ons
 from acoustube.waves.stability import stable_step
@@ -17,16 +20,22 @@ from acoustube.waves.stability import stable_step
 __all__ = [
     "CutCells",
     "Mode",
+    "Placed",
     "Pulse",
     "Recording",
+    "Scattering",
     "SourceEnd",
     "attenuation",
+    "axial_wavenumber",
     "cut_cells",
     "cut_on_frequency",
     "cut_ons_in_band",
     "grid_spacing",
+    "heard",
     "modes_below",
     "propagate",
+    "scatter",
     "section_cut_ons",
     "stable_step",
+    "transfer",
 ]

@@ -263,3 +263,9 @@ def labels(modes: DuctModes, radius: float, c: float) -> tuple[str, ...]:
 def _label(mode: Mode, odd: bool) -> str:
     symmetry = "" if mode.m == 0 else "s" if odd else "c"
     return f"{mode.m}{mode.n}{symmetry}"
+
+
+def mode_numbers(label: str) -> tuple[int, int]:
+    """Return the nodal diameters and circles that a label tells."""
+    digits = label.rstrip("cs")
+    return int(digits[:-1]), int(digits[-1])

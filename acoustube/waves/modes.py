@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import jnp_zeros, jve
 
 from acoustube.air import Air
-from acoustube.waves.polyhedron import Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +103,7 @@ def axial_wavenumber(
     m, n : int
         Mode; (0, 0) is the plane mode.
     frequency : array_like
-        In Hz.
+        In Hz; with a negative imaginary part it is that of sound that decays.
     radius : float
         Bore radius in m.
     air : Air
@@ -132,12 +131,12 @@ def axial_wavenumber(
 
     The absorption of the air is in k = omega / c - j alpha.
     """
-    frequency = np.asarray(frequency, float)
+    frequency = np.asarray(frequency)
     omega, zero = 2 * pi * frequency, bessel_zero(m, n)
     k = omega / air.sound_speed + 0j
     if not lossy:
         return _root(k**2 - (zero / radius) ** 2)
-    k = k - 1j * air.absorption(frequency)
+    k = k - 1j * air.absorption(frequency.real)
     if zero == 0.0:
         return _root(k**2 * _zwikker_kosten(omega, radius, air))
     across = 2 / (radius * (1 - (m / zero) ** 2))
@@ -148,7 +147,7 @@ def axial_wavenumber(
     return _root(right / (1 - viscous))
 
 
-def _zwikker_kosten(omega: Array, radius: float, air: Air) -> NDArray[np.complex128]:
+def _zwikker_kosten(omega: NDArray[Any], radius: float, air: Air) -> NDArray[np.complex128]:
     """Return (kz / k)^2 of the plane mode."""
     viscous = radius * np.sqrt(-1j * omega / air.viscous_diffusivity)
     # The scaled functions: those of a large imaginary argument leave the range of numbers.

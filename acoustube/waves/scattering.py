@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from acoustube.air import Air
 from acoustube.errors import ConfigError
 from acoustube.waves.cells import CutCells, with_straight_ends
-from acoustube.waves.duct_modes import Phases, duct_modes, labels, phases
+from acoustube.waves.duct_modes import Phases, duct_modes, labels, mode_numbers, phases
 from acoustube.waves.marching import march
+from acoustube.waves.modes import bessel_zero
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.scheme import FADING, Setup, prepare
 
@@ -66,6 +67,10 @@ class Scattering:
         shape of `s`.
     sound_speed : float
         In m/s.
+    extent : tuple of float
+        From where to where the lumen is not straight, in m from the reference planes.
+    spacing : tuple of float
+        Size of a grid cell in m.
     shape : tuple of int
         Cells of a run.
     steps : int
@@ -81,6 +86,8 @@ class Scattering:
     cut_ons: Array
     settled: NDArray[np.bool_]
     sound_speed: float
+    extent: tuple[float, float]
+    spacing: tuple[float, float, float]
     shape: tuple[int, int, int]
     steps: int
     time_step: float
@@ -93,6 +100,7 @@ def scatter(
     *,
     reference: tuple[float, float] = (0.0, 0.0),
     lossy: bool = True,
+    symmetric_only: bool = False,
     longest: float = 12e-3,
     absorber_thickness: float = 0.02,
     progress: Progress | None = None,
@@ -111,6 +119,9 @@ def scatter(
         high z are given, as if the ends went on straight to there.
     lossy : bool
         With the losses at the wall and in the air.
+    symmetric_only : bool
+        Of a lumen symmetric about x = 0, compute the modes that are so too: all that a plane wave
+        meets there.
     longest : float
         Time in s after which a run ends even if it still rings.
     absorber_thickness : float
@@ -133,13 +144,15 @@ def scatter(
     ways, the outer half of it into an absorber. What the probes hear, projected onto the modes of
     the section, less the wave that the source sends there (known in closed form on the grid), is
     what the lumen sends back. A lumen symmetric about x = 0 is computed by halves, the symmetric
-    and the antisymmetric modes apart.
+    and the antisymmetric modes apart; of one symmetric along z, on the grid too, one end is driven.
     """
     core = straight_ends_cut(cells)
-    parities = (False, True) if is_symmetric(core) else (None,)
+    parities: tuple[bool | None, ...] = (None,)
+    if is_symmetric(core):
+        parities = (False,) if symmetric_only else (False, True)
     band = float(frequency[0]), float(frequency[-1])
     parts = [_Part(core, air, frequency, band, odd, lossy, absorber_thickness) for odd in parities]
-    n_runs = sum(2 * len(part.modes.squares) for part in parts)
+    n_runs = sum(len(part.driven) * len(part.modes.squares) for part in parts)
     done = 0
     blocks, earlier, steps = [], [], 0
     for part in parts:
@@ -147,7 +160,9 @@ def scatter(
         blocks.append(now)
         earlier.append(before)
         steps = max(steps, taken)
-    return _joined(parts, blocks, earlier, frequency, air, steps)
+    start = core.origin[2]
+    extent = start - reference[0], start + core.length + core.spacing[2] / 2 - reference[1]
+    return _joined(parts, blocks, earlier, frequency, air, steps, extent)
 
 
 def _joined(
@@ -157,11 +172,15 @@ def _joined(
     frequency: Array,
     air: Air,
     steps: int,
+    extent: tuple[float, float],
 ) -> Scattering:
     """Put the parts of both symmetries together, in the order of the cut-ons."""
     names = [name for part in parts for name in part.names]
     cut_ons = np.concatenate([part.modes.cut_ons for part in parts])
-    order = np.lexsort((np.array(names), np.round(cut_ons, 0)))
+    # That of the round bore: the cut-ons of a pair differ by rounding.
+    order = sorted(
+        range(len(names)), key=lambda i: (bessel_zero(*mode_numbers(names[i])), names[i])
+    )
     s, before = (_block_diagonal(values)[:, :, order][..., order] for values in (blocks, earlier))
     return Scattering(
         frequency=np.asarray(frequency),
@@ -171,6 +190,8 @@ def _joined(
         cut_ons=cut_ons[order],
         settled=np.abs(s - before) < SETTLED,
         sound_speed=air.sound_speed,
+        extent=extent,
+        spacing=parts[0].setup.cells.spacing,
         shape=parts[0].setup.cells.shape,
         steps=steps,
         time_step=parts[0].setup.time_step,
@@ -191,6 +212,12 @@ def is_symmetric(cells: CutCells) -> bool:
     """Return whether a lumen is its own mirror image about x = 0."""
     mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[::-1])
     return bool(cells.origin[0] < 0 and mirrored.max() < ALIKE)
+
+
+def is_reversible(cells: CutCells) -> bool:
+    """Return whether a lumen is its own mirror image along z."""
+    mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[..., ::-1])
+    return bool(mirrored.max() < ALIKE)
 
 
 def straight_ends_cut(cells: CutCells) -> CutCells:
@@ -271,6 +298,7 @@ class _Part:
         out = ahead + lead - 2 * GAP - 2
         self.sources = out, ahead + n - 1 - (lead - 2 * GAP - 2)
         self.probes = out + GAP, self.sources[1] - GAP
+        self.driven = (0,) if is_reversible(core) else (0, 1)
         volume = np.asarray(self.setup.cells.volume_fraction)
         self.frequency, self.air, self.spacing = frequency, air, dz
         self.modes = duct_modes(
@@ -300,7 +328,7 @@ class _Part:
         m = len(self.modes.squares)
         raw = np.zeros((2, len(self.frequency), 2, m, 2, m), complex)
         steps = 0
-        for port in (0, 1):
+        for port in self.driven:
             for mode in range(m):
 
                 def show(share: float, done: int = done) -> None:
@@ -311,6 +339,8 @@ class _Part:
                 raw[:, :, :, :, port, mode] = heard
                 steps, done = max(steps, taken), done + 1
                 show(0.0, done)
+        if self.driven == (0,):
+            raw[:, :, :, :, 1] = raw[:, :, ::-1, :, 0]
         now, before = (_coefficients(self, heard, reference) for heard in raw)
         return now, before, steps, done
 

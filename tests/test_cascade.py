@@ -1,0 +1,217 @@
+"""Tubes with presses put together from their scattering, against closed forms and full runs."""
+
+import numpy as np
+import pytest
+import trimesh
+from wave_lumens import BORE, pinched_tube
+
+from acoustube.air import Air, air_at
+from acoustube.waves import (
+    Placed,
+    Pulse,
+    Scattering,
+    axial_wavenumber,
+    cut_cells,
+    grid_spacing,
+    heard,
+    propagate,
+    scatter,
+    transfer,
+)
+from acoustube.waves.cascade import continued
+
+AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
+"""That of the table below."""
+PHASE_SPEED = {41e3: 342.5079, 42e3: 342.5162, 43e3: 342.5241}
+"""Plane mode in a bore of 3.95 mm radius: m/s of Zwikker and Kosten's solution."""
+PULSE = Pulse(frequency=42e3)
+
+
+def made(frequency, s, modes=("00",), extent=0.01):
+    """Return a scattering matrix that is known."""
+    n = len(modes)
+    return Scattering(
+        frequency=frequency, modes=modes, s=s.reshape(len(frequency), 2, n, 2, n),
+        propagates=np.ones((len(frequency), n), bool), cut_ons=np.zeros(n),
+        settled=np.ones((len(frequency), 2, n, 2, n), bool), sound_speed=AIR.sound_speed,
+        extent=(-extent, extent), spacing=(1e-4,) * 3, shape=(1, 1, 1), steps=1, time_step=1e-7,
+    )  # fmt: skip
+
+
+def mirror(reflection, frequency):
+    """Return a symmetric, lossless press: T = j sqrt(1 - R^2) beside a real R."""
+    through = 1j * np.sqrt(1 - reflection**2)
+    matrix = np.array([[reflection, through], [through, reflection]])
+    return made(frequency, np.tile(matrix, (len(frequency), 1, 1)).astype(complex))
+
+
+def tube(**words):
+    return {"radius": BORE, "length": 6.0} | words
+
+
+def test_group_delay_over_five_metres_is_that_of_the_lossy_plane_mode():
+    """Within 1 mm: 2.9 us. The delay is the slope of the phase, here between 41 and 43 kHz."""
+    frequency = np.array(list(PHASE_SPEED))
+    answer = transfer([], AIR, frequency, probes=(0.0, 5.0), **tube())
+    wanted = np.array([-2 * np.pi * f * 5 / speed for f, speed in PHASE_SPEED.items()])
+    off = np.angle(answer[1] / answer[0] * np.exp(-1j * wanted))
+    # The table's seven digits, 1e-4 m/s, are a phase of 1 mrad, or 0.2 mm of group delay.
+    assert np.abs(off).max() < 2e-3
+    late = -(off[2] - off[0]) / (2 * np.pi * 2e3)
+    assert abs(late) * 342 < 1e-3
+    exact = -(wanted[2] - wanted[0]) / (2 * np.pi * 2e3)
+    time, pressure = heard([], AIR, PULSE, duration=16e-3, probes=(0.0, 5.0), **tube())
+    first, second = (np.abs(np.fft.ifft(2 * np.fft.fft(p) * (np.arange(p.size) < p.size / 2)))
+                     for p in pressure)  # fmt: skip
+    centres = [np.sum(time * env**4) / np.sum(env**4) for env in (first, second)]
+    assert centres[1] - centres[0] == pytest.approx(exact, abs=1e-3 / 342)
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+def test_two_presses_make_a_resonator(lossy):
+    """Airy's sum of all echoes between two mirrors."""
+    frequency = np.linspace(30e3, 50e3, 401)
+    r, gap = 0.6, 0.2
+    presses = [Placed(mirror(r, frequency), z) for z in (0.5 + gap, 0.5)]
+    answer = transfer(
+        presses, AIR, frequency, probes=(0.1, 2.0), source_reflection=0.0, lossy=lossy, **tube()
+    )
+    kz = axial_wavenumber(0, 0, frequency, BORE, AIR, lossy=lossy)
+    loop = np.exp(-2j * kz * gap)
+    through = -(1 - r**2)
+    reflected = r + through * r * loop / (1 - r**2 * loop)
+    passed = through / (1 - r**2 * loop) * np.exp(-2j * kz)
+    assert answer[0] == pytest.approx(np.exp(-0.1j * kz) + reflected * np.exp(-0.9j * kz), rel=1e-9)
+    assert answer[1] == pytest.approx(passed, rel=1e-9)
+
+
+def test_ends_reflect_what_they_are_told_to():
+    """A tube between two ends: the sum of its echoes, with losses."""
+    frequency = np.linspace(30e3, 50e3, 11)
+    kz = axial_wavenumber(0, 0, frequency, BORE, AIR)
+    rs, rf, length, z = -0.7, 0.9 * np.exp(1e-6j * frequency), 1.5, 0.4
+    answer = transfer(
+        [], AIR, frequency, radius=BORE, length=length, probes=(z,),
+        source_reflection=rs, far_reflection=rf,
+    )  # fmt: skip
+    back = rf * np.exp(-2j * kz * length)
+    wanted = (np.exp(-1j * kz * z) + back * np.exp(1j * kz * z)) / (1 - rs * back)
+    assert answer[0] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_modes_that_meet_again_keep_their_power():
+    """Two unitary presses of two modes in a lossless tube: what leaves is what came."""
+    rng = np.random.default_rng(1)
+    frequency = np.linspace(30e3, 50e3, 21)
+    modes = ("00", "11c")
+    presses = []
+    for z in (0.5, 0.8):
+        noise = rng.normal(size=(4, 4)) + 1j * rng.normal(size=(4, 4))
+        unitary, _ = np.linalg.qr(noise)
+        presses.append(Placed(made(frequency, np.tile(unitary, (21, 1, 1)), modes), z))
+    far = [[1.0], [0.0]]
+    # The far end lets all through: the power there is that of both modes behind the last press.
+    from acoustube.waves import cascade
+
+    waves = np.stack(
+        [axial_wavenumber(m, n, frequency, BORE, AIR, lossy=False) for m, n in ((0, 0), (1, 1))],
+        axis=-1,
+    )
+    matrices = [press.scattering.s for press in presses]
+    lengths = np.array([0.5, 0.3, 0.2])
+    beyond = cascade._reflections(matrices, waves, lengths, 0.0)
+    forward = cascade._forward(matrices, waves, lengths, beyond, 0.0, 0)
+    reflected = np.sum(np.abs(beyond[0].at_start @ np.array(far)) ** 2, axis=(1, 2))
+    passed = np.sum(np.abs(forward[2]) ** 2, axis=(1, 2))
+    assert reflected + passed == pytest.approx(np.ones(21), rel=1e-9)
+
+
+def test_scattering_between_its_frequencies_is_that_of_its_response():
+    """A reflection delayed by 0.3 ms, known every 100 Hz: exact at these, 1 % between them.
+
+    At a complex frequency it is damped by exp(-eta t).
+    """
+    frequency = np.arange(30e3, 50e3 + 1, 100.0)
+    delay, between = 0.3e-3, np.arange(35e3, 45e3, 33.0)
+    s = np.zeros((len(frequency), 2, 2), complex)
+    s[:, 0, 0] = np.exp(-2j * np.pi * frequency * delay)
+    press = made(frequency, s)
+    assert continued(press, frequency)[:, 0, 0, 0, 0] == pytest.approx(s[:, 0, 0], rel=1e-9)
+    for eta in (0.0, 500.0):
+        found = continued(press, between - 1j * eta / (2 * np.pi))[:, 0, 0, 0, 0]
+        wanted = np.exp((-2j * np.pi * between - eta) * delay)
+        assert found == pytest.approx(wanted, abs=1e-2)
+
+
+FREQUENCY = np.arange(25e3, 60e3, 1e3)
+
+
+@pytest.mark.parametrize(
+    ("positions", "words", "part"),
+    [
+        ([0.3, 0.315], {}, "press at 0.315 m, which bends the tube from 0.305 m to 0.325 m"),
+        ([0.005], {}, "meets the one before it or the source end"),
+        ([5.995], {}, "beyond its end at 6 m"),
+        ([0.3], {"probes": [0.3]}, "probe = 0.3 m lies outside the tube or within a press"),
+        ([0.3], {"probes": [7.0]}, "probe = 7 m lies outside the tube"),
+    ],
+)
+def test_presses_and_probes_that_collide_are_refused(positions, words, part):
+    presses = [Placed(mirror(0.5, FREQUENCY), z) for z in positions]
+    with pytest.raises(ValueError, match=part):
+        transfer(presses, AIR, FREQUENCY, **tube(**words))
+
+
+def test_frequencies_that_a_press_does_not_know_are_refused():
+    press = Placed(mirror(0.5, FREQUENCY), 0.3)
+    with pytest.raises(ValueError, match="outside the band of a press, 25000 to 59000 Hz"):
+        transfer([press], AIR, np.array([20e3, 30e3]), **tube())
+    with pytest.raises(ValueError, match="energy lies outside the band"):
+        heard([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
+    other = Placed(made(FREQUENCY, np.zeros((35, 4, 4), complex), ("00", "11c")), 0.5)
+    with pytest.raises(ValueError, match="different modes, 00 and 00, 11c"):
+        transfer([press, other], AIR, FREQUENCY, **tube())
+
+
+def twice_pinched(length, pinches):
+    z = np.linspace(0.0, length, 400)
+    profile = [[0, 0], *[[BORE, zi] for zi in z], [0, length]]
+    lumen = trimesh.creation.revolve(profile, sections=64)
+    vertices = lumen.vertices.copy()
+    for centre, depth in pinches:
+        press = np.exp(-(((vertices[:, 2] - centre) / 4e-3) ** 2))
+        vertices[:, 1] -= depth * press * (vertices[:, 1] + BORE)
+    lumen.vertices = vertices
+    return lumen
+
+
+@pytest.mark.slow
+def test_two_presses_echo_as_in_a_run_of_the_whole_tube():
+    """At 22 kHz, 12 cells per bore, with losses: within 2 % of the pulse and 5 % of the echoes.
+
+    Below the cut-on of (1,1) both are the plane mode's; above it the grid of the full run slows
+    the other modes between the presses.
+    """
+    pulse = Pulse(frequency=20e3, cycles=8)
+    air, length, pinches = air_at(20.0), 0.26, [(0.10, 0.5), (0.18, 0.6)]
+    spacing = grid_spacing(2 * BORE, 12)
+    band = 8e3, 32e3
+    run = propagate(
+        cut_cells(twice_pinched(length, pinches), spacing, half=True), air, pulse,
+        duration=1.6e-3, source_end="absorbing", lossy_band=band,
+    )  # fmt: skip
+    frequency = np.arange(*band, 100.0)
+    presses = []
+    for centre, depth in pinches:
+        part = cut_cells(pinched_tube(0.05, depth=depth), spacing)
+        s = scatter(part, air, frequency, reference=(0.025, 0.025), symmetric_only=True)
+        presses.append(Placed(s, centre))
+    _, pressure = heard(
+        presses, air, pulse, radius=BORE, length=length, duration=run.time[-1],
+        time_step=run.time_step, probes=run.probes, source_reflection=0.0,
+    )  # fmt: skip
+    n = min(pressure.shape[1], run.pressure.shape[1])
+    difference, full = (pressure[0] - run.pressure[0])[:n], run.pressure[0, :n]
+    assert np.linalg.norm(difference) < 0.02 * np.linalg.norm(full)
+    echoes = run.time[:n] > 0.5e-3
+    assert np.linalg.norm(difference[echoes]) < 0.05 * np.linalg.norm(full[echoes])
