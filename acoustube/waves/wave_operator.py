@@ -30,7 +30,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import DTypeLike
 
 from acoustube.air import Air
@@ -84,25 +83,27 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
     -------
     Operator
         Its outermost faces are closed.
+
+    Notes
+    -----
+    JAX can differentiate it, and a march of it, with respect to the fractions.
     """
-    volume = cells.volume_fraction
-    speeds = [(air.sound_speed / h) ** 2 for h in cells.spacing]
+    volume = jnp.asarray(cells.volume_fraction, dtype)
+    faces = cells.open_x, cells.open_y, cells.open_z
     areas = [
-        _closed_outside(faces, axis) * speed
-        for axis, (faces, speed) in enumerate(
-            zip((cells.open_x, cells.open_y, cells.open_z), speeds, strict=True)
-        )
+        _closed_outside(jnp.asarray(face, dtype), axis) * (air.sound_speed / h) ** 2
+        for axis, (face, h) in enumerate(zip(faces, cells.spacing, strict=True))
     ]
-    areas[2] = np.pad(areas[2], ((0, 0), (0, 0), (1, 1)))
-    inverse = np.divide(1.0, volume, out=np.zeros_like(volume), where=volume > 0.0)
-    return Operator(*(jnp.asarray(a, dtype) for a in (inverse, *areas, beta)))
+    areas[2] = jnp.pad(areas[2], ((0, 0), (0, 0), (1, 1)))
+    # The division is safe where it is not wanted, so that its derivative is finite there too.
+    inverse = jnp.where(volume > 0.0, 1.0 / jnp.where(volume > 0.0, volume, 1.0), 0.0)
+    return Operator(inverse, areas[0], areas[1], areas[2], jnp.asarray(beta, dtype))
 
 
-def _closed_outside(faces: np.ndarray, axis: int) -> np.ndarray:
-    """Return a copy whose outermost faces are closed, because the halo is not lumen."""
-    closed = np.moveaxis(faces.copy(), axis, 0)
-    closed[[0, -1]] = 0.0
-    return np.moveaxis(closed, 0, axis)
+def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
+    """Return faces whose outermost are closed, because the halo is not lumen."""
+    closed = jnp.moveaxis(faces, axis, 0)
+    return jnp.moveaxis(closed.at[jnp.array([0, -1])].set(0.0), 0, axis)
 
 
 def with_halo(field: jax.Array) -> jax.Array:
