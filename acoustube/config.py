@@ -212,6 +212,7 @@ class Config:
         _check_position(self)
         _check_resolution(self.tube, self.waves)
         _check_probe(self.tube, self.waves)
+        _check_pulse(self.tube, self.waves)
         _check_lowpass(self)
 
     def _fill(self, section: str, name: str, value: float) -> None:
@@ -330,6 +331,18 @@ def _check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
         raise ConfigError(
             f"probe_cm = {short(waves.probe_cm)} lies in the first layer of cells; use at least "
             f"{nearest:g} or a higher resolution"
+        )
+
+
+def _check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
+    """Refuse a pulse that has not left when the echo of the far end is back."""
+    pulse_ms = waves.cycles / waves.frequency_khz
+    record_ms = 20 * tube.length_cm / sound_speed(waves.temperature_c)
+    if pulse_ms > record_ms:
+        raise ConfigError(
+            f"cycles = {waves.cycles} make a pulse of {pulse_ms:.3g} ms, longer than the "
+            f"{record_ms:.3g} ms that a {tube.length_cm:g} cm tube takes to answer; use at most "
+            f"{math.floor(record_ms * waves.frequency_khz)}"
         )
 
 

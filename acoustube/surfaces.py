@@ -43,17 +43,23 @@ def _polydata(path: Path) -> trimesh.Trimesh:
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    """Refuse a surface that is open, of facets turned both ways, or of several bodies.
+    """Refuse a surface that is open, touches itself, of facets both ways, or of several bodies.
 
     Raises
     ------
     ConfigError
     """
     _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-    if np.any(count != 2):
+    lone, shared = np.sum(count == 1), np.sum(count > 2)
+    if lone:
         raise ConfigError(
-            f"{path}: the surface is not closed: {np.sum(count == 1)} edges belong to one facet "
-            f"only and {np.sum(count > 2)} to more than two; repair it, or export it as a solid."
+            f"{path}: the surface is not closed: {lone} edges belong to one facet only and "
+            f"{shared} to more than two; repair it, or export it as a solid."
+        )
+    if shared:
+        raise ConfigError(
+            f"{path}: the surface touches itself: {shared} edges belong to more than two facets; "
+            "leave a gap there, or export it as a solid."
         )
     if not surface.is_winding_consistent:
         raise ConfigError(f"{path}: some facets are inside out; unify their orientation.")

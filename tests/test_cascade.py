@@ -168,6 +168,8 @@ def test_frequencies_that_a_press_does_not_know_are_refused():
         transfer([press], AIR, np.array([20e3, 30e3]), **tube())
     with pytest.raises(ValueError, match="energy lies outside the band"):
         heard([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
+    with pytest.raises(ValueError, match=r"pulse lasts 0.2619 ms, longer than the run"):
+        heard([press], AIR, PULSE, duration=0.2e-3, **tube())
     other = Placed(made(FREQUENCY, np.zeros((35, 4, 4), complex), ("00", "11c")), 0.5)
     with pytest.raises(ValueError, match="different modes, 00 and 00, 11c"):
         transfer([press, other], AIR, FREQUENCY, **tube())

@@ -224,6 +224,13 @@ def test_lowpass_stays_an_octave_below_the_carrier():
     assert load_config(frequency_khz=42).signals.lowpass_khz == 10
 
 
+def test_pulse_has_left_before_the_far_end_answers():
+    """40 cm there and back take 2.331 ms: 11.65 cycles of 5 kHz."""
+    with pytest.raises(ConfigError, match=r"cycles = 12 make a pulse of 2.4 ms.*use at most 11"):
+        load_config(frequency_khz=5, cycles=12)
+    load_config(frequency_khz=5, cycles=11)
+
+
 def test_lowpass_is_faster_than_the_record():
     """Sound takes 2.33 ms to the end of 40 cm and back; three periods of 1.29 kHz."""
     with pytest.raises(ConfigError, match=r"lowpass_khz = 1 is too slow .*use at least 1.29"):
@@ -316,6 +323,8 @@ def test_written_configuration_reads_back_equal(
     reach = (pressed_reach(outer, indenter) + CLEARANCE * outer) / 10
     waves["probe_cm"] = max(waves["probe_cm"], bore / waves["resolution"] / 10 + 0.01)
     tube["length_cm"] = max(tube["length_cm"], min(1000, waves["probe_cm"] + 2 * reach + 1))
+    answer_ms = 20 * tube["length_cm"] / sound_speed(waves["temperature_c"])
+    waves["cycles"] = max(1, min(waves["cycles"], int(answer_ms * waves["frequency_khz"])))
     slowest = 3 * sound_speed(waves["temperature_c"]) / 20 / tube["length_cm"] + 0.01
     assume(slowest < waves["frequency_khz"] / 2 - 0.01)
     rest["lowpass_khz"] = min(max(rest["lowpass_khz"], slowest), waves["frequency_khz"] / 2 - 0.01)

@@ -16,7 +16,7 @@ from acoustube.waves.modes import (
     cut_ons_in_band,
     modes_below,
 )
-from acoustube.waves.pulse import Pulse
+from acoustube.waves.pulse import Pulse, SampledPulse
 
 RADIUS = 3.95e-3
 
@@ -132,3 +132,26 @@ def test_section_of_a_round_bore_cuts_on_at_bessel_zeros(half):
     exact = [cut_on_frequency(m, n, BORE, 343.2) for m, n in pairs]
     assert found[0] < 1.0
     assert found[1:] == pytest.approx(exact[1:], rel=2e-3)
+
+
+def test_sampled_pulse_is_the_pulse_that_was_sampled():
+    """At 1 MHz, 24 samples per period: a cubic spline within 5e-4 of the peak, zero outside."""
+    pulse = Pulse(frequency=42e3)
+    n = int(pulse.duration * 1e6) + 1
+    sampled = SampledPulse(pressure=pulse(np.arange(n) / 1e6), rate=1e6)
+    time = np.linspace(0, sampled.duration, 5001)
+    assert sampled(time) == pytest.approx(pulse(time), abs=5e-4)
+    assert np.all(sampled([-1e-6, sampled.duration + 1e-6]) == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        ({"pressure": [1.0, 2.0]}, "shape"),
+        ({"pressure": [0.0, 1.0, np.nan, 0.0]}, "finite"),
+        ({"rate": 0.0}, "rate = 0.0 Hz"),
+    ],
+)
+def test_samples_that_are_no_pulse_are_refused(words, part):
+    with pytest.raises(ValueError, match=part):
+        SampledPulse(**{"pressure": np.zeros(10), "rate": 1e6} | words)

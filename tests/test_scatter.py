@@ -137,10 +137,20 @@ def crossing():
     return surface
 
 
+def touching():
+    z = np.linspace(-20, 20, 121)
+    surface = trimesh.creation.revolve([[0, -20], *[[4, s] for s in z], [0, 20]], sections=32)
+    vertices = surface.vertices.copy()
+    vertices[:, 1] *= np.clip(np.abs(vertices[:, 2]) / 4, 0, 1)
+    surface.vertices = vertices
+    return surface
+
+
 @pytest.mark.parametrize(
     ("surface", "part"),
     [
         (opened, "not closed"),
+        (touching, "touches itself"),
         (inverted, "inside out"),
         (lying, "does not lie along z"),
         (crossing, "crosses itself"),

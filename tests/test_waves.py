@@ -247,6 +247,8 @@ def test_unknown_ends_and_distant_probes_are_refused():
         prepare(cells, AIR, probes=(0.0,), source_end="open")
     with pytest.raises(ValueError, match="outside the tube"):
         prepare(cells, AIR, probes=(0.5,))
+    with pytest.raises(ValueError, match=r"pulse lasts 0.2619 ms.*use duration = 0.0002619 s"):
+        propagate(cells, AIR, Pulse(frequency=42e3), duration=1e-4, probes=(5e-3,))
 
 
 def test_probe_plane_is_a_layer_of_cell_centres():

@@ -11,7 +11,8 @@ from acoustube.waves.modes import (
     cut_ons_in_band,
     modes_below,
 )
-from acoustube.waves.pulse import Pulse
+from acoustube.waves.probes import ModalProbe, PointProbe
+from acoustube.waves.pulse import Pulse, SampledPulse
 from acoustube.waves.scattering import Scattering, scatter
 from acoustube.waves.scheme import SourceEnd
 from acoustube.waves.section import section_cut_ons
@@ -19,10 +20,13 @@ from acoustube.waves.stability import stable_step
 
 __all__ = [
     "CutCells",
+    "ModalProbe",
     "Mode",
     "Placed",
+    "PointProbe",
     "Pulse",
     "Recording",
+    "SampledPulse",
     "Scattering",
     "SourceEnd",
     "attenuation",

@@ -27,6 +27,7 @@ from acoustube.air import Air
 from acoustube.waves.duct_modes import mode_numbers
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.polyhedron import Array
+from acoustube.waves.pulse import check_duration
 from acoustube.waves.scattering import Complex, Scattering
 
 Signal = Callable[[Array], ArrayLike]
@@ -98,13 +99,15 @@ def heard(
     Raises
     ------
     ValueError
-        As :func:`transfer`; or if the pulse holds sound outside the band of the presses.
+        As :func:`transfer`; or if the pulse holds sound outside the band of the presses, or lasts
+        longer than the run.
 
     Notes
     -----
     The spectra are those of the pressure times a decaying exponential, taken out again at the end:
     a tube without losses rings for longer than any time that one would compute.
     """
+    check_duration(pulse, duration)
     n = int(np.ceil(duration / time_step)) + 1
     n_cycle = next_fast_len(CYCLE * n, real=True)
     time = np.arange(n_cycle) * time_step

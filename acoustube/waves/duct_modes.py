@@ -112,6 +112,9 @@ def duct_modes(
     # The plane mode's eigenvalue is zero but for rounding.
     squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
     shapes = np.zeros((len(vectors), *filled.shape))
+    # Of either sign; the first cell that is loud shall be positive.
+    loud = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
+    vectors = vectors * np.sign(vectors[np.arange(len(vectors)), loud])[:, None]
     shapes[:, filled > 0] = vectors
     found: dict[str, Array] = {}
     if scheme.losses is not None:

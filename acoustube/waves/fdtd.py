@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from acoustube.air import Air
 from acoustube.waves.cells import CutCells
 from acoustube.waves.marching import CHUNK, Array, Progress, march
+from acoustube.waves.probes import Probe, height_of, launching, with_probes
+from acoustube.waves.pulse import check_duration
 from acoustube.waves.scheme import FarEnd, Setup, SourceEnd, prepare
 
 Signal = Callable[[Array], ArrayLike]
@@ -19,7 +21,7 @@ Signal = Callable[[Array], ArrayLike]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """Plane-averaged pressure over time.
+    """Pressure at probes over time.
 
     Attributes
     ----------
@@ -84,8 +86,9 @@ def propagate(
     pulse: Signal,
     *,
     duration: float,
-    probes: tuple[float, ...] = (0.02,),
+    probes: tuple[Probe, ...] = (0.02,),
     source_end: SourceEnd = "release",
+    source_mode: str = "00",
     far_end: FarEnd = "absorbing",
     absorber_thickness: float = 0.02,
     time_step: float | None = None,
@@ -101,11 +104,13 @@ def propagate(
     air : Air
         Gas in the lumen.
     pulse : callable
-        Pressure over time in s, such as a `Pulse`; zero before t = 0.
+        Pressure over time in s, such as a `Pulse` or a `SampledPulse`; zero before t = 0.
     duration : float
         Recorded time in s.
-    probes : tuple of float
-        Positions of the plane-averaged probes in m.
+    probes : tuple of Probe
+        Distances in m of planes over which the pressure is averaged; or `ModalProbe`, `PointProbe`.
+    source_mode : str
+        The mode that the absorbing end launches, as ``11c``; see `ModalProbe`.
     source_end, far_end, absorber_thickness, time_step, lossy_band
         See `prepare`. With the release end the pressure at z = 0 is the pulse, afterwards 0; with
         the absorbing end the plane wave launched at z = 0 has the pulse's pressure.
@@ -115,29 +120,41 @@ def propagate(
     Returns
     -------
     Recording
-        Plane-averaged pressures.
+        What each probe heard.
 
     Raises
     ------
     SimulationError
         If the pressure stops being finite.
+    ValueError
+        If the pulse is longer than the run, or another end is to launch a higher mode; see also
+        `prepare` and `with_probes`.
 
     Notes
     -----
     The volume-weighted mean over a layer of a straight section is the projection on the plane
     mode: every other discrete mode is orthogonal to it.
     """
+    check_duration(pulse, duration)
+    if source_mode != "00" and source_end != "absorbing":
+        raise ValueError(f'source_mode = "{source_mode}" needs source_end = "absorbing"')
     setup = prepare(
-        cells, air, probes=probes, source_end=source_end, far_end=far_end,
-        absorber_thickness=absorber_thickness, time_step=time_step, lossy_band=lossy_band,
+        cells, air, probes=tuple(height_of(probe) for probe in probes), source_end=source_end,
+        far_end=far_end, absorber_thickness=absorber_thickness, time_step=time_step,
+        lossy_band=lossy_band,
     )  # fmt: skip
+    setup = with_probes(setup, probes, air)
     n_samples = ceil(duration / setup.time_step) + 1
     # Whole chunks only: a shorter last one would be compiled anew for every duration.
     n_steps = CHUNK * ceil((n_samples - 1) / CHUNK)
     time = np.arange(n_steps + 1) * setup.time_step
     samples = np.asarray(pulse(time), dtype=float)
-    launched = source_end == "absorbing"
-    source = launching_source(samples, setup, air) if launched else samples[1:]
+    if source_mode != "00":
+        setup, source = launching(setup, samples, source_mode, air)
+    elif source_end == "absorbing":
+        source = launching_source(samples, setup, air)
+    else:
+        source = samples[1:]
     _, pressure = march(setup, setup.state, source, progress=progress)
     silence = np.zeros((len(setup.probes), 1))
     return Recording(

@@ -1,4 +1,4 @@
-"""The excitation: a sine of a few cycles under a Gaussian envelope."""
+"""The excitation: a sine of a few cycles under a Gaussian envelope, or any that was sampled."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,3 +73,60 @@ class Pulse:
         nepers = -level * log(10.0) / 20.0
         half_width = sqrt(2.0 * nepers) / (2.0 * pi * self.sigma)
         return max(self.frequency - half_width, 0.0), self.frequency + half_width
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledPulse:
+    """A pulse given by its samples; call it with times in s.
+
+    Attributes
+    ----------
+    pressure : ndarray
+        Samples from t = 0, (n,).
+    rate : float
+        Samples per second.
+
+    Notes
+    -----
+    A cubic spline between the samples, zero before the first and behind the last: sample at ten
+    times the highest frequency or more.
+    """
+
+    pressure: ArrayLike
+    rate: float
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pulse."""
+        samples = np.asarray(self.pressure, dtype=float)
+        if samples.ndim != 1 or samples.size < 4 or not np.all(np.isfinite(samples)):
+            raise ValueError(
+                f"pressure of shape {samples.shape} is no pulse; give four or more finite samples"
+            )
+        if not self.rate > 0.0:
+            raise ValueError(f"rate = {self.rate} Hz must be positive")
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample in s."""
+        return (np.size(self.pressure) - 1) / self.rate
+
+    def __call__(self, time: ArrayLike) -> NDArray[np.float64]:
+        """Return the pulse at times in s."""
+        samples = np.asarray(self.pressure, dtype=float)
+        spline = CubicSpline(np.arange(samples.size) / self.rate, samples, extrapolate=False)
+        return np.nan_to_num(spline(np.asarray(time, dtype=float)))
+
+
+def check_duration(pulse: object, duration: float) -> None:
+    """Refuse a pulse that is longer than the run that is to record it.
+
+    Raises
+    ------
+    ValueError
+    """
+    lasting = float(getattr(pulse, "duration", 0.0))
+    if lasting > duration:
+        raise ValueError(
+            f"the pulse lasts {1e3 * lasting:.4g} ms, longer than the run; use duration = "
+            f"{lasting:.4g} s or more, or a shorter pulse"
+        )
