@@ -29,6 +29,8 @@ REFERENCE_TEMPERATURE = 293.15  # K, of the absorption formulas
 TRIPLE_POINT = 273.16  # K
 HUMIDITY = 50.0  # per cent
 TEMPERATURES = (-20.0, 60.0)  # degC, where the formulas are stated or were checked
+LAYERS_OF_A_GAP = 10
+"""Openings of a lumen under so many viscous boundary layers are warned of."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import jax
@@ -11,13 +11,16 @@ import numpy as np
 import xarray as xr
 
 from acoustube import record, signals
-from acoustube.air import Air, air_at
+from acoustube.air import LAYERS_OF_A_GAP, Air, air_at, viscous_thickness
 from acoustube.config import Config
 from acoustube.errors import SimulationError
-from acoustube.lumen import Lumen, lumen, pressed_part
+from acoustube.indentation import Indentation
+from acoustube.lumen import Lumen, lumen, measure, pressed_part
 from acoustube.mechanics import pressed
 from acoustube.rules import filled
 from acoustube.waves import (
+    Budget,
+    CutCells,
     Placed,
     Pulse,
     Recording,
@@ -25,6 +28,7 @@ from acoustube.waves import (
     attenuation,
     cut_cells,
     cut_ons_in_band,
+    error_budget,
     grid_spacing,
     heard,
     propagate,
@@ -87,9 +91,9 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
     with stage("waves", seconds, report) as progress:
         if config.waves.method == "full":
-            recordings = listen(config, space, progress)
+            recordings, budget = listen(config, space, progress)
         else:
-            recordings = listen_by_parts(config, pressed_part(indentation), progress)
+            recordings, budget = listen_by_parts(config, pressed_part(indentation), progress)
     with stage("signals", seconds, report):
         rangings = {end: locate(config, recording) for end, recording in recordings.items()}
 
@@ -101,7 +105,8 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         rangings,
         sound_speed=air.sound_speed,
         seconds=seconds,
-        warnings=warnings_for(config),
+        budget=budget,
+        warnings=[*warnings_for(config), *_narrow(config, indentation)],
         device=jax.devices()[0].device_kind,
     )
 
@@ -131,6 +136,17 @@ def warnings_for(config: Config) -> list[str]:
     return found
 
 
+def _narrow(config: Config, indentation: Indentation) -> list[str]:
+    """Return a warning where the lumen is so narrow that its boundary layers fill it."""
+    height = measure(indentation, -1, np.array([indentation.presses[0].z])).height[0]
+    layers = height / viscous_thickness(air_of(config), 1e3 * config.waves.frequency_khz)
+    warning = (
+        f"The lumen is {1e6 * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
+        "layers: the losses there are more than first order."
+    )
+    return [warning] if layers < LAYERS_OF_A_GAP else []
+
+
 def air_of(config: Config) -> Air:
     """Return the air in the tube that the settings describe."""
     waves = config.waves
@@ -147,7 +163,7 @@ def _pulse(config: Config) -> Pulse:
 
 def listen(
     config: Config, space: Lumen, progress: Callable[[float], None] | None = None
-) -> dict[SourceEnd, Recording]:
+) -> tuple[dict[SourceEnd, Recording], Budget]:
     """Send a pulse through a lumen and record it at the probe plane.
 
     Parameters
@@ -161,8 +177,10 @@ def listen(
 
     Returns
     -------
-    dict of Recording
+    recordings : dict of Recording
         For each choice of the source end.
+    budget : Budget
+        What they can be trusted with.
     """
     air, pulse, probe = air_of(config), _pulse(config), _probe(config)
     spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
@@ -183,12 +201,12 @@ def listen(
             progress=_share_of(progress or _ignore, done),
         )
         time_step = recordings[source_end].time_step
-    return recordings
+    return recordings, _budget(config, cells, time_step, recordings)
 
 
 def listen_by_parts(
     config: Config, part: Lumen, progress: Callable[[float], None] | None = None
-) -> dict[SourceEnd, Recording]:
+) -> tuple[dict[SourceEnd, Recording], Budget]:
     """Return what :func:`listen` does, from the scattering of the pressed part and straight tube.
 
     Parameters
@@ -202,8 +220,10 @@ def listen_by_parts(
 
     Returns
     -------
-    dict of Recording
+    recordings : dict of Recording
         For each choice of the source end.
+    budget : Budget
+        What they can be trusted with.
     """
     air, pulse, probe = air_of(config), _pulse(config), _probe(config)
     bore, lossy = 1e-3 * config.tube.inner_diameter_mm, config.waves.losses == "on"
@@ -212,8 +232,9 @@ def listen_by_parts(
     spacing = across, across, length / np.ceil(length / across)
     lowest, highest = pulse.band(HEARD)
     count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
+    cells = cut_cells(part.surface, spacing)
     matrix = scatter(
-        cut_cells(part.surface, spacing),
+        cells,
         air,
         lowest + FREQUENCY_STEP * np.arange(count + 1),
         reference=(part.position, part.position),
@@ -244,7 +265,26 @@ def listen_by_parts(
             spacing=matrix.spacing,
             shape=matrix.shape,
         )
-    return recordings
+    return recordings, _budget(config, cells, None, recordings)
+
+
+def _budget(
+    config: Config,
+    cells: CutCells,
+    time_step: float | None,
+    recordings: Mapping[SourceEnd, Recording],
+) -> Budget:
+    """Return what recordings can be trusted with."""
+    pulse = _pulse(config)
+    return error_budget(
+        cells,
+        air_of(config),
+        frequency=pulse.frequency,
+        highest=pulse.band(BAND_EDGE)[1],
+        radius=0.5e-3 * config.tube.inner_diameter_mm,
+        time_step=time_step,
+        pressure=recordings[config.waves.source_end].pressure,
+    )
 
 
 def _duration(config: Config, air: Air) -> float:

@@ -17,7 +17,7 @@ from acoustube.config import Config, Mechanics
 from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.signals import Ranging
-from acoustube.waves import Pulse, Recording, SourceEnd
+from acoustube.waves import Budget, Pulse, Recording, SourceEnd
 
 EVEN_POINTS = 401
 """Points of the profile along the tube, besides those where the finite elements have rings."""
@@ -45,6 +45,7 @@ def dataset(
     rangings: Mapping[SourceEnd, Ranging],
     *,
     sound_speed: float,
+    budget: Budget,
     seconds: Mapping[str, float],
     warnings: Sequence[str],
     device: str,
@@ -60,6 +61,8 @@ def dataset(
         The recorded and the processed signal for each choice of the source end.
     sound_speed : float
         In m/s.
+    budget : Budget
+        What the recordings can be trusted with.
     seconds : mapping of str to float
         How long each stage took.
     warnings : sequence of str
@@ -78,6 +81,7 @@ def dataset(
         | _shape(indentation, lumen)
         | _recorded(recordings, config)
         | _ranged(rangings, config.waves.source_end)
+        | _trusted(budget)
         | {
             "true_distance": variable("", lumen.position, "m", "distance of the press"),
             "sound_speed": variable("", sound_speed, "m/s", "speed of sound"),
@@ -93,6 +97,8 @@ def dataset(
         "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
     }
     origin = _provenance(config, warnings, device)
+    path = 2 * (lumen.position - next(iter(recordings.values())).probes[0])
+    origin["accuracy"] = budget.in_words(path)
     return xr.Dataset(variables, coordinates, origin)
 
 
@@ -296,6 +302,22 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], config: Config) -> dict
         "time_step": variable("", first.time_step, "s", "time step"),
         "grid_spacing": variable("xyz", first.spacing, "m", "size of a grid cell"),
         "grid_shape": variable("xyz", first.shape, "1", "grid cells of the half x > 0"),
+    }
+
+
+def _trusted(budget: Budget) -> dict[str, Variable]:
+    """Return the known errors of the sound."""
+    table = {
+        "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
+        "delay_bias": ("1", "what the grid adds to the group delay of the plane wave, relative"),
+        "section_error": ("1", "error of the bore's cross-section on the grid, relative"),
+        "cut_on_error": ("1", "error of the cut-on of (1,1) on the grid, relative"),
+        "absorption": ("dB", "what an absorbing end returns of a mode 1 % over its cut-on"),
+        "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
+    }
+    return {
+        name: variable("", getattr(budget, name), units, text)
+        for name, (units, text) in table.items()
     }
 
 

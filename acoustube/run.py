@@ -240,7 +240,7 @@ def _print_header(config: Config, console: Console) -> None:
     )
     console.print(
         f"sound: {waves.frequency_khz:g} kHz, {waves.cycles} cycles, {waves.temperature_c:g} degC, "
-        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}",
+        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}, losses {waves.losses}",
         soft_wrap=True,
     )
 
@@ -264,6 +264,7 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
     times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
     console.print(table)
+    console.print(f"accuracy: {dataset.attrs['accuracy']}", soft_wrap=True)
     for warning in dataset.attrs["warnings"].splitlines():
         console.print(f"[yellow]note:[/] {warning}", soft_wrap=True)
 

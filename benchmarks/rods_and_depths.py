@@ -31,7 +31,7 @@ def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
         section = measure(press, increment, np.zeros(1))
         row = [rod_mm, depth, press.contact_force[increment]]
         row += [1e3 * section.height[0], 1e6 * section.area[0]]
-        recordings = listen(config, lumen(press, position, increment))
+        recordings, _ = listen(config, lumen(press, position, increment))
         for recording in recordings.values():
             ranging = locate(config, recording)
             row += [

@@ -148,7 +148,7 @@ def test_both_source_ends_share_one_time_axis_whatever_the_length():
     """At this length and grid the two steps, found alone, give different numbers of samples."""
     config = load_config(indenter_mm=10, resolution=9, length_cm=40.72)
     rings = round_rings(0.4072)
-    recordings = listen(config, Lumen(rings=rings, outer_rings=rings, position=0.2))
+    recordings, _ = listen(config, Lumen(rings=rings, outer_rings=rings, position=0.2))
     release, absorbing = recordings.values()
     assert np.array_equal(release.time, absorbing.time)
 

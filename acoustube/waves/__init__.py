@@ -1,5 +1,6 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
+from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells
 from acoustube.waves.fdtd import Recording, grid_spacing, propagate
@@ -19,6 +20,7 @@ from acoustube.waves.section import section_cut_ons
 from acoustube.waves.stability import stable_step
 
 __all__ = [
+    "Budget",
     "CutCells",
     "ModalProbe",
     "Mode",
@@ -34,6 +36,7 @@ __all__ = [
     "cut_cells",
     "cut_on_frequency",
     "cut_ons_in_band",
+    "error_budget",
     "grid_spacing",
     "heard",
     "modes_below",
