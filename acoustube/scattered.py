@@ -1,4 +1,4 @@
-"""The command ``acoustube scatter``: a lumen from a file, its scattering matrix to a file."""
+"""Scattering matrices in files, and the command ``acoustube scatter`` that writes them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def run_scatter(
         )
     notes = _notes(cells, found, air)
     with partial_file(out) as partial:
-        write_dataset(_dataset(found, path, temperature, lossy, cells, notes), partial)
+        write_dataset(_dataset(found, path, temperature, lossy, notes), partial)
     _print(found, notes, console)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{out}[/] in {elapsed:.0f} s.", soft_wrap=True)
@@ -186,7 +186,6 @@ def _dataset(
     path: Path,
     temperature: float,
     lossy: bool,
-    cells: CutCells,
     notes: list[str],
 ) -> xr.Dataset:
     """Gather the scattering matrix with its coordinates and its origin."""
@@ -219,11 +218,58 @@ def _dataset(
         "sound_speed": found.sound_speed,
         "reference_z_1": 0.0,
         "reference_z_2": 0.0,
-        "cell_size": cells.spacing[0],
+        "extent": found.extent,
+        "cell_size": found.spacing,
+        "grid_shape": found.shape,
+        "steps": found.steps,
         "time_step": found.time_step,
         "warnings": "\n".join(notes),
     }
     return xr.Dataset(variables, coordinates, origin)
+
+
+def read(path: str | Path) -> Scattering:
+    """Read what :func:`run_scatter` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Scattering
+        Its reference planes at z = 0 of the surface that was given.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such file.
+    """
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            data = file.load()
+        s = data["s_real"].values + 1j * data["s_imag"].values
+        nx, ny, nz = (int(n) for n in data.attrs["grid_shape"])
+        dx, dy, dz = (float(h) for h in data.attrs["cell_size"])
+        low, high = (float(z) for z in data.attrs["extent"])
+        return Scattering(
+            frequency=data["frequency"].values,
+            modes=tuple(str(name) for name in data["mode_in"].values),
+            s=s,
+            propagates=data["propagates"].values.astype(bool),
+            cut_ons=data["cut_on"].values,
+            settled=data["settled"].values.astype(bool),
+            sound_speed=float(data.attrs["sound_speed"]),
+            extent=(low, high),
+            spacing=(dx, dy, dz),
+            shape=(nx, ny, nz),
+            steps=int(data.attrs["steps"]),
+            time_step=float(data.attrs["time_step"]),
+        )
+    except (OSError, KeyError, ValueError) as error:
+        raise ConfigError(
+            f"{path} is not a file of acoustube scatter ({' '.join(str(error).split())})"
+        ) from error
 
 
 def _print(found: Scattering, notes: list[str], console: Console) -> None:

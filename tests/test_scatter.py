@@ -13,6 +13,7 @@ from test_scattering import MIDDLE, RADIUS, REFERENCE, pinched
 
 from acoustube.air import Air
 from acoustube.errors import ConfigError
+from acoustube.scattered import read
 from acoustube.surfaces import read_lumen
 from acoustube.waves import cut_cells
 from acoustube.waves.scattering import is_symmetric, scatter, straight_ends_cut
@@ -216,3 +217,12 @@ def test_command_writes_the_matrix_of_a_straight_tube():
         assert np.abs(plane["s_real"].sel(port_out=1)).max() < 5e-3
         low = data.sel(frequency=slice(0, 25e3), mode_in="11c")
         assert np.abs(low["s_real"]).max() == 0.0
+    press = read("s.nc")
+    assert press.s == pytest.approx(data["s_real"].values + 1j * data["s_imag"].values)
+    assert press.modes == tuple(data["mode_in"].values)
+    assert press.propagates.sum() == 11 + 2 * 3
+    # A straight tube is cut in its middle.
+    assert press.extent == pytest.approx((-0.001, 0.001), abs=2e-3)
+    for name in ("lumen.stl", "missing.nc"):
+        with pytest.raises(ConfigError, match="is not a file of acoustube scatter"):
+            read(name)
