@@ -1,5 +1,7 @@
 """Lumens for the tests of the wave stage."""
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 
@@ -32,3 +34,14 @@ def pinched_tube(length, depth=0.4, *, centre=None, width=4e-3):
     vertices[:, 1] -= depth * press * (vertices[:, 1] + BORE)
     tube.vertices = vertices
     return tube
+
+
+def staircase(cells):
+    """The same lumen of whole cells: those more than half open, with open faces between them."""
+    full = np.where(cells.volume_fraction > 0.5, 1.0, 0.0)
+    faces = {name: np.zeros_like(getattr(cells, name)) for name in ("open_x", "open_y", "open_z")}
+    faces["open_x"][1:-1] = full[1:] * full[:-1]
+    faces["open_y"][:, 1:-1] = full[:, 1:] * full[:, :-1]
+    faces["open_z"][..., 1:-1] = full[..., 1:] * full[..., :-1]
+    faces["open_z"][..., 0], faces["open_z"][..., -1] = full[..., 0], full[..., -1]
+    return replace(cells, volume_fraction=full, **faces)
