@@ -49,6 +49,8 @@ from acoustube.waves.wave_operator import INTERIOR, Operator, assemble, laplacia
 
 BAND = 0.2e-3
 """Standard deviation in m of the distance over which the wetted area is spread."""
+SPARSE = 0.01
+"""Wetted area, as a share of that beside a flat wall, below which air is not beside the wall."""
 ACCURACY = 3e-3
 """Largest error of the half-integral over the band, relative."""
 MOST_POLES = 10
@@ -139,6 +141,8 @@ class Losses(NamedTuple):
         What a pressure adds to y within a step, scalar.
     rate : Array
         Share of the pressure's change per step that is added to it, scalar.
+    share : Array
+        How much the air absorbs in each layer, (1, 1, nz).
     one : Array
         The number one, unknown to the compiler.
     """
@@ -152,6 +156,7 @@ class Losses(NamedTuple):
     bulk: tuple[jax.Array, ...]
     response: jax.Array
     rate: jax.Array
+    share: jax.Array
     one: jax.Array
 
 
@@ -218,7 +223,8 @@ def losses(
     lags = np.concatenate([np.zeros(len(wall.rates)), [rate * lag for rate, lag in bulk]])
     decay = (1 - rates * time_step / 2) / (1 + rates * time_step / 2)
     gain = time_step / (1 + rates * time_step / 2)
-    wetted = wetted_area(cells, exact) * (1.0 if share is None else share)
+    share = np.ones(cells.shape[2]) if share is None else share
+    wetted = wetted_area(cells, exact) * share
     drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), dtype)
     compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted.sum(axis=0)
     # The classical absorption A f^2 belongs to the diffusivity A c^3 / (2 pi^2) of the pressure.
@@ -234,6 +240,7 @@ def losses(
         bulk=_scalars(lags, dtype),
         response=jnp.asarray(response, dtype),
         rate=jnp.asarray(diffusivity / (air.sound_speed**2 * time_step), dtype),
+        share=jnp.asarray(share[None, None], dtype),
         one=jnp.asarray(1, jnp.int32),
     )
     still = jnp.zeros(cells.shape, dtype)
@@ -261,7 +268,8 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     Notes
     -----
     The wall's vector area in a cell closes those of its open faces. A tube that goes on beyond its
-    ends has no wall there, and a plane of symmetry is none.
+    ends has no wall there, and a plane of symmetry is none. What the diffusion takes beyond three
+    `BAND`, a few thousandths, is given back to the rest: cells in the core need no memory then.
     """
     dx, dy, dz = exact.spacing
     x, y, z = exact.open_x, exact.open_y, exact.open_z
@@ -283,7 +291,15 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
         _diffused(jnp.asarray(component, jnp.float32), operator, n_steps)
         for component in vector**2 * density
     ]
-    return np.asarray(spread, float)
+    return _near_the_wall(np.asarray(spread, float), cells.volume_fraction)
+
+
+def _near_the_wall(wetted: Array, volume: Array) -> Array:
+    """Return the wetted area without its thin tail, and with the same total."""
+    beside_flat_wall = sqrt(2 / pi) / BAND
+    near = wetted * (wetted.sum(axis=0) > SPARSE * beside_flat_wall)
+    total, kept = (float(np.sum(share * volume)) for share in (wetted, near))
+    return near * (total / kept) if kept > 0 else wetted
 
 
 @partial(jax.jit, static_argnames="n_steps")
@@ -348,9 +364,8 @@ def lose(
         for share, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)
     )
     expected = sum(relaxing, start=losses.response * now)
-    ahead, expected = _held(
-        losses, (pressure, now), (with_halo(now + losses.rate * change - lagging), expected)
-    )
+    absorbed = losses.share * (losses.rate * change - lagging)
+    ahead, expected = _held(losses, (pressure, now), (with_halo(now + absorbed), expected))
     force = laplacian(ahead, operator) - laplacian(memory.integral, losses.drag)
     inert = change - losses.compliance * (expected - memory.increment)
     change = _held(losses, change, losses.yielding * (inert + step_squared * force))

@@ -222,13 +222,14 @@ def _fading(n_layers: int, ahead: int, behind: int, fade: int) -> Array:
     """Return by how much losses act in each layer: not in absorbers, and fading towards them.
 
     The absorbers are made for air without losses; at a sudden end of the losses sound is reflected.
+    The two layers beside an absorber, which its stencil reaches, are without losses too.
     """
     distance = np.full(n_layers, np.inf)
     if ahead:
         distance = np.minimum(distance, np.arange(n_layers) - ahead)
     if behind:
         distance = np.minimum(distance, n_layers - 1 - behind - np.arange(n_layers))
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip(distance / max(fade, 1), 0.0, 1.0))
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip((distance - 1.0) / max(fade - 1, 1), 0.0, 1.0))
 
 
 def _check_ends(source_end: str, far_end: str) -> None:
