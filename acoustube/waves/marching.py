@@ -1,15 +1,16 @@
 """Leapfrog marching of the pressure and of its change per step.
 
-The pressure-velocity scheme with the velocities eliminated (see `wave_operator`). Chunks of steps
-run compiled; all coefficients are arguments, so a second lumen of equal shape is not compiled
-again.
+The pressure-velocity scheme with the velocities eliminated (see `wave_operator`). It is written
+twice: here in JAX, which runs on GPUs and can be differentiated, and in `compiled` for the CPU,
+where that is several times as fast. Both take all coefficients as arguments, so a second lumen of
+equal shape is not compiled again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -58,6 +59,7 @@ def march(
     source: Array,
     *,
     progress: Progress | None = None,
+    compiled: bool | None = None,
 ) -> tuple[State, Array]:
     """Advance a state by as many steps as the source has samples.
 
@@ -71,6 +73,9 @@ def march(
         What the source layer is set to, or receives, in each step, (n,).
     progress : callable, optional
         Called with the finished fraction after each chunk.
+    compiled : bool, optional
+        Whether to march in compiled columns rather than in JAX; by default where JAX computes on
+        the CPU.
 
     Returns
     -------
@@ -84,21 +89,65 @@ def march(
     SimulationError
         If the pressure stops being finite.
     """
+    marcher = _marcher(setup, state, compiled)
     records = []
     for begin in range(0, len(source), CHUNK):
-        piece = jnp.asarray(source[begin : begin + CHUNK], state.change.dtype)
-        state, record = _run_chunk(state, setup.scheme, piece, source_layer=setup.source_layer)
+        piece = source[begin : begin + CHUNK]
+        records.append(marcher.advance(piece))
         end = begin + len(piece)
-        if not np.isfinite(float(jnp.sum(jnp.abs(state.change)))):
+        if not marcher.is_finite():
             raise SimulationError(
                 f"waves: the pressure left the range of numbers between steps {begin} and {end}; "
                 f"the time step {setup.time_step:.4g} s is over the stable limit: leave time_step "
                 "unset, or use a value below stable_step(cells, air)"
             )
-        records.append(np.asarray(record, dtype=float))
         if progress is not None:
             progress(end / len(source))
-    return state, np.concatenate(records).T
+    return marcher.state(), np.concatenate(records).T
+
+
+class Marcher(Protocol):
+    """A state that is advanced in place."""
+
+    def advance(self, source: Array) -> Array:
+        """Advance by as many steps as the source has samples; return the probes', (n, n_probes)."""
+
+    def is_finite(self) -> bool:
+        """Return whether all pressures are numbers."""
+
+    def state(self) -> State:
+        """Return the state."""
+
+
+def _marcher(setup: Setup, state: State, compiled: bool | None) -> Marcher:
+    """Return what advances a state: compiled columns on a CPU, JAX elsewhere."""
+    if compiled is None:
+        compiled = jax.default_backend() == "cpu" and not isinstance(state.change, jax.core.Tracer)
+    if not compiled:
+        return _TracedMarcher(setup, state)
+    from acoustube.waves.compiled import CompiledMarcher  # imports numba, which takes a second
+
+    return CompiledMarcher(setup, state)
+
+
+class _TracedMarcher:
+    """A state advanced by JAX."""
+
+    def __init__(self, setup: Setup, state: State) -> None:
+        self._setup, self._state = setup, state
+
+    def advance(self, source: Array) -> Array:
+        piece = jnp.asarray(source, self._state.change.dtype)
+        self._state, record = _run_chunk(
+            self._state, self._setup.scheme, piece, source_layer=self._setup.source_layer
+        )
+        return np.asarray(record, dtype=float)
+
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(float(jnp.sum(jnp.abs(self._state.change)))))
+
+    def state(self) -> State:
+        return self._state
 
 
 def acoustic_energy(setup: Setup, state: State) -> float:
