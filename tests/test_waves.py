@@ -12,7 +12,8 @@ from wave_lumens import BORE, pinched_tube, stepped_tube, straight_tube
 from acoustube.air import air_at
 from acoustube.errors import SimulationError
 from acoustube.waves import Pulse, cut_cells, cut_on_frequency, grid_spacing, propagate, stable_step
-from acoustube.waves.marching import _run_chunk, acoustic_energy, initial_state, march
+from acoustube.waves.column_kernel import advance
+from acoustube.waves.marching import CHUNK, _run_chunk, acoustic_energy, initial_state, march
 from acoustube.waves.scheme import prepare
 from acoustube.waves.wave_operator import assemble, dispersion_coefficient
 
@@ -220,14 +221,23 @@ def test_area_step_reflects_like_a_plane_wave_at_5_khz():
 
 
 def test_second_lumen_of_equal_shape_is_not_compiled_again():
-    """Coefficients are arguments of the compiled chunk, and every chunk has the same length."""
+    """Coefficients are arguments of the compiled chunk, in either form."""
     sizes = []
-    for depth, duration in ((0.1, 0.30e-3), (0.2, 0.43e-3)):
+    for depth in (0.1, 0.2):
         cells = cut_cells(pinched_tube(0.015, depth), 2 * BORE / 10, half=True)
+        setup = prepare(cells, AIR, probes=(0.01,))
+        for compiled in (False, True):
+            march(setup, setup.state, np.ones(CHUNK), compiled=compiled)
+        sizes.append((_run_chunk._cache_size(), len(advance.signatures)))
+    assert sizes[0] == sizes[1]
+
+
+def test_recording_lasts_as_long_as_asked():
+    """A whole number of chunks is marched, and what is over is cut off."""
+    cells = cut_cells(straight_tube(0.015, sections=64), 2 * BORE / 10, half=True)
+    for duration in (0.30e-3, 0.43e-3):
         recording = propagate(cells, AIR, PULSE, duration=duration, probes=(0.01,))
         assert recording.time[-1] == pytest.approx(duration, abs=1.01 * recording.time_step)
-        sizes.append(_run_chunk._cache_size())
-    assert sizes[0] == sizes[1]
 
 
 def test_progress_reaches_one():

@@ -1,0 +1,168 @@
+"""The compiled columns against the scheme's JAX form."""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from wave_lumens import BORE, pinched_tube
+
+from acoustube.air import air_at
+from acoustube.waves import cut_cells
+from acoustube.waves.compiled import CompiledMarcher
+from acoustube.waves.marching import initial_state, march
+from acoustube.waves.scattering import _Part, straight_ends_cut
+from acoustube.waves.scheme import prepare
+from acoustube.waves.small_cells import share_small_volumes
+
+AIR = air_at(20.0)
+ROUNDING = {jnp.float64: 1e-12, jnp.float32: 2e-4}
+"""Largest difference, relative to the peak, after some hundred steps.
+
+Each step rounds a few times. The change's errors add up to those of the pressure, so that n steps
+give up to n^1.5 rounding errors: 300^1.5 times 6e-8 is 3e-4, and times 1.1e-16 it is 6e-13.
+"""
+
+
+@pytest.fixture(scope="module")
+def pinched():
+    """A pinched half tube with cells that borrow volume; the core has spans of its own."""
+    cells = cut_cells(pinched_tube(0.03, 0.8), 2 * BORE / 20, half=True)
+    volume = cells.volume_fraction
+    assert volume[(volume > 0)].min() < 0.1
+    assert np.any(share_small_volumes(cells).volume_fraction != volume)
+    return cells
+
+
+def noisy(setup):
+    """A start from noise in all open cells but those in the absorbers or near."""
+    noise = np.random.default_rng(0).normal(size=setup.cells.shape)
+    ahead = 0 if setup.state.before is None else setup.state.before.transverse.shape[2] + 3
+    behind = 0 if setup.state.behind is None else setup.state.behind.transverse.shape[2] + 3
+    noise[:, :, :ahead] = 0.0
+    noise[:, :, noise.shape[2] - behind :] = 0.0
+    return initial_state(setup, noise)
+
+
+def difference(found, expected):
+    """Largest difference relative to the peak."""
+    found, expected = np.asarray(found, float), np.asarray(expected, float)
+    assert found.shape == expected.shape
+    return np.abs(found - expected).max() / np.abs(expected).max()
+
+
+def assert_same(setup, state, source, tolerance):
+    """March both ways and compare what is heard, and all that a later step depends on."""
+    traced, heard = march(setup, state, source, compiled=False)
+    found, heard_too = march(setup, state, source, compiled=True)
+    assert np.abs(heard).max() > 0.0
+    assert difference(heard_too, heard) < tolerance
+    assert difference(found.pressure, traced.pressure) < tolerance
+    assert difference(found.change, traced.change) < tolerance
+    assert jax.tree.structure(found) == jax.tree.structure(traced)
+    for name in ("before", "behind"):
+        for part, wanted in zip(
+            getattr(found, name) or (), getattr(traced, name) or (), strict=True
+        ):
+            if not isinstance(wanted, tuple):
+                assert difference(part, wanted) < tolerance
+    return found, traced
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("lossy_band", [None, (5e3, 60e3)])
+@pytest.mark.parametrize(
+    "ends", [("release", "absorbing"), ("absorbing", "absorbing"), ("rigid", "rigid")]
+)
+def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
+    """From noise and with a source: several probes, two of them in one layer, in any order."""
+    with jax.enable_x64(dtype == jnp.float64):
+        setup = prepare(
+            pinched, AIR, probes=(0.02, 0.005, 0.02), source_end=ends[0], far_end=ends[1],
+            lossy_band=lossy_band, dtype=dtype,
+        )  # fmt: skip
+        source = np.sin(0.3 * np.arange(300))
+        assert_same(setup, noisy(setup), source, ROUNDING[dtype])
+
+
+@pytest.mark.parametrize("lossy_band", [None, (5e3, 60e3)])
+def test_a_march_goes_on_from_either_form(pinched, lossy_band):
+    """An odd number of steps, of which the rest is marched in the other form, or in the same."""
+    with jax.enable_x64(True):
+        setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=lossy_band, dtype=jnp.float64)
+        source = np.sin(0.3 * np.arange(211))
+        whole, _ = march(setup, noisy(setup), source, compiled=False)
+        for first in (True, False):
+            middle, _ = march(setup, noisy(setup), source[:101], compiled=first)
+            for second in (True, False):
+                end, _ = march(setup, middle, source[101:], compiled=second)
+                assert difference(end.pressure, whole.pressure) < 1e-12
+                assert difference(end.change, whole.change) < 1e-12
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+def test_antisymmetric_halves_march_as_jax_does(lossy):
+    """The plane x = 0 has open faces towards zero pressure; the source has the mode's shape."""
+    cells = straight_ends_cut(cut_cells(pinched_tube(0.02, 0.5, width=2e-3), 2 * BORE / 16))
+    part = _Part(cells, AIR, np.array([42e3]), (8e3, 60e3), True, lossy, 0.005)
+    modes, setup = part.modes, part.setup
+    assert np.any(np.asarray(setup.scheme.operator.area_x[0]) > 0)
+    weights = np.concatenate([modes.weights, modes.weights]).transpose(1, 2, 0)
+    scheme = setup.scheme._replace(
+        source=jnp.asarray(modes.shapes[0], jnp.float32),
+        probe_layers=jnp.asarray([k for k in part.probes for _ in modes.squares], jnp.int32),
+        probe_weights=jnp.asarray(weights, jnp.float32),
+    )
+    driven = replace(setup, scheme=scheme, source_layer=part.sources[0])
+    source = np.sin(0.3 * np.arange(300))
+    assert_same(driven, setup.state, source, ROUNDING[jnp.float32])
+
+
+@pytest.mark.parametrize("n_threads", [1, 2, 3, 5])
+def test_threads_share_the_columns(pinched, n_threads):
+    """The fields are those of one thread to the last digit; what is heard is summed otherwise."""
+    setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=(5e3, 60e3))
+    source = np.sin(0.3 * np.arange(50))
+    alone, shared = (CompiledMarcher(setup, noisy(setup), n) for n in (1, n_threads))
+    assert difference(shared.advance(source), alone.advance(source)) < 1e-6
+    assert np.array_equal(shared.state().pressure, alone.state().pressure)
+
+
+def test_marches_in_several_threads_at_once(pinched):
+    """Each has its own memory and its own threads."""
+    setup = prepare(pinched, AIR, probes=(0.01,))
+    source = np.sin(0.3 * np.arange(100))
+    _, expected = march(setup, setup.state, source, compiled=True)
+    with ThreadPoolExecutor(4) as pool:
+        runs = [pool.submit(march, setup, setup.state, source, compiled=True) for _ in range(8)]
+        for run in runs:
+            assert np.array_equal(run.result()[1], expected)
+
+
+def test_a_start_is_not_changed(pinched):
+    setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=(5e3, 60e3))
+    before = [np.array(leaf) for leaf in jax.tree.leaves(setup.state)]
+    march(setup, setup.state, np.ones(3), compiled=True)
+    for leaf, was in zip(jax.tree.leaves(setup.state), before, strict=True):
+        assert np.array_equal(leaf, was)
+
+
+def test_threads_are_bounded_by_the_environment():
+    """NUMBA_NUM_THREADS=1 leaves room for many processes."""
+    code = "from acoustube.waves.compiled import default_threads; print(default_threads())"
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"NUMBA_NUM_THREADS": "1"},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert run.stdout.strip() == "1"
+
+
+def test_numba_is_imported_by_a_march_only():
+    code = "import sys, acoustube.waves, acoustube.waves.scattering; print('numba' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "False"
