@@ -33,7 +33,11 @@ The diagonals of two triangles are not mirrored, which moves the wall by a hundr
 EDGE = 0.05
 """Spectrum of the source at the ends of the band, as a share of its peak."""
 GAP = 6
-"""Layers between source, probe and the first changed layer."""
+"""Layers between a source and the nearer probes, and between these and the first changed layer."""
+APART = 2
+"""Layers between the two probes of a port: under half a wavelength on any grid that is allowed."""
+INWARDS = (1, -1)
+"""Direction of z into the lumen at each port."""
 NARROWEST_CLICK = 20e3
 """Width in Hz of the source's spectrum at the least; its pulse then lasts 0.4 ms."""
 SETTLED = 1e-3
@@ -57,7 +61,7 @@ class Scattering:
     s : ndarray
         Outgoing over incoming amplitude, normalised by the power, at the reference planes; time
         goes as exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and 1
-        at high z; of no use, or not finite, where a mode has decayed before the probe.
+        at high z; zero where a mode does not propagate.
     propagates : ndarray of bool
         (n, n_modes).
     cut_ons : ndarray
@@ -141,10 +145,12 @@ def scatter(
     Notes
     -----
     One run for each port and mode: a source in a layer of the straight end launches the mode both
-    ways, the outer half of it into an absorber. What the probes hear, projected onto the modes of
-    the section, less the wave that the source sends there (known in closed form on the grid), is
-    what the lumen sends back. A lumen symmetric about x = 0 is computed by halves, the symmetric
-    and the antisymmetric modes apart; of one symmetric along z, on the grid too, one end is driven.
+    ways, the outer half of it into an absorber. What two layers of probes at each port hear,
+    projected onto the modes of the section, is told apart into what travels inwards and outwards
+    by the modes' wavenumbers, known in closed form on the grid. With the waves of all runs as the
+    columns of A and B, B = S A: what the absorbers return is in A, and does no harm. A lumen
+    symmetric about x = 0 is computed by halves, the symmetric and the antisymmetric modes apart; of
+    one symmetric along z, on the grid too, one end is driven.
     """
     core = straight_ends_cut(cells)
     parities: tuple[bool | None, ...] = (None,)
@@ -297,24 +303,26 @@ class _Part:
         ahead = setup.source_layer
         out = ahead + lead - 2 * GAP - 2
         self.sources = out, ahead + n - 1 - (lead - 2 * GAP - 2)
-        self.probes = out + GAP, self.sources[1] - GAP
+        self.probes = tuple(
+            (source + inwards * GAP, source + inwards * (GAP + APART))
+            for source, inwards in zip(self.sources, INWARDS, strict=True)
+        )
         self.driven = (0,) if is_reversible(core) else (0, 1)
         volume = np.asarray(self.setup.cells.volume_fraction)
         self.frequency, self.air, self.spacing = frequency, air, dz
         self.modes = duct_modes(
-            self.setup.scheme, volume, self.probes[0], band[1],
+            self.setup.scheme, volume, out, band[1],
             whole=odd is None, odd=bool(odd),
         )  # fmt: skip
-        area = volume[:, :, self.probes[0]].sum() * cells.spacing[0] * cells.spacing[1]
+        area = volume[:, :, out].sum() * cells.spacing[0] * cells.spacing[1]
         radius = sqrt(area * (1 if odd is None else 2) / pi)
         self.names = labels(self.modes, radius, air.sound_speed)
+        self.travels = frequency[:, None] > self.modes.cut_ons
         self.phases = phases(self.modes, self.setup.scheme, dz, frequency, air.sound_speed)
 
-    def heights(self, layers: tuple[int, int]) -> tuple[float, float]:
-        """Return the heights z in m of the centres of two layers."""
-        start = self.setup.cells.origin[2]
-        low, high = (start + (layer + 0.5) * self.spacing for layer in layers)
-        return low, high
+    def height(self, layer: int) -> float:
+        """Return the height z in m of the centres of a layer."""
+        return self.setup.cells.origin[2] + (layer + 0.5) * self.spacing
 
     def run(
         self,
@@ -326,7 +334,7 @@ class _Part:
     ) -> tuple[Complex, Complex, int, int]:
         """Return S over the part's modes, at the end and earlier, the steps and the runs done."""
         m = len(self.modes.squares)
-        raw = np.zeros((2, len(self.frequency), 2, m, 2, m), complex)
+        raw = np.zeros((2, len(self.frequency), 2, 2, m, 2, m), complex)
         steps = 0
         for port in self.driven:
             for mode in range(m):
@@ -336,11 +344,11 @@ class _Part:
                         progress((done + share) / n_runs)
 
                 heard, taken = _heard(self, port, mode, longest, show)
-                raw[:, :, :, :, port, mode] = heard
+                raw[..., port, mode] = heard
                 steps, done = max(steps, taken), done + 1
                 show(0.0, done)
         if self.driven == (0,):
-            raw[:, :, :, :, 1] = raw[:, :, ::-1, :, 0]
+            raw[..., 1, :] = raw[:, :, ::-1, :, :, 0]
         now, before = (_coefficients(self, heard, reference) for heard in raw)
         return now, before, steps, done
 
@@ -398,18 +406,18 @@ def _click(setup: Setup, band: tuple[float, float], n: int) -> Array:
 def _heard(
     part: _Part, port: int, mode: int, longest: float, progress: Progress
 ) -> tuple[Complex, int]:
-    """Return spectra at both probes of a whole run and of three quarters of it, over the source.
+    """Return the spectra of a whole run and of three quarters of it.
 
     Returns
     -------
     spectra : ndarray
-        (2, n_frequencies, 2, n_modes).
+        (2, n_frequencies, port, layer, n_modes).
     steps : int
     """
     modes, setup = part.modes, part.setup
     m = len(modes.squares)
-    layers = [probe for probe in part.probes for _ in range(m)]
-    weights = np.concatenate([modes.weights, modes.weights]).transpose(1, 2, 0)
+    layers = np.repeat(np.ravel(part.probes), m)
+    weights = np.tile(modes.weights, (4, 1, 1)).transpose(1, 2, 0)
     dtype = setup.state.change.dtype
     scheme = setup.scheme._replace(
         source=jnp.asarray(modes.shapes[mode], dtype),
@@ -432,15 +440,11 @@ def _heard(
     heard = np.concatenate(records, axis=1)
     n = heard.shape[1]
     omega = 2 * pi * part.frequency * setup.time_step
-    ends = (n, 3 * n // 4)
-    both = np.stack([_spectrum(heard, omega, 1, end) for end in ends])
-    # A source that is added to the pressure itself drives its second difference by its first.
-    first = 1 - np.exp(-1j * omega)
-    source = np.stack([first * _spectrum(click[None], omega, 0, end)[:, 0] for end in ends])
-    return (both / source[:, :, None]).reshape(2, len(part.frequency), 2, m), n
+    both = np.stack([_spectrum(heard, omega, end) for end in (n, 3 * n // 4)])
+    return both.reshape(2, len(part.frequency), 2, 2, m), n
 
 
-def _spectrum(signals: Array, omega: Array, first: int, end: int) -> Complex:
+def _spectrum(signals: Array, omega: Array, end: int) -> Complex:
     """Return the spectra (n_frequencies, n_signals) of signals (n_signals, n) up to a sample.
 
     Their last third is faded out: what still rings at a cut-on would spread over all frequencies if
@@ -450,39 +454,53 @@ def _spectrum(signals: Array, omega: Array, first: int, end: int) -> Complex:
     faded = signals[:, :end] * (0.5 - 0.5 * np.cos(pi * fade))
     total = np.zeros((len(omega), len(signals)), complex)
     for begin in range(0, end, CHECKS):
-        times = first + np.arange(begin, min(begin + CHECKS, end))
+        times = np.arange(begin, min(begin + CHECKS, end))
         total += np.exp(-1j * np.outer(omega, times)) @ faded[:, begin : begin + CHECKS].T
     return total
 
 
 def _coefficients(part: _Part, heard: Complex, reference: tuple[float, float]) -> Complex:
-    """Return S from what the probes hear of a unit source.
+    """Return S from what the probes hear in each run.
 
     Parameters
     ----------
     part : _Part
     heard : ndarray
-        (n_frequencies, port_out, mode_out, port_in, mode_in).
+        (n_frequencies, port, layer, mode, port driven, mode driven).
     reference : tuple of float
         In m.
+
+    Returns
+    -------
+    ndarray
+        (n_frequencies, port_out, mode_out, port_in, mode_in); zero where a mode does not propagate.
     """
     way: Phases = part.phases
-    theta, dz = way.theta, part.spacing
-    at_probe, at_source = part.heights(part.probes), part.heights(part.sources)
-    s = heard.copy()
-    m = theta.shape[1]
-    each = np.arange(m)
+    n, m = way.theta.shape
+    apart = np.exp(-1j * APART * way.theta)[:, :, None, None]
+    root = np.sqrt(np.where(part.travels, way.power, 0.0))[:, :, None, None]
+    inwards, outwards = np.zeros((2, n, 2, m, 2, m), complex)
     for port in (0, 1):
-        inwards = 1 if port == 0 else -1
-        travelled = inwards * (at_probe[port] - at_source[port]) / dz
-        s[:, port, each, port, each] -= np.exp(-1j * theta * travelled) / (1j * way.slope)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for port in (0, 1):
-            inwards = 1 if port == 0 else -1
-            to_plane = inwards * (reference[port] - at_source[port]) / dz
-            incoming = np.exp(-1j * theta * to_plane) / (1j * way.slope)
-            back = inwards * (reference[port] - at_probe[port]) / dz
-            root = np.sqrt(way.power)
-            s[:, :, :, port, :] /= (incoming * root)[:, None, None, :]
-            s[:, port] *= (np.exp(1j * theta * back) * root)[:, :, None, None]
-    return s
+        outer, inner = heard[:, port, 0], heard[:, port, 1]
+        # outer = a + b and inner = a q + b / q, with a inwards and b outwards at the outer probes.
+        a = (inner - outer / apart) / (apart - 1 / apart)
+        b = (outer * apart - inner) / (apart - 1 / apart)
+        path = INWARDS[port] * (reference[port] - part.height(part.probes[port][0])) / part.spacing
+        to_plane = np.exp(-1j * path * np.where(part.travels, way.theta, 0.0))[:, :, None, None]
+        inwards[:, port], outwards[:, port] = a * to_plane * root, b / to_plane * root
+    return _quotient(outwards.reshape(n, 2 * m, -1), inwards.reshape(n, 2 * m, -1), part).reshape(
+        n, 2, m, 2, m
+    )
+
+
+def _quotient(out: Complex, into: Complex, part: _Part) -> Complex:
+    """Return S of out = S into, over the modes that propagate and the runs that drive these."""
+    found = np.zeros_like(out)
+    travels = np.tile(part.travels, (1, 2))
+    for pattern in np.unique(travels, axis=0):
+        rows, there = np.flatnonzero((travels == pattern).all(axis=1)), np.flatnonzero(pattern)
+        block = np.ix_(rows, there, there)
+        # S into = out, by its transpose.
+        solved = np.linalg.solve(into[block].swapaxes(1, 2), out[block].swapaxes(1, 2))
+        found[block] = solved.swapaxes(1, 2)
+    return found
