@@ -11,7 +11,6 @@ air's absorption adds to it, which depends on the cell alone.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -39,13 +38,14 @@ from acoustube.waves.wave_operator import INTERIOR, Operator
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
 
-ELSEWHERE = -1
-"""Kind of the cells that are wall or in an absorber."""
+WALL, ABSORBING = -1, 2
+"""Kinds of cells that are in no span."""
 SHORTEST = 32
 """Cells of a span below which it is not worth a loop of its own."""
-CUT_COST = 4.0
-"""Time of a cell in a cut span over that in a core span, by which threads share the columns."""
+COSTS = 1.0, 4.0, 4.0
+"""Time of a cell in a core span, a cut span and an absorber, by which threads share the columns."""
 MOST_THREADS = 4
+"""More were not measured."""
 
 
 class CompiledMarcher:
@@ -58,8 +58,7 @@ class CompiledMarcher:
     state : State
         Where to start; it stays as it is.
     n_threads : int, optional
-        As many as there are cores for this process by default, but no more than
-        NUMBA_NUM_THREADS and `MOST_THREADS`.
+        See `default_threads`.
     """
 
     def __init__(self, setup: Setup, state: State, n_threads: int | None = None) -> None:
@@ -135,8 +134,8 @@ class CompiledMarcher:
 
 
 def default_threads() -> int:
-    """Return how many threads march."""
-    return max(1, min(len(os.sched_getaffinity(0)), config.NUMBA_NUM_THREADS, MOST_THREADS))
+    """Return how many threads march: NUMBA_NUM_THREADS, or else one a core, up to a few."""
+    return min(config.NUMBA_NUM_THREADS, MOST_THREADS)
 
 
 def _copy(values: ArrayLike, dtype: Any) -> Array:
@@ -191,34 +190,38 @@ def _acts_at_wall(losses: Losses | None, shape: tuple[int, ...]) -> Mask:
     return across | z[:, :, 1:-2] | z[:, :, 2:-1] | (np.asarray(losses.compliance) != 0)
 
 
-def _columns(setup: Setup, state: State, n_threads: int) -> Columns:
-    """List the columns that hold open cells, and their spans that are not in an absorber."""
-    scheme, (_, ny, nz) = setup.scheme, state.change.shape
+def _kinds(setup: Setup, state: State) -> NDArray[np.integer[Any]]:
+    """Return of which kind each cell is: of a core or a cut span, in an absorber, or wall."""
+    scheme = setup.scheme
     wall = _acts_at_wall(scheme.losses, state.change.shape)
     open_cells = (np.asarray(scheme.operator.inverse_volume) > 0) | wall
     open_cells[:, :, setup.source_layer] |= np.asarray(scheme.source) != 0
     kinds = np.where(_full(scheme.operator) & ~wall, CORE, CUT)
-    kinds[~open_cells] = ELSEWHERE
-    kinds[:, :, : _n_layers(state.before)] = ELSEWHERE
-    kinds[:, :, nz - _n_layers(state.behind) :] = ELSEWHERE
-    kinds, open_cells = kinds.reshape(-1, nz), open_cells.reshape(-1, nz)
+    kinds[:, :, : _n_layers(state.before)] = ABSORBING
+    kinds[:, :, kinds.shape[2] - _n_layers(state.behind) :] = ABSORBING
+    kinds[~open_cells] = WALL
+    return kinds
+
+
+def _columns(setup: Setup, state: State, n_threads: int) -> Columns:
+    """List the columns that hold open cells, and their spans that are not in an absorber."""
+    kinds = _kinds(setup, state)
+    _, ny, nz = kinds.shape
+    kinds = kinds.reshape(-1, nz)
     rows, begins, ends = _runs(kinds)
     short = (kinds[rows, begins] == CORE) & (ends - begins < SHORTEST)
     for row, begin, end in zip(rows[short], begins[short], ends[short], strict=True):
         kinds[row, begin:end] = CUT
     rows, begins, ends = _runs(kinds)
     kind = kinds[rows, begins]
-    spans = np.stack([begins, ends, kind], axis=1)[kind != ELSEWHERE]
-    listed = np.flatnonzero(open_cells.any(axis=1))
-    first = np.searchsorted(rows[kind != ELSEWHERE], [*listed, len(kinds)])
-    costs = np.sum(np.where(kinds == CORE, 1.0, CUT_COST), axis=1, where=kinds != ELSEWHERE)
-    costs += np.sum(CUT_COST * open_cells, axis=1, where=kinds == ELSEWHERE)
-    total = np.cumsum(costs[listed])
+    marched = (kind == CORE) | (kind == CUT)
+    listed = np.flatnonzero((kinds != WALL).any(axis=1))
+    total = np.cumsum(np.array([0.0, *COSTS])[kinds[listed] - WALL].sum(axis=1))
     shares = np.searchsorted(total, np.linspace(0.0, total[-1], n_threads + 1)[1:-1])
     return Columns(
         place=np.stack(np.divmod(listed, ny), axis=1).astype(np.uint64),
-        first=first,
-        spans=spans.astype(np.uint64),
+        first=np.searchsorted(rows[marched], [*listed, len(kinds)]),
+        spans=np.stack([begins, ends, kind], axis=1)[marched].astype(np.uint64),
         shares=np.array([0, *shares, len(listed)]),
     )
 
