@@ -1,14 +1,23 @@
 """How many grid cells per second does the wave stage march, and how accurate is it?
 
-A straight 40 cm tube, half model, 42 kHz. Each row: ends, grid, cells per second (median of five
-runs of one compiled chunk, warm), and the error of the pulse at the far probe against the exact
-delayed pulse. Run on an otherwise idle machine: ``python benchmarks/fdtd_throughput.py``.
+First the error of a pulse after 30 cm of straight tube, against the exact delayed pulse. Then, for
+a pinched tube with absorbers at both ends and two probes on three grids, without and with losses:
+cells of the grid's box, and open cells, per second in the JAX form and in compiled columns on one
+and two threads; the bytes that a step of the columns moves per cell of the box, counted from what
+each kind of cell reads and writes; and these bytes per second as a share of what a triad of the
+same footprint moves here. The two forms' largest difference in what the probes hear stands beside.
+
+Each rate is the median of five warm runs. Run on an otherwise idle machine, ``python
+benchmarks/fdtd_throughput.py``. Where JAX computes on a GPU the same command prints the JAX form
+only, on the GPU; there it is what a march runs.
 """
 
 from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from statistics import median
 from time import perf_counter
 
@@ -18,50 +27,143 @@ import trimesh
 
 from acoustube.air import air_at
 from acoustube.waves import CutCells, Pulse, cut_cells, grid_spacing, propagate
-from acoustube.waves.marching import CHUNK, march
-from acoustube.waves.scheme import FarEnd, SourceEnd, prepare
+from acoustube.waves.marching import Marcher, _TracedMarcher
+from acoustube.waves.scheme import Setup, prepare
 
-RADIUS, LENGTH, PROBES = 3.95e-3, 0.40, (0.02, 0.30)
+RADIUS, PROBES = 3.95e-3, (0.01, 0.02)
 AIR = air_at(20.0)
 PULSE = Pulse(frequency=42e3)
+BAND = (5e3, 60e3)
+GRIDS = {"scattering": (32, True, 0.033), "fine": (32, False, 0.182), "long": (20, True, 0.355)}
+"""Cells per bore, whether half, and length in m."""
+NUMBERS = {"core": 5, "cut": 14, "absorber": 24}
+"""Read and written per cell and step without losses; neighbours count once."""
+PER_POLE, AT_WALL = 2, 19
+"""More with losses: per relaxation, and in cut cells."""
 
 
-def lumen(resolution: int) -> CutCells:
-    """Return the half model of a straight tube."""
-    tube = trimesh.creation.cylinder(RADIUS, LENGTH, sections=256)
-    tube.apply_translation([0.0, 0.0, LENGTH / 2])
-    return cut_cells(tube, grid_spacing(2 * RADIUS, resolution), half=True)
+def tube(length: float, press: float = 0.0) -> trimesh.Trimesh:
+    """Return a tube whose height shrinks by a share in the middle."""
+    z = np.linspace(0.0, length, 400)
+    profile = [[0, 0], *[[1.0, zi] for zi in z], [0, length]]
+    mesh = trimesh.creation.revolve(profile, sections=256)
+    vertices = mesh.vertices * [RADIUS, RADIUS, 1.0]
+    share = press * np.exp(-(((vertices[:, 2] - length / 2) / 4e-3) ** 2))
+    vertices[:, 1] -= share * (vertices[:, 1] + RADIUS)
+    mesh.vertices = vertices
+    return mesh
 
 
-def cells_per_second(cells: CutCells, source_end: SourceEnd, far_end: FarEnd) -> float:
-    """Return the marching rate of one warm chunk."""
-    setup = prepare(cells, AIR, probes=PROBES, source_end=source_end, far_end=far_end)
-    source = np.zeros(CHUNK)
-    march(setup, setup.state, source)
-    seconds = []
+def far_probe_error(resolution: int) -> tuple[CutCells, float]:
+    """Return the largest error of the pulse after 30 cm, relative to its peak."""
+    cells = cut_cells(tube(0.40), grid_spacing(2 * RADIUS, resolution), half=True)
+    recording = propagate(
+        cells, AIR, PULSE, duration=0.30 / AIR.sound_speed + 1.2 * PULSE.duration,
+        probes=(0.02, 0.30), source_end="absorbing",
+    )  # fmt: skip
+    late = recording.time - recording.probes[1] / AIR.sound_speed
+    return cells, float(np.abs(recording.pressure[1] - PULSE(late)).max())
+
+
+def seconds(run: Callable[[], object]) -> float:
+    """Return the median time of five runs after a first one."""
+    run()
+    times = []
     for _ in range(5):
         start = perf_counter()
-        state, _ = march(setup, setup.state, source)
-        jax.block_until_ready(state.pressure)
-        seconds.append(perf_counter() - start)
-    return float(np.prod(setup.cells.shape)) * CHUNK / median(seconds)
+        run()
+        times.append(perf_counter() - start)
+    return median(times)
 
 
-def far_probe_error(cells: CutCells) -> float:
-    """Return the largest error of the pulse after 30 cm, relative to its peak."""
-    arrival = PROBES[1] / AIR.sound_speed
-    recording = propagate(
-        cells, AIR, PULSE, duration=arrival + 1.2 * PULSE.duration, probes=PROBES,
-        source_end="absorbing",
-    )  # fmt: skip
-    return float(np.abs(recording.pressure[1] - PULSE(recording.time - arrival)).max())
+def rate(marcher: Marcher, n_cells: float, n_steps: int) -> float:
+    """Return the cells marched per second."""
+    return (
+        n_cells * n_steps / seconds(lambda: (marcher.advance(source(n_steps)), marcher.is_finite()))
+    )
+
+
+def source(n_steps: int) -> np.ndarray:
+    """Return a tone."""
+    return np.sin(0.3 * np.arange(n_steps))
+
+
+def triad(n_bytes: float, n_threads: int) -> float:
+    """Return the bytes per second of a = b + s c over arrays of a size together."""
+    from numba import njit
+
+    @njit(nogil=True, fastmath=True)
+    def add(a: np.ndarray, b: np.ndarray, c: np.ndarray, n: int) -> None:
+        for _ in range(n):
+            for i in range(a.size):
+                a[i] = b[i] + a.dtype.type(1.5) * c[i]
+
+    size = int(n_bytes / 12 / n_threads)
+    arrays = [[np.ones(size, np.float32) for _ in range(3)] for _ in range(n_threads)]
+    n = max(1, int(1e9 / n_bytes))
+    with ThreadPoolExecutor(n_threads) as pool:
+        return (
+            12
+            * size
+            * n_threads
+            * n
+            / seconds(lambda: list(pool.map(lambda three: add(*three, n), arrays)))
+        )
+
+
+def traffic(setup: Setup) -> float:
+    """Return the bytes that a step of the compiled columns moves."""
+    from acoustube.waves.compiled import ABSORBING, CORE, CUT, _kinds
+
+    kinds = _kinds(setup, setup.state)
+    core, cut, absorbing = (np.sum(kinds == kind) for kind in (CORE, CUT, ABSORBING))
+    numbers = core * NUMBERS["core"] + cut * NUMBERS["cut"] + absorbing * NUMBERS["absorber"]
+    if setup.scheme.losses is not None:
+        n_poles, n_air = len(setup.scheme.losses.decay), len(AIR.relaxations)
+        numbers += core * (2 + PER_POLE * n_air) + cut * (AT_WALL + PER_POLE * n_poles)
+    return 4.0 * numbers
+
+
+def report(setup: Setup) -> None:
+    """Print the rates of one problem."""
+    n_cells, n_steps = float(np.prod(setup.cells.shape)), 60
+    filled = float(np.mean(setup.cells.volume_fraction > 0))
+    traced = rate(_TracedMarcher(setup, setup.state), n_cells, n_steps)
+    print(
+        f"    JAX, {jax.devices()[0]}: {traced / 1e9:.3f} Gcell/s, open {filled * traced / 1e9:.3f}"
+    )
+    if jax.default_backend() != "cpu":
+        return
+    from acoustube.waves.compiled import CompiledMarcher
+
+    moved = traffic(setup)
+    for n_threads in (1, 2):
+        columns = rate(CompiledMarcher(setup, setup.state, n_threads), n_cells, n_steps)
+        share = columns / n_cells * moved / triad(moved, n_threads)
+        print(
+            f"    columns, {n_threads} threads: {columns / 1e9:.3f} Gcell/s, "
+            f"open {filled * columns / 1e9:.3f}; {moved / n_cells:.0f} bytes a cell, "
+            f"{100 * share:.0f} % of a triad's"
+        )
+    heard = [
+        marcher.advance(source(500))
+        for marcher in (_TracedMarcher(setup, setup.state), CompiledMarcher(setup, setup.state))
+    ]
+    print(
+        f"    largest difference {np.abs(heard[0] - heard[1]).max() / np.abs(heard[0]).max():.1e}"
+    )
 
 
 if __name__ == "__main__":
     print(f"{platform.processor()} x {os.cpu_count()}, jax {jax.__version__}, float32")
     for resolution in (16, 32):
-        tube = lumen(resolution)
-        print(f"{resolution} cells per bore, {tube.shape}: error {far_probe_error(tube):.2e}")
-        for ends in (("release", "rigid"), ("release", "absorbing"), ("absorbing", "absorbing")):
-            rate = cells_per_second(tube, *ends)
-            print(f"  {ends[0]:>9} - {ends[1]:<9} {rate / 1e9:.2f} Gcell/s")
+        cells, error = far_probe_error(resolution)
+        print(f"{resolution} cells per bore, {cells.shape}: error {error:.2e}")
+    for name, (resolution, half, length) in GRIDS.items():
+        cells = cut_cells(tube(length, 0.6), 2 * RADIUS / resolution, half=half)
+        for band in (None, BAND):
+            setup = prepare(
+                cells, AIR, probes=PROBES, source_end="absorbing", lossy_band=band
+            )  # fmt: skip
+            print(f"{name}, {setup.cells.shape}, {'lossy' if band else 'lossless'}")
+            report(setup)
