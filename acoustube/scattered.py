@@ -21,7 +21,6 @@ from acoustube.io import partial_file, write_dataset
 from acoustube.record import flag, variable
 from acoustube.run import heard_interrupts, stage_progress
 from acoustube.surfaces import read_lumen
-from acoustube.waves.budget import over_cut_on
 from acoustube.waves.cells import CutCells, cut_cells
 from acoustube.waves.scattering import Scattering, scatter, straight_ends_cut
 
@@ -291,9 +290,8 @@ def _print(found: Scattering, notes: list[str], console: Console) -> None:
     high, over = float(found.frequency[-1]), 100 * float(np.mean(_over(found)))
     console.print(
         f"accuracy: {found.sound_speed / (high * max(found.spacing)):.0f} cells per wavelength at "
-        f"{1e-3 * high:g} kHz, the straight ends without dispersion; the absorbers return "
-        f"{over_cut_on():.0f} dB of a mode 1 % over its cut-on; {over:.1f} % of the "
-        "coefficients are settled",
+        f"{1e-3 * high:g} kHz, the straight ends without dispersion, what the absorbers "
+        f"return taken out; {over:.1f} % of the coefficients are settled",
         soft_wrap=True,
     )
     for note in notes:

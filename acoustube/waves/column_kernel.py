@@ -7,6 +7,7 @@ compiler can check that none overlaps another.
 
 from __future__ import annotations
 
+import os
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,7 +29,9 @@ _compiled = njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"},
     forceinline=True, _nrt=False,
 )  # fmt: skip
-_yield_core = types.ExternalFunction("sched_yield", types.int32())
+_yield_core = types.ExternalFunction(
+    "SwitchToThread" if os.name == "nt" else "sched_yield", types.int32()
+)
 
 
 class Columns(NamedTuple):

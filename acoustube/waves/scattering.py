@@ -106,7 +106,7 @@ def scatter(
     lossy: bool = True,
     symmetric_only: bool = False,
     longest: float = 12e-3,
-    absorber_thickness: float = 0.02,
+    absorber_thickness: float = 0.01,
     progress: Progress | None = None,
 ) -> Scattering:
     """Return how a lumen scatters the modes of its straight ends.
@@ -129,7 +129,7 @@ def scatter(
     longest : float
         Time in s after which a run ends even if it still rings.
     absorber_thickness : float
-        In m.
+        In m. What the absorbers return is accounted for: they only have to end the ringing.
     progress : callable, optional
         Called with the finished fraction.
 
