@@ -112,10 +112,11 @@ def test_antisymmetric_halves_march_as_jax_does(lossy):
     part = _Part(cells, AIR, np.array([42e3]), (8e3, 60e3), True, lossy, 0.005)
     modes, setup = part.modes, part.setup
     assert np.any(np.asarray(setup.scheme.operator.area_x[0]) > 0)
-    weights = np.concatenate([modes.weights, modes.weights]).transpose(1, 2, 0)
+    weights = np.tile(modes.weights, (4, 1, 1)).transpose(1, 2, 0)
+    layers = np.repeat(np.ravel(part.probes), len(modes.squares))
     scheme = setup.scheme._replace(
         source=jnp.asarray(modes.shapes[0], jnp.float32),
-        probe_layers=jnp.asarray([k for k in part.probes for _ in modes.squares], jnp.int32),
+        probe_layers=jnp.asarray(layers, jnp.int32),
         probe_weights=jnp.asarray(weights, jnp.float32),
     )
     driven = replace(setup, scheme=scheme, source_layer=part.sources[0])
