@@ -43,6 +43,8 @@ BAND_EDGE = -20.0
 
 HEARD = -60.0
 """Level in dB under the pulse's spectral peak down to which its sound is followed."""
+LOWEST = 0.1
+"""Lowest frequency that is followed of a short pulse, whose band reaches to zero, in carriers."""
 FREQUENCY_STEP = 100.0
 """Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
 TIME_STEP = 1e-6
@@ -197,7 +199,7 @@ def listen(
             probes=(probe,),
             source_end=source_end,
             time_step=time_step,
-            lossy_band=pulse.band(HEARD) if config.waves.losses == "on" else None,
+            lossy_band=_band(pulse) if config.waves.losses == "on" else None,
             progress=_share_of(progress or _ignore, done),
         )
         time_step = recordings[source_end].time_step
@@ -230,7 +232,7 @@ def listen_by_parts(
     across, length = bore / config.waves.resolution, 2 * part.position
     # A whole number of layers, so that the grid of a symmetric press is symmetric too.
     spacing = across, across, length / np.ceil(length / across)
-    lowest, highest = pulse.band(HEARD)
+    lowest, highest = _band(pulse)
     count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
     cells = cut_cells(part.surface, spacing)
     matrix = scatter(
@@ -283,8 +285,15 @@ def _budget(
         highest=pulse.band(BAND_EDGE)[1],
         radius=0.5e-3 * config.tube.inner_diameter_mm,
         time_step=time_step,
+        lossy=config.waves.losses == "on",
         pressure=recordings[config.waves.source_end].pressure,
     )
+
+
+def _band(pulse: Pulse) -> tuple[float, float]:
+    """Return the band in Hz in which the sound is followed."""
+    lowest, highest = pulse.band(HEARD)
+    return max(lowest, LOWEST * pulse.frequency), highest
 
 
 def _duration(config: Config, air: Air) -> float:

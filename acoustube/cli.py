@@ -159,6 +159,8 @@ def scatter(
     band: tuple[float, float] = (5.0, 60.0),
     step: float = 0.1,
     temperature: float = 20.0,
+    humidity: float = 50.0,
+    pressure: float = 101.325,
     lossless: Annotated[bool, Parameter(show_default=False)] = False,
     # A float, as in `simulate`.
     resolution: float = 32,
@@ -178,6 +180,10 @@ def scatter(
         Between two frequencies, in kHz.
     temperature : float
         Of the air, in degC.
+    humidity : float
+        Of the air, relative, in per cent.
+    pressure : float
+        Of the air, in kPa.
     lossless : bool
         Leave out the losses at the wall and in the air.
     resolution : int
@@ -190,12 +196,13 @@ def scatter(
     check_surface(lumen)
     check_new_file(out)
     low, high = band
-    if not 0 < low < high:
-        raise ConfigError(f"band = {low:g} {high:g} kHz must rise, and begin over 0")
+    if not 0 < low < high < float("inf"):
+        raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0, and end")
     count = (high - low) / step if step > 0 else 0.0
     if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
         raise ConfigError(
-            f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 parts"
+            f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 whole "
+            f"parts; use {(high - low) / max(1, min(5000, round(count))):.6g}"
         )
     cells = Number(8, 128, "", "grid cells across the ends", whole=True)
     across = int(cells.check("resolution", resolution))
@@ -212,6 +219,8 @@ def scatter(
         band_khz=band,
         step_khz=step,
         temperature=temperature,
+        humidity=humidity,
+        pressure_kpa=pressure,
         lossy=not lossless,
         resolution=across,
     )

@@ -24,6 +24,8 @@ from acoustube.rules import Choice, File, Number, Section, filled, setting, shor
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
 
+BAND_WIDTH = 3.55
+"""Half the pulse's band down to -60 dB, in carriers times cycles."""
 MOST_CELLS = 50_000_000
 """Largest grid of the wave stage, which then takes some 15 GB of memory."""
 
@@ -210,7 +212,7 @@ class Config:
         self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
         _check_depth(self.tube, self.indentation, closing=False)
         _check_position(self)
-        _check_resolution(self.tube, self.waves)
+        _check_resolution(self)
         _check_probe(self.tube, self.waves)
         _check_pulse(self.tube, self.waves)
         _check_lowpass(self)
@@ -298,23 +300,31 @@ def _check_position(config: Config) -> None:
         )
 
 
-def grid_cells(tube: TubeSettings, waves: WaveSettings) -> float:
-    """Return the number of grid cells in the box around the tube's bore."""
-    return waves.resolution**3 * 10 * tube.length_cm / tube.inner_diameter_mm
+def grid_cells(config: Config) -> float:
+    """Return the number of grid cells in the box around the bore that is marched."""
+    tube, waves = config.tube, config.waves
+    length = 10 * tube.length_cm
+    if waves.method == "scattering":
+        reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm)
+        length = 2 * (reach + 4 * tube.outer_diameter_mm)
+    return waves.resolution**3 * length / tube.inner_diameter_mm
 
 
-def _check_resolution(tube: TubeSettings, waves: WaveSettings) -> None:
+def _check_resolution(config: Config) -> None:
     """Refuse a grid that cannot carry the sound, or that no computer will hold."""
-    bore = tube.inner_diameter_mm
-    wavelength_mm = sound_speed(waves.temperature_c) / waves.frequency_khz
+    tube, waves = config.tube, config.waves
+    bore, highest = tube.inner_diameter_mm, waves.frequency_khz
+    if waves.method == "scattering":  # it follows the pulse's whole band
+        highest *= 1 + BAND_WIDTH / waves.cycles
+    wavelength_mm = sound_speed(waves.temperature_c) / highest
     coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
     if waves.resolution < coarsest:
         raise ConfigError(
-            f"resolution = {waves.resolution} is too coarse for {waves.frequency_khz:g} kHz in a "
+            f"resolution = {waves.resolution} is too coarse for {highest:.4g} kHz in a "
             f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
             f"use at least {coarsest}"
         )
-    cells = grid_cells(tube, waves)
+    cells = grid_cells(config)
     if cells > MOST_CELLS:
         finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
         raise ConfigError(

@@ -60,7 +60,9 @@ def check_surface(path: str | Path) -> None:
     ConfigError
     """
     if not Path(path).is_file():
-        raise ConfigError(f"{path} does not exist; give the name of a surface: STL, PLY or OBJ.")
+        raise ConfigError(
+            f"{path} does not exist; give the name of a surface: STL, PLY, OBJ or VTP."
+        )
 
 
 def check_new_file(path: Path) -> None:

@@ -318,6 +318,7 @@ def _trusted(budget: Budget) -> dict[str, Variable]:
     return {
         name: variable("", getattr(budget, name), units, text)
         for name, (units, text) in table.items()
+        if getattr(budget, name) is not None
     }
 
 

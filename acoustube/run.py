@@ -33,8 +33,9 @@ from acoustube.mechanics import press_from, press_in_words, pressed
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
 FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
-STEPS_PER_CELL = 2 * 3.9  # time steps per axial cell, for both source ends
-SECONDS_PER_CELL_STEP, GIGABYTES_PER_CELL = 1.8e-9, 3e-7
+STEPS_PER_LAYER = 2 * 3.9  # time steps per axial layer, for both source ends
+SCATTERING_STEPS = 8 * 8000.0  # of eight runs of 12 ms, per cell in a mm
+SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.0)}, 1.0
 """Of a press: once and per mm of depth, by how often symmetry halves the tube."""
 
@@ -225,9 +226,12 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
 def _print_header(config: Config, console: Console) -> None:
     """Print what is about to be computed, and what it costs."""
     tube, press, waves = config.tube, config.indentation, config.waves
-    cells = grid_cells(tube, waves)
-    steps = STEPS_PER_CELL * 10 * tube.length_cm * waves.resolution / tube.inner_diameter_mm
-    minutes = (FIXED_SECONDS + cells * steps * SECONDS_PER_CELL_STEP) / 60
+    cells, layers = grid_cells(config), waves.resolution / tube.inner_diameter_mm
+    steps = STEPS_PER_LAYER * 10 * tube.length_cm * layers
+    if waves.method == "scattering":
+        steps = SCATTERING_STEPS * layers
+    seconds = cells * steps * SECONDS_PER_CELL_STEP * (LOSSY if waves.losses == "on" else 1)
+    minutes = (FIXED_SECONDS + seconds) / 60
     memory = FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
     where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
     grid = f"{waves.resolution} cells across the bore"
@@ -240,7 +244,9 @@ def _print_header(config: Config, console: Console) -> None:
     )
     console.print(
         f"sound: {waves.frequency_khz:g} kHz, {waves.cycles} cycles, {waves.temperature_c:g} degC, "
-        f"probe at {waves.probe_cm:g} cm, source end {waves.source_end}, losses {waves.losses}",
+        f"{waves.humidity_percent:g} % humidity, {waves.pressure_kpa:g} kPa, probe at "
+        f"{waves.probe_cm:g} cm, source end {waves.source_end}, losses {waves.losses}, method "
+        f"{waves.method}",
         soft_wrap=True,
     )
 

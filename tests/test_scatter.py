@@ -179,7 +179,9 @@ def call(*words):
     [
         (["missing.stl"], "missing.stl does not exist"),
         (["lumen.stl", "--band", "60", "5"], "must rise"),
-        (["lumen.stl", "--band", "5", "10", "--step", "3"], "step = 3 kHz must divide"),
+        (["lumen.stl", "--band", "5", "10", "--step", "3"], "whole parts; use 2.5"),
+        (["lumen.stl", "--band", "5", "inf"], "must rise from over 0, and end"),
+        (["lumen.stl", "--humidity", "120"], "humidity = 120 %"),
         (["lumen.stl", "--band", "5", "600", "--step", "5"], "cells per wavelength"),
         (["lumen.stl", "--resolution", "4"], "resolution = 4 is out of range; use a whole number"),
         (["lumen.stl", "--resolution", "12.7"], "resolution = 12.7 is not a whole number"),
@@ -193,6 +195,16 @@ def test_what_cannot_be_computed_is_refused_in_one_sentence(words, part):
     assert part in result.stderr
     assert result.stderr.count("\n") == 1
     assert not Path("s.nc").exists()
+
+
+def test_band_of_the_plane_mode_alone():
+    """Below the cut-on of (1,1) no mode is antisymmetric."""
+    found = scatter(cells_of("A", 10), AIR, np.arange(10e3, 20e3, 1e3), reference=(MIDDLE, MIDDLE))
+    assert found.modes == ("00",)
+    assert np.all(np.abs(found.s[:, :, 0, 0, 0]).max(axis=1) > 0.5)
+    for frequency in ([0.0, 1e3], [2e3, 1e3], 5.0):
+        with pytest.raises(ConfigError, match="must rise"):
+            scatter(cells_of("A", 10), AIR, np.array(frequency))
 
 
 @pytest.mark.slow
@@ -223,6 +235,7 @@ def test_command_writes_the_matrix_of_a_straight_tube():
     assert press.propagates.sum() == 11 + 2 * 3
     # A straight tube is cut in its middle.
     assert press.extent == pytest.approx((-0.001, 0.001), abs=2e-3)
-    for name in ("lumen.stl", "missing.nc"):
-        with pytest.raises(ConfigError, match="is not a file of acoustube scatter"):
-            read(name)
+    with pytest.raises(ConfigError, match=r"lumen.stl is not a file of this version's"):
+        read("lumen.stl")
+    with pytest.raises(ConfigError, match=r"missing.nc does not exist; write one"):
+        read("missing.nc")

@@ -14,8 +14,13 @@ from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.section import section_cut_ons
 
-BEST_ABSORPTION = -90.0
-"""Reflection in dB that no absorber is trusted to stay below, whatever its profile says."""
+PLANE_WAVE = -60.0
+"""What an absorbing end returns of the plane wave in dB, at most; without losses under -86 dB."""
+WITH_LOSSES = -14.0
+"""What one returns of a mode 1 % over its cut-on where losses fade out before it, as measured.
+
+2, 3 and 5 % over it -27, -34 and -39 dB.
+"""
 OVER_CUT_ON = 1.01
 """How far over its cut-on a mode is for which the absorber's reflection is given."""
 LAST = 0.05
@@ -36,9 +41,9 @@ class Budget:
         Of the straight bore's cross-section on the grid, relative.
     cut_on_error : float
         Of the cut-on of (1,1) on the grid, relative.
-    absorption : float
+    absorption : float or None
         What an absorbing end sends back of a mode 1 % over its cut-on, in dB; of modes farther
-        over it less.
+        over it less. None where no such end is in the recording.
     ringing : float
         Highest pressure in the last twentieth of the recording, in dB of the highest of all.
     """
@@ -47,18 +52,23 @@ class Budget:
     delay_bias: float
     section_error: float
     cut_on_error: float
-    absorption: float
+    absorption: float | None
     ringing: float
 
     def in_words(self, path: float) -> str:
         """Return the budget as a sentence, for an echo's path in m."""
+        absorbing = (
+            f"an absorbing end returns under {PLANE_WAVE:.0f} dB of the plane wave, "
+            f"{self.absorption:.0f} dB of a mode 1 % over its cut-on; "
+            if self.absorption is not None
+            else ""
+        )
         return (
             f"{self.cells_per_wavelength:.0f} cells per wavelength; the grid moves the echo by "
             f"{1e3 * self.delay_bias * path / 2:+.3f} mm, the bore's section by "
             f"{100 * self.section_error:+.2f} %, the cut-on of (1,1) by "
-            f"{100 * self.cut_on_error:+.2f} %; an absorbing end returns under "
-            f"{BEST_ABSORPTION:.0f} dB of the plane wave, {self.absorption:.0f} dB of a mode 1 % "
-            f"over its cut-on; {self.ringing:.0f} dB still ring at the end"
+            f"{100 * self.cut_on_error:+.2f} %; {absorbing}the highest pressure at the end of the "
+            f"recording is {self.ringing:.0f} dB of that of all"
         )
 
 
@@ -70,6 +80,7 @@ def error_budget(
     highest: float,
     radius: float,
     time_step: float | None,
+    lossy: bool,
     pressure: Array,
 ) -> Budget:
     """Return the known errors of a run.
@@ -85,7 +96,9 @@ def error_budget(
     radius : float
         Of the bore in m.
     time_step : float or None
-        In s; None where straight tube is not marched, and its dispersion exact.
+        In s; None where straight tube is not marched, its dispersion and its ends exact.
+    lossy : bool
+        With losses at the wall and in the air.
     pressure : ndarray
         The recording, time last.
 
@@ -107,17 +120,17 @@ def error_budget(
         else delay_bias(frequency, spacing, time_step, air.sound_speed),
         section_error=float(area / (pi * radius**2) - 1),
         cut_on_error=float(lowest / exact - 1),
-        absorption=over_cut_on(),
+        absorption=None if time_step is None else WITH_LOSSES if lossy else over_cut_on(),
         ringing=20 * log10(quiet),
     )
 
 
 def over_cut_on() -> float:
-    """Return what an absorbing end sends back of a mode 1 % over its cut-on, in dB.
+    """Return what an absorbing end sends back of a mode 1 % over its cut-on, in dB, lossless.
 
     The layer's profile is made for the plane wave; a slanted one meets the power kz / k of it.
     """
-    return max(20 * log10(REFLECTION) * sqrt(1 - OVER_CUT_ON**-2), BEST_ABSORPTION)
+    return 20 * log10(REFLECTION) * sqrt(1 - OVER_CUT_ON**-2)
 
 
 def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: float) -> float:

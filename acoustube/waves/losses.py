@@ -42,6 +42,7 @@ from jax.typing import DTypeLike
 from scipy.optimize import minimize, nnls
 
 from acoustube.air import Air
+from acoustube.errors import ConfigError
 from acoustube.waves.cells import CutCells
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.stability import largest_eigenvalue
@@ -89,7 +90,16 @@ def half_integral(band: tuple[float, float], accuracy: float = ACCURACY) -> Half
     HalfIntegral
         With rates in geometric progression, their spacing and middle fitted, and non-negative
         weights; with as few as the accuracy needs.
+
+    Raises
+    ------
+    ConfigError
+        If the band is none.
     """
+    if not 0 < band[0] < band[1] < np.inf:
+        raise ConfigError(
+            f"losses need a band that rises from over 0, not {band[0]:g} to {band[1]:g} Hz"
+        )
     for n in range(2, MOST_POLES + 1):
         found = _fitted(band, n)
         if found.error < accuracy:

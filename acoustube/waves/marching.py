@@ -122,7 +122,7 @@ class Marcher(Protocol):
 def _marcher(setup: Setup, state: State, compiled: bool | None) -> Marcher:
     """Return what advances a state: compiled columns on a CPU, JAX elsewhere."""
     if compiled is None:
-        compiled = jax.default_backend() == "cpu" and not isinstance(state.change, jax.core.Tracer)
+        compiled = jax.default_backend() == "cpu"
     if not compiled:
         return _TracedMarcher(setup, state)
     from acoustube.waves.compiled import CompiledMarcher  # imports numba, which takes a second

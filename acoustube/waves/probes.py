@@ -115,9 +115,11 @@ def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes
 
 def _at_point(probe: PointProbe, setup: Setup, volume: Array) -> Array:
     """Return bilinear weights of the cell centres around a point; those in the wall have none."""
+    # The half x > 0 stands for both.
+    x = abs(probe.x) if setup.cells.origin[0] == 0.0 else probe.x
     shares = [
         np.clip(1 - np.abs(setup.cells.centres(axis) - value) / setup.cells.spacing[axis], 0, 1)
-        for axis, value in enumerate((probe.x, probe.y))
+        for axis, value in enumerate((x, probe.y))
     ]
     weights = np.where(volume > 0, np.outer(*shares), 0.0)
     if not weights.sum() > 0:

@@ -102,8 +102,8 @@ class SampledPulse:
             raise ValueError(
                 f"pressure of shape {samples.shape} is no pulse; give four or more finite samples"
             )
-        if not self.rate > 0.0:
-            raise ValueError(f"rate = {self.rate} Hz must be positive")
+        if not 0.0 < self.rate < np.inf:
+            raise ValueError(f"rate = {self.rate} Hz must be positive and finite")
 
     @property
     def duration(self) -> float:

@@ -140,7 +140,8 @@ def scatter(
     Raises
     ------
     ConfigError
-        If the lumen has no straight ends, or ends of different sections.
+        If the lumen has no straight ends, or ends of different sections, or the frequencies do not
+        rise.
 
     Notes
     -----
@@ -152,12 +153,17 @@ def scatter(
     symmetric about x = 0 is computed by halves, the symmetric and the antisymmetric modes apart; of
     one symmetric along z, on the grid too, one end is driven.
     """
+    frequency = np.asarray(frequency, float)
+    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     core = straight_ends_cut(cells)
     parities: tuple[bool | None, ...] = (None,)
     if is_symmetric(core):
         parities = (False,) if symmetric_only else (False, True)
     band = float(frequency[0]), float(frequency[-1])
     parts = [_Part(core, air, frequency, band, odd, lossy, absorber_thickness) for odd in parities]
+    # Below the cut-on of (1,1) there is no antisymmetric mode.
+    parts = [part for part in parts if len(part.modes.squares)]
     n_runs = sum(len(part.driven) * len(part.modes.squares) for part in parts)
     done = 0
     blocks, earlier, steps = [], [], 0
