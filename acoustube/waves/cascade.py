@@ -286,7 +286,8 @@ def continued(scattering: Scattering, frequency: NDArray[Any]) -> Complex:
     Raises
     ------
     ValueError
-        If the frequencies leave the band, or the given ones are not evenly spaced or too far apart.
+        If the frequencies leave the band, or the given ones are not evenly spaced, or too far apart
+        for a cut-on among them.
 
     Notes
     -----
@@ -304,7 +305,8 @@ def continued(scattering: Scattering, frequency: NDArray[Any]) -> Complex:
     step = np.diff(given)
     if np.ptp(step) > 1e-6 * step[0]:
         raise ValueError("the frequencies of a press must be evenly spaced; compute them so")
-    if step[0] > COARSEST_STEP:
+    within = np.any((scattering.cut_ons > low) & (scattering.cut_ons < high))
+    if within and step[0] > COARSEST_STEP:
         raise ValueError(
             f"steps of {step[0]:g} Hz are too coarse for what happens beside a cut-on; compute the "
             f"press in steps of {COARSEST_STEP:g} Hz at most"
