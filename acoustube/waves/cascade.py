@@ -16,6 +16,7 @@ Journal of Mathematics and Physics 41, 1-41. doi:10.1002/sapm19624111
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import log, pi
 from typing import Any, NamedTuple
 
@@ -49,7 +50,8 @@ FADED = 1e4
 """By how much what lasts longer than the cycle is damped before it comes in again."""
 
 
-class Placed(NamedTuple):
+@dataclass(frozen=True)
+class Placed:
     """A press and where it is.
 
     Attributes

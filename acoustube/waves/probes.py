@@ -150,9 +150,9 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
 
     Notes
     -----
-    A unit source in a layer sends exp(-i theta |m|) / (i slope) both ways, `slope` the derivative
-    of the axial term by theta; what it is driven with is the wave divided by that, for each
-    frequency. At the cut-on the slope vanishes, and little is driven. The source layer and its
+    A unit source in a layer sends exp(-i theta n) / (i slope) over n layers both ways, `slope` the
+    derivative of the axial term by theta; what it is driven with is the wave divided by that, for
+    each frequency. At the cut-on the slope vanishes, and little is driven. The source layer and its
     neighbours also hold a near field of a few per cent.
     """
     modes, which = named_mode(setup, setup.source_layer, mode, air)
