@@ -1,0 +1,368 @@
+"""The commands ``acoustube process`` and ``acoustube calibrate``: recordings in, tables out."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import xarray as xr
+from platformdirs import user_data_path
+from rich.console import Console
+
+from acoustube import recordings, signals
+from acoustube.errors import ConfigError
+from acoustube.io import partial_file
+from acoustube.run import heard_interrupts, stage_progress
+from acoustube.signals import Calibration, Processing, Ranging
+
+CHUNK = 250
+"""Cycles that are processed together: 8 MB of double precision per step."""
+THREADS = 2
+COLUMNS = (
+    "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
+    "file",
+)  # fmt: skip
+
+
+def located(
+    data: xr.Dataset, how: Processing, done: Callable[[int], None] | None = None
+) -> Iterator[tuple[int, Ranging]]:
+    """Process the cycles of a recording in pieces, on two threads.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`acoustube.recordings.read`.
+    how : Processing
+    done : callable, optional
+        Called with the number of cycles of each finished piece.
+
+    Yields
+    ------
+    first : int
+        Number of the piece's first cycle.
+    ranging : Ranging
+        Of the piece.
+    """
+    cycles, time = data["signal"], data["time"].values
+    warmth = data["temperature"].values
+    starts = range(0, cycles.sizes["cycle"], CHUNK)
+
+    def piece(start: int) -> Ranging:
+        part = slice(start, start + CHUNK)
+        return signals.locate(time, cycles.values[part], how, temperature=warmth[part])
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        waiting: list[tuple[int, Future[Ranging]]] = []
+        for start in starts:
+            waiting.append((start, pool.submit(piece, start)))
+            # So many pieces are in memory at once.
+            if len(waiting) > THREADS:
+                yield _finished(waiting.pop(0), done)
+        while waiting:
+            yield _finished(waiting.pop(0), done)
+
+
+def _finished(
+    job: tuple[int, Future[Ranging]], done: Callable[[int], None] | None
+) -> tuple[int, Ranging]:
+    start, future = job
+    ranging = future.result()
+    if done is not None:
+        done(len(ranging.detected))
+    return start, ranging
+
+
+def run_process(
+    paths: Sequence[Path],
+    out: Path | None,
+    console: Console,
+    *,
+    calibration: str | None = None,
+    prominence: float | None = None,
+    rate: float | None = None,
+    temperature: float | None = None,
+    channel: int | None = None,
+    samples: int | None = None,
+    figure: Path | None = None,
+) -> bool:
+    """Process recordings and write one row per cycle.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders.
+    out : Path or None
+        The CSV file to write; None writes to standard output.
+    console : rich.console.Console
+        Where to say what became of each file.
+    calibration : str, optional
+        A file, or the name of a calibration.
+    prominence : float, optional
+        In place of the calibration's.
+    rate, temperature, channel, samples
+        See :func:`acoustube.recordings.read`.
+    figure : Path, optional
+        A picture of the first cycle and a waterfall of all of the first file.
+
+    Returns
+    -------
+    bool
+        Whether all files were processed.
+
+    Raises
+    ------
+    ConfigError
+        If the calibration cannot be used.
+    """
+    known = None if calibration is None else signals.load(calibration_path(calibration))
+    how = Processing() if known is None else known.processing
+    if prominence is not None:
+        from dataclasses import replace
+
+        how = replace(how, prominence=prominence)
+    failures, n_cycles, n_found, drawn = 0, 0, 0, False
+    with heard_interrupts() as check, _opened(out) as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for path, data in recordings.read_all(
+            paths, rate=rate, temperature=temperature, channel=channel, samples=samples
+        ):
+            try:
+                if isinstance(data, ConfigError):
+                    raise data
+                _check_rate(data, known, path)
+                found = 0
+                for first, ranging in _with_progress(data, how, console, check, path):
+                    found += int(ranging.detected.sum())
+                    writer.writerows(_rows(first, ranging, path))
+                    if figure is not None and not drawn:
+                        _draw(data, ranging, figure)
+                        drawn = True
+            except (ConfigError, ValueError) as error:
+                failures += 1
+                text = " ".join(str(error).split())
+                named = text if str(path) in text else f"{path}: {text}"
+                console.print(f"[red]not processed:[/] {named}", soft_wrap=True)
+                continue
+            n_cycles, n_found = n_cycles + data.sizes["cycle"], n_found + found
+            for warning in str(data.attrs.get("warnings", "")).splitlines():
+                console.print(f"[yellow]note:[/] {path}: {warning}", soft_wrap=True)
+    console.print(
+        f"{n_cycles} cycles, echoes in {n_found}"
+        + (f"; {failures} files could not be processed" if failures else ""),
+        soft_wrap=True,
+    )
+    return failures == 0
+
+
+@contextlib.contextmanager
+def _opened(out: Path | None) -> Iterator[TextIO]:
+    """Yield standard output, or a new file that appears when it is complete."""
+    if out is None:
+        yield sys.stdout
+        return
+    with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        yield file
+
+
+def _with_progress(
+    data: xr.Dataset, how: Processing, console: Console, check: Callable[[], None], path: Path
+) -> Iterator[tuple[int, Ranging]]:
+    total, finished = data.sizes["cycle"], 0
+    with stage_progress(console) as show:
+        for first, ranging in located(data, how):
+            check()
+            finished += len(ranging.detected)
+            if total > 4 * CHUNK:
+                show(path.name, finished / total)
+            yield first, ranging
+
+
+def _check_rate(data: xr.Dataset, known: Calibration | None, path: Path) -> None:
+    """Refuse a calibration of another sampling rate: its gain and template are of its own."""
+    rate = float(data.attrs["sampling_rate"])
+    if known is not None and abs(rate / known.sampling_rate - 1) > 1e-3:
+        raise ConfigError(
+            f"{path} has {rate:g} samples per second and the calibration {known.sampling_rate:g}; "
+            "calibrate with cycles like these"
+        )
+
+
+def _rows(first: int, ranging: Ranging, path: Path) -> Iterator[list[object]]:
+    """Return one row per cycle."""
+    flight = 1e3 * (ranging.return_time - ranging.send_time)
+    peaks = np.sum(np.isfinite(ranging.echoes.times), axis=-1)
+    for i, seen in enumerate(ranging.detected):
+        numbers = (
+            flight[i], 100 * ranging.distance[i], ranging.amplitude[i], ranging.prominence[i],
+        )  # fmt: skip
+        texts = [f"{value:.6g}" if seen else "" for value in numbers]
+        yield [first + i, *texts, int(peaks[i]), int(seen), path.name]
+
+
+def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:
+    """Draw the first cycle of a recording, and the waterfall of its first piece."""
+    from matplotlib.figure import Figure
+
+    from acoustube import plot, plot_cycles
+
+    time, warmth = data["time"].values, float(data["temperature"].values[0])
+    one = (
+        signals.locate(time, data["signal"].values[0], Processing(), temperature=warmth)
+        if ranging.envelope.ndim == 1
+        else _one(ranging, 0)
+    )
+    sheet = Figure(figsize=(9, 8), layout="constrained")
+    above, below = sheet.subplots(2, 1)
+    plot_cycles.draw_cycle(above, time, data["signal"].values[0], one, warmth)
+    plot_cycles.draw_waterfall(below, time, ranging.envelope, warmth)
+    plot.save(sheet, figure)
+
+
+def _one(ranging: Ranging, index: int) -> Ranging:
+    """Return what was made of one cycle of several."""
+    from dataclasses import fields, replace
+
+    echoes = ranging.echoes
+    there = np.isfinite(echoes.times[index])
+    single = signals.Echoes(
+        echoes.times[index][there], echoes.amplitudes[index][there],
+        echoes.prominences[index][there],
+    )  # fmt: skip
+    values = {
+        field.name: getattr(ranging, field.name)[index]
+        for field in fields(ranging)
+        if field.name != "echoes"
+    }
+    return replace(ranging, echoes=single, **values)
+
+
+def calibration_path(name: str) -> Path:
+    """Return the file of a calibration that is given by its file or its name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    home = calibration_folder() / f"{name}.toml"
+    if home.exists():
+        return home
+    known = sorted(p.stem for p in calibration_folder().glob("*.toml"))
+    advice = f"known are {', '.join(known)}" if known else "acoustube calibrate makes one"
+    raise ConfigError(f"{name} is neither a file nor the name of a calibration; {advice}")
+
+
+def calibration_folder() -> Path:
+    """Return where named calibrations are kept."""
+    return user_data_path("acoustube") / "calibrations"
+
+
+def run_calibrate(
+    blocked: Sequence[Path],
+    untouched: Sequence[Path],
+    console: Console,
+    *,
+    out: Path | None = None,
+    name: str | None = None,
+    sigmas: float = 2.8,
+    rate: float | None = None,
+    temperature: float | None = None,
+    figure: Path | None = None,
+) -> Path:
+    """Calibrate a sensor from recordings, and write the calibration.
+
+    Parameters
+    ----------
+    blocked : sequence of Path
+        Recordings with the tube closed at the places of their label ``true_distance``.
+    untouched : sequence of Path
+        Recordings without contact.
+    console : rich.console.Console
+    out : Path, optional
+        The file to write; in place of it `name`, by which ``process`` finds it.
+    name : str, optional
+    sigmas : float
+        Least prominence in standard deviations of the untouched cycles.
+    rate, temperature
+        See :func:`acoustube.recordings.read`.
+    figure : Path, optional
+        A picture of the fits.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If a recording cannot be read, or nothing can be calibrated with them.
+    """
+    if (out is None) == (name is None):
+        raise ConfigError("give the calibration either a file with --out or a name with --name")
+    closed, free = (_together(paths, rate, temperature) for paths in (blocked, untouched))
+    if "true_distance" not in closed:
+        raise ConfigError(
+            "the blocked cycles have no label true_distance; give it in the files or in a sidecar"
+        )
+    if closed.attrs["sampling_rate"] != free.attrs["sampling_rate"]:
+        raise ConfigError("blocked and untouched cycles have different sampling rates")
+    try:
+        found = signals.calibrate(
+            closed["time"].values, closed["signal"].values, closed["true_distance"].values,
+            free["signal"].values, temperature=closed["temperature"].values,
+            untouched_temperature=free["temperature"].values, sigmas=sigmas,
+        )  # fmt: skip
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    path = out if out is not None else calibration_folder() / f"{name}.toml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    signals.save(found, path)
+    if figure is not None:
+        from acoustube import plot, plot_cycles
+
+        plot.save(plot_cycles.calibration_figure(found), figure)
+    _print_calibration(found, console)
+    console.print(f"Written to [bold]{path}[/].", soft_wrap=True)
+    return path
+
+
+def _together(paths: Sequence[Path], rate: float | None, temperature: float | None) -> xr.Dataset:
+    """Return the cycles of several recordings as one."""
+    parts = []
+    for _, data in recordings.read_all(paths, rate=rate, temperature=temperature):
+        if isinstance(data, ConfigError):
+            raise data
+        parts.append(data)
+    rates = {float(part.attrs["sampling_rate"]) for part in parts}
+    lengths = {part.sizes["time"] for part in parts}
+    if len(rates) > 1 or len(lengths) > 1:
+        raise ConfigError("the recordings differ in sampling rate or length; calibrate with alike")
+    return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
+
+
+def _print_calibration(found: Calibration, console: Console) -> None:
+    gain = found.processing.gain
+    assert gain is not None
+    console.print(
+        f"{found.true_distance.size} blockages: slope {found.slope.value:.4f} +- "
+        f"{found.slope.deviation:.4f} m/m, RMSE {1e3 * found.distance_rmse:.3g} mm; arctan RMSE "
+        f"{found.amplitude_rmse:.3g}, tanh from {gain.c4 - gain.c1:.3g} to {gain.c4 + gain.c1:.3g}",
+        soft_wrap=True,
+    )
+    console.print(
+        f"least prominence {found.processing.prominence:.3g} of the send pulse; "
+        f"{100 * found.false_alarms:.3g} % of the untouched cycles show an echo with it",
+        soft_wrap=True,
+    )

@@ -1,0 +1,59 @@
+"""From pressure to distance: the processing that simulations and recordings share.
+
+The steps are the paper's: for recordings (section II-B) :func:`locate`, for simulated signals
+(section II-D), which need no matched filter and have no offset, :func:`process`. All functions take
+arrays of shape (..., time) and treat each cycle on its own.
+"""
+
+from acoustube.signals.calibration import Calibration, calibrate, load, save
+from acoustube.signals.echoes import Echoes, find_echoes, send_pulse
+from acoustube.signals.localise import (
+    Processing,
+    Ranging,
+    blind_time,
+    distance,
+    locate,
+    process,
+    speed_of_sound,
+)
+from acoustube.signals.steps import (
+    FILTER_ORDER,
+    TimeGain,
+    compensate,
+    envelope,
+    low_pass,
+    matched_filter,
+    normalise,
+    rectify,
+    remove_offset,
+    sampling_rate,
+    template,
+)
+
+__all__ = [
+    "FILTER_ORDER",
+    "Calibration",
+    "Echoes",
+    "Processing",
+    "Ranging",
+    "TimeGain",
+    "blind_time",
+    "calibrate",
+    "compensate",
+    "distance",
+    "envelope",
+    "find_echoes",
+    "load",
+    "locate",
+    "low_pass",
+    "matched_filter",
+    "normalise",
+    "process",
+    "rectify",
+    "remove_offset",
+    "sampling_rate",
+    "save",
+    "send_pulse",
+    "speed_of_sound",
+    "template",
+]

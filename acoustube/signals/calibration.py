@@ -1,0 +1,381 @@
+"""The calibration of a sensor from cycles with the tube closed at known places (section II-E)."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import curve_fit
+
+from acoustube.errors import ConfigError
+from acoustube.signals.localise import Processing, Ranging, locate, speed_of_sound
+from acoustube.signals.steps import (
+    Array,
+    TimeGain,
+    compensate,
+    envelope,
+    matched_filter,
+    normalise,
+    remove_offset,
+    sampling_rate,
+    template,
+)
+
+FEWEST_PLACES = 6
+"""Different places that a calibration needs: the gain has four parameters, two check them."""
+SHORTEST_SPAN = 0.3
+"""Distance in m that they must span, several lengths of a pulse."""
+SIGMAS = 2.8
+"""Least prominence in standard deviations of cycles without contact, the paper's."""
+LARGEST_ERROR = 0.3
+"""Distance in m by which an echo may be off its place before it is taken for another one."""
+
+
+class Estimate(NamedTuple):
+    """A number and its standard deviation."""
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes
+    ----------
+    processing : Processing
+        How to process cycles with it: gain, shifted send time and least prominence set.
+    sampling_rate : float
+        Of the cycles, in Hz.
+    c1, c2, c3, c4 : Estimate
+        Of the amplitude c1 arctan(c2 (l - c3)) + c4 at distance l; in 1, 1/m, m and 1.
+    amplitude_rmse : float
+        Of that fit.
+    slope, intercept : Estimate
+        Of the line from true to estimated distance before the shift, in m/m and m.
+    distance_rmse : float
+        Of the estimates around the line, in m.
+    false_alarms : float
+        Share of the untouched cycles in which the processing finds an echo.
+    true_distance, estimated_distance, amplitude : array of shape (n,)
+        Of each cycle that was used, the distance with the shift.
+    """
+
+    processing: Processing
+    sampling_rate: float
+    c1: Estimate
+    c2: Estimate
+    c3: Estimate
+    c4: Estimate
+    amplitude_rmse: float
+    slope: Estimate
+    intercept: Estimate
+    distance_rmse: float
+    false_alarms: float
+    true_distance: Array
+    estimated_distance: Array
+    amplitude: Array
+
+    def fitted_amplitude(self, distance: ArrayLike) -> Array:
+        """Return the amplitude of a blockage at distances in m, by the fit."""
+        return arctan_fall(np.asarray(distance, float), *(c.value for c in self._fall))
+
+    @property
+    def _fall(self) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+        return self.c1, self.c2, self.c3, self.c4
+
+
+def arctan_fall(distance: Array, c1: float, c2: float, c3: float, c4: float) -> Array:
+    """Return c1 arctan(c2 (l - c3)) + c4 at distances l."""
+    return np.asarray(c1 * np.arctan(c2 * (distance - c3)) + c4)
+
+
+def calibrate(
+    time: ArrayLike,
+    blocked: ArrayLike,
+    true_distance: ArrayLike,
+    untouched: ArrayLike,
+    how: Processing | None = None,
+    *,
+    temperature: ArrayLike = 20.0,
+    untouched_temperature: ArrayLike = 20.0,
+    sigmas: float = SIGMAS,
+) -> Calibration:
+    """Calibrate a sensor.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        Sampling times in s.
+    blocked : array of shape (n, time)
+        Cycles with the tube closed at one place each.
+    true_distance : array of shape (n,)
+        These places in m.
+    untouched : array of shape (m, time)
+        Cycles without contact.
+    how : Processing, optional
+        The paper's by default; its gain, shift and prominence are found here.
+    temperature, untouched_temperature : float or array of shape (n,), (m,)
+        In degC.
+    sigmas : float
+        Least prominence in standard deviations of the untouched cycles.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    ValueError
+        If the places are too few or too close together, the blockages cannot be told from noise,
+        or their amplitudes do not fall with distance.
+
+    Notes
+    -----
+    The blockages are processed without gain and matched filter. An arctangent is fitted to their
+    amplitudes, and a line to their distances, both by least squares; deviations are those of the
+    fit. The send time is shifted so that the line passes through zero and keeps its slope. The
+    least prominence is 2.8 standard deviations of what untouched cycles hold in the search window
+    after the offset, gain, matched filter, rectification and normalisation. The paper's envelope is
+    the mean of the rectified carrier, this package's its amplitude: pi/2 times as high, and the
+    prominence with it.
+
+    In white noise, whose envelope after the matched filter wanders like a Rayleigh variable, 2.8
+    deviations are passed in most cycles: `false_alarms` tells, and `sigmas` raises them.
+    """
+    how = how or Processing()
+    places = np.asarray(true_distance, float)
+    _check_places(places, np.asarray(blocked).shape)
+    plain = replace(how, gain=None, template_cycles=None, send_shift=0.0)
+    ranging = locate(time, blocked, plain, temperature=temperature)
+    used = _recognised(ranging, places)
+    speed = np.broadcast_to(speed_of_sound(temperature), places.shape)[used]
+    places, found, heights = places[used], ranging.distance[used], ranging.amplitude[used]
+    (slope, intercept), line_deviations = _line(places, found)
+    shift = 2 * intercept / float(np.mean(speed))
+    fall, fall_deviations = _fall(places, heights)
+    gain = TimeGain(*fall)
+    complete = replace(how, gain=gain, send_shift=shift)
+    sigma = untouched_deviation(time, untouched, complete, temperature=untouched_temperature)
+    complete = replace(complete, prominence=np.pi / 2 * sigmas * sigma)
+    alarms = locate(time, untouched, complete, temperature=untouched_temperature).detected
+    return Calibration(
+        processing=complete,
+        false_alarms=float(np.mean(alarms)),
+        sampling_rate=sampling_rate(time),
+        **{f"c{i + 1}": Estimate(fall[i], fall_deviations[i]) for i in range(4)},
+        amplitude_rmse=_rms(heights - arctan_fall(places, *fall)),
+        slope=Estimate(slope, line_deviations[0]),
+        intercept=Estimate(intercept, line_deviations[1]),
+        distance_rmse=_rms(found - slope * places - intercept),
+        true_distance=places,
+        estimated_distance=found - speed * shift / 2,
+        amplitude=heights,
+    )
+
+
+def untouched_deviation(
+    time: ArrayLike, untouched: ArrayLike, how: Processing, *, temperature: ArrayLike = 20.0
+) -> float:
+    """Return the standard deviation of untouched cycles in the search window.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        In s.
+    untouched : array of shape (..., time)
+    how : Processing
+        With the gain that will be used.
+    temperature : float or array of shape (...)
+        In degC.
+
+    Returns
+    -------
+    float
+        As a share of the send pulse: after offset, gain, matched filter, rectification and
+        normalisation, the low-pass left out, as the paper has it.
+    """
+    time, cycles = np.asarray(time, float), np.asarray(untouched, float)
+    rate, duration = sampling_rate(time), how.pulse_cycles / how.frequency
+    speed = speed_of_sound(temperature)[..., np.newaxis]
+    if how.offset_cutoff is not None:
+        cycles = remove_offset(cycles, rate, how.offset_cutoff)
+    since = np.maximum(time - duration / 2 - how.send_shift, 0.0)
+    if how.gain is not None:
+        cycles = compensate(cycles, speed * since / 2, how.gain)
+    if how.template_cycles is not None:
+        cycles = matched_filter(cycles, template(rate, how.frequency, how.template_cycles))
+    # The envelope's maximum is the send pulse's amplitude everywhere in this package.
+    before = int(np.searchsorted(time, duration + 1 / how.cutoff))
+    sent = envelope(cycles, rate, how.cutoff)[..., :before].max(axis=-1)
+    scaled = np.abs(normalise(cycles, sent))
+    distance = np.broadcast_to(speed * since / 2, scaled.shape)
+    inside = (distance >= how.nearest) & (distance <= how.farthest)
+    if not inside.any() or not np.all(sent > 0):
+        raise ValueError("the untouched cycles hold no send pulse, or end before the search window")
+    return float(np.std(scaled[inside]))
+
+
+def _check_places(places: Array, shape: tuple[int, ...]) -> None:
+    """Refuse places that do not belong to the cycles, or that leave the fit open."""
+    if len(shape) != 2 or places.shape != shape[:1]:
+        raise ValueError(
+            f"true_distance has shape {places.shape} and blocked {shape}; give one distance for "
+            "each cycle (n, time)"
+        )
+    if not np.all(np.isfinite(places) & (places > 0)):
+        raise ValueError("true_distance must be positive and finite, in m")
+    different = np.unique(np.round(places, 3))
+    if different.size < FEWEST_PLACES:
+        raise ValueError(
+            f"{different.size} different places are too few to calibrate with; block the tube at "
+            f"{FEWEST_PLACES} or more"
+        )
+    if np.ptp(places) < SHORTEST_SPAN:
+        raise ValueError(
+            f"the places span {np.ptp(places):.3g} m, too little to tell how echoes fade; spread "
+            f"them over {SHORTEST_SPAN} m or more"
+        )
+
+
+def _recognised(ranging: Ranging, places: Array) -> NDArray[np.bool_]:
+    """Return which cycles show their blockage, and refuse when too few do."""
+    typical = np.nanmedian(ranging.distance - places) if ranging.detected.any() else 0.0
+    used = ranging.detected & (np.abs(ranging.distance - places - typical) < LARGEST_ERROR)
+    left = np.unique(np.round(places[used], 3))
+    if left.size < FEWEST_PLACES:
+        lost = np.unique(np.round(places[~used], 2))
+        raise ValueError(
+            f"only {left.size} places show an echo within {LARGEST_ERROR} m of where it belongs, "
+            f"{FEWEST_PLACES} are needed; not so at {', '.join(f'{z:g}' for z in lost[:8])} m: "
+            "check the unit of the distances (m), the tube's closure and the search window"
+        )
+    return used
+
+
+def _line(x: Array, y: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return slope and intercept of the line of least squares, and their deviations."""
+    (slope, intercept), covariance = np.polyfit(x, y, 1, cov=True)
+    deviations = np.sqrt(np.diag(covariance))
+    return (float(slope), float(intercept)), (float(deviations[0]), float(deviations[1]))
+
+
+def _fall(places: Array, heights: Array) -> tuple[list[float], list[float]]:
+    """Fit the arctangent, its fall negative and its steepness positive."""
+    if not np.polyfit(places, heights, 1)[0] < 0:
+        raise ValueError(
+            "the blockages' amplitudes do not fall with distance; check that the distances belong "
+            "to the cycles"
+        )
+    span, height = np.ptp(places), np.ptp(heights)
+    guess = [-height / np.pi, 4 / span, float(np.median(places)), float(np.mean(heights))]
+    bounds = ([-np.inf, 1e-3, -np.inf, -np.inf], [0.0, np.inf, np.inf, np.inf])
+    try:
+        found, covariance = curve_fit(
+            arctan_fall, places, heights, guess, bounds=bounds, x_scale=np.abs(guess),
+            max_nfev=20_000,
+        )  # fmt: skip
+    except RuntimeError as error:
+        raise ValueError(
+            "no arctangent fits the blockages' amplitudes; spread the places over more of the tube"
+        ) from error
+    return [float(c) for c in found], [float(d) for d in np.sqrt(np.diag(covariance))]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# ---------------------------------------------------------------------------------------------
+# The file
+
+_NUMBERS = ("sampling_rate", "amplitude_rmse", "distance_rmse", "false_alarms")
+_FITS = ("c1", "c2", "c3", "c4", "slope", "intercept")
+_LISTS = ("true_distance", "estimated_distance", "amplitude")
+_UNITS = {
+    "frequency": "Hz", "pulse_cycles": "carrier cycles sent", "offset_cutoff": "Hz",
+    "template_cycles": "carrier cycles of the matched filter", "cutoff": "Hz, of the envelope",
+    "prominence": "share of the send pulse", "nearest": "m", "farthest": "m", "send_shift": "s",
+    "gain": "c1 tanh(c2 (l - c3)) + c4", "sampling_rate": "Hz", "c1": "1", "c2": "1/m", "c3": "m",
+    "c4": "1", "slope": "m/m", "intercept": "m, before the shift", "amplitude_rmse": "1",
+    "distance_rmse": "m", "false_alarms": "share of the untouched cycles",
+    "true_distance": "m", "estimated_distance": "m", "amplitude": "share of the send pulse",
+}  # fmt: skip
+
+
+def save(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration to a new TOML file that a person can read.
+
+    Raises
+    ------
+    ConfigError
+        If the file exists or cannot be written.
+    """
+    lines = ["# A calibration of acoustube; every value with its unit.", "[processing]"]
+    processing = calibration.processing
+    for name in processing.__dataclass_fields__:
+        value = getattr(processing, name)
+        if value is None:
+            lines.append(f"{name} = false")
+        else:
+            lines.append(f"{name} = {_written(value)}  # {_UNITS[name]}")
+    lines += ["", "[calibration]"]
+    for name in _NUMBERS:
+        lines.append(f"{name} = {_written(getattr(calibration, name))}  # {_UNITS[name]}")
+    for name in _FITS:
+        value, deviation = getattr(calibration, name)
+        lines.append(f"{name} = {_written((value, deviation))}  # {_UNITS[name]}; its deviation")
+    for name in _LISTS:
+        lines.append(f"{name} = {_written(getattr(calibration, name))}  # {_UNITS[name]}")
+    try:
+        with Path(path).open("x", encoding="utf-8") as file:
+            file.write("\n".join(lines) + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
+
+
+def _written(value: Any) -> str:
+    """Return a number, or several, as TOML."""
+    if np.ndim(value):
+        return "[" + ", ".join(_written(one) for one in value) + "]"
+    return repr(float(value))
+
+
+def load(path: str | Path) -> Calibration:
+    """Read what :func:`save` wrote.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such file.
+    """
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        found, fits = document["calibration"], dict[str, Any]()
+        for name in _FITS:
+            value, deviation = found[name]
+            fits[name] = Estimate(float(value), float(deviation))
+        fits |= {name: np.asarray(found[name], float) for name in _LISTS}
+        fits |= {name: float(found[name]) for name in _NUMBERS}
+        return Calibration(
+            processing=_processing(document["processing"]),
+            **fits,
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"{path} is not a calibration ({' '.join(str(error).split())}); acoustube calibrate "
+            "writes one"
+        ) from error
+
+
+def _processing(given: Mapping[str, Any]) -> Processing:
+    values: dict[str, Any] = {n: None if v is False else v for n, v in given.items()}
+    if values.get("gain") is not None:
+        values["gain"] = TimeGain(*(float(c) for c in values["gain"]))
+    return Processing(**values)
