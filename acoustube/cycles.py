@@ -1,0 +1,331 @@
+"""Cycles of a recording as a dataset: from named arrays to checked samples, rate and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube import __version__
+from acoustube.checks import check_samples, check_temperature, clipping, dead
+from acoustube.containers import open_netcdf
+from acoustube.errors import ConfigError
+from acoustube.rules import Number
+from acoustube.signals import sampling_rate
+from acoustube.tables import meaning
+
+Named = dict[str, Any]
+
+RATE = Number(1e3, 1e7, "Hz", "samples per second")
+SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
+
+RATE_TOLERANCE = 1e-3
+"""How far a rate may be from the time axis: times of four digits agree that well."""
+
+LARGEST_PRESS = 0.3
+"""Depth or diameter in m above which millimetres are suspected."""
+
+LABELS = {
+    "true_distance": ("m", "true distance"),
+    "depth": ("m", "depth of the press"),
+    "force": ("N", "contact force"),
+    "diameter": ("m", "diameter of the indenter"),
+}
+
+
+def as_written(path: Path) -> xr.Dataset | None:
+    """Return a netCDF file of acoustube's own, once it is checked.
+
+    Parameters
+    ----------
+    path : Path
+        A file with ``signal`` (cycle, time), ``temperature`` (cycle), and either ``time`` or the
+        attribute ``sampling_rate``. The missing one of the two is added.
+
+    Returns
+    -------
+    xarray.Dataset or None
+        None if it is another file.
+
+    Raises
+    ------
+    ConfigError
+        If its values cannot be used.
+    """
+    try:
+        data: xr.Dataset = open_netcdf(path)
+    except Exception:  # what is wrong with the file is told when it is read as any other
+        return None
+    shapes = {"signal": ("cycle", "time"), "temperature": ("cycle",)}
+    if any(name not in data or data[name].dims != dims for name, dims in shapes.items()):
+        return None
+    known = {str(name): value for name, value in data.attrs.items() if name == "sampling_rate"}
+    if "time" in data.coords:
+        known["time"] = data["time"].values
+    signal = _real(path, data["signal"].values)
+    rate = _rate(path, known, (signal.shape[1],))
+    check_samples(path, signal)
+    check_temperature(path, data["temperature"].values)
+    if "time" not in data.coords:
+        data = data.assign_coords(time=_time(signal.shape[1], rate))
+    return data.assign_attrs({"sampling_rate": rate} | data.attrs)
+
+
+def assemble(
+    path: Path, known: Named, others: Named, labels: Named, notes: list[str]
+) -> xr.Dataset:
+    """Make a dataset of what was found and given.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages and the attribute.
+    known : dict
+        Values by quantity, in SI units and degC; see :func:`acoustube.tables.meaning`.
+    others : dict
+        Arrays of other names in the file. Those of one value per cycle become labels.
+    labels : dict
+        Further labels that were given and must fit.
+    notes : list of str
+        Warnings so far.
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`acoustube.recordings.read`.
+
+    Raises
+    ------
+    ConfigError
+        If something is missing or cannot be used.
+    """
+    record = _one_channel(path, _signal(path, known, others), known.get("channel"))
+    signal = _cut(path, record, known, notes)
+    n, length = signal.shape
+    total = record.size if record.ndim == 1 else n
+    rate = _rate(path, known, (length, record.size))
+    if "temperature" not in known:
+        raise ConfigError(
+            f"{path} does not tell the temperature; give temperature in degC, or temperature_c in "
+            f"{path.stem}.toml beside it"
+        )
+    low, high = check_samples(path, signal)
+    notes += clipping(signal, rate, low, high) + dead(low, high)
+    each = partial(_per_cycle, path, shape=signal.shape, total=total)
+    temperature = _number(path, "temperature", each("temperature", known["temperature"]))
+    check_temperature(path, temperature)
+    known_labels = {q: _number(path, q, each(q, known[q])) for q in LABELS if q in known}
+    notes += _too_long(known_labels)
+    free = _of_length(others, n, notes) | {name: each(name, v) for name, v in labels.items()}
+    variables = {
+        "signal": _variable("cycle time", signal, "1", "recorded signal, in the recorder's unit"),
+        "temperature": _variable("cycle", temperature, "degC", "temperature of the air"),
+        **{name: _variable("cycle", v, *LABELS[name]) for name, v in known_labels.items()},
+        **{name: _variable("cycle", v, "unknown", f"label {name}") for name, v in free.items()},
+    }
+    cycle = _variable("cycle", np.arange(n), "1", "number of the cycle")
+    attributes = {
+        "sampling_rate": rate,
+        "source": "recording",
+        "file": path.name,
+        "acoustube_version": __version__,
+        "warnings": "\n".join(notes),
+    }
+    return xr.Dataset(variables, {"cycle": cycle, "time": _time(length, rate)}, attributes)
+
+
+def part_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
+    """Part what has a known meaning, in SI units and degC, from the rest under its own name."""
+    known: Named = {}
+    others: Named = {}
+    contents = {name.replace("/", "_"): v for name, v in contents.items() if name != "cycle"}
+    # The names that are used here go before their other forms.
+    for name, value in sorted(contents.items(), key=lambda item: item[0] != meaning(item[0])[0]):
+        quantity, scale = meaning(name)
+        if not quantity or quantity in known or (quantity == "signal" and np.ndim(value) == 0):
+            others[name] = value
+        else:
+            known[quantity] = value if scale == 1 else _scaled(name, value, scale)
+    return known, others
+
+
+def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
+    try:
+        return np.asarray(value, float) * scale
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name} = {value!r} is not a number; correct it") from error
+
+
+def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
+    """Return the samples: what is called so, or else the one array that can be meant."""
+    if "signal" in known:
+        return _real(path, known["signal"])
+    arrays = {name: np.asarray(value) for name, value in others.items()}
+    for axes in (3, 2, 1):
+        fit = {name: array for name, array in arrays.items() if array.ndim == axes}
+        able = [name for name, a in fit.items() if a.size > 1 and a.dtype.kind in "iuf"]
+        if len(able) == 1:
+            return _real(path, others.pop(able[0]))
+        if able:
+            break
+    raise ConfigError(
+        f"{path} holds {', '.join(arrays) or 'no arrays'}, of which none is known as the signal; "
+        "name that one signal"
+    )
+
+
+def _real(path: Path, values: Any) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf" or array.ndim not in (1, 2, 3):
+        raise ConfigError(
+            f"{path} holds a signal of type {array.dtype} and shape {array.shape}; give real "
+            "numbers of shape (cycle, time)"
+        )
+    return array
+
+
+def _one_channel(path: Path, array: NDArray[Any], channel: Any) -> NDArray[Any]:
+    """Return one channel of (cycle, time, channel), and a single cycle as (time,)."""
+    count = array.shape[2] if array.ndim == 3 else 1
+    if channel is None and count > 1:
+        raise ConfigError(
+            f"{path} has {count} channels; choose one with channel = 0 to {count - 1}"
+        )
+    rule = Number(0, count - 1, "", "channels count from 0", whole=True)
+    chosen = int(rule.check(f"{path}: channel", 0 if channel is None else channel))
+    cycles = array[..., chosen] if array.ndim == 3 else array
+    return cycles[0] if cycles.ndim == 2 and len(cycles) == 1 else cycles
+
+
+def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> NDArray[Any]:
+    """Return a record in the shape (cycle, time), without a copy."""
+    wanted = _single(path, "samples", known.get("samples_per_cycle"))
+    length = None if wanted is None else int(SAMPLES.check(f"{path}: samples", wanted))
+    if record.ndim == 2:
+        lengths = [n for n in (np.size(known.get("time", ())), length) if n and n in record.shape]
+        if lengths and record.shape[1] != lengths[0]:
+            record = record.T
+        if length not in (None, record.shape[1]):
+            raise ConfigError(
+                f"{path}: samples = {length} does not fit cycles of shape {record.shape}; leave it "
+                f"out, or give {record.shape[1]}"
+            )
+    n, count = record.shape[-1], len(record) if record.ndim == 2 else 1
+    if n < 2 or not count:
+        raise ConfigError(
+            f"{path} holds {count} cycles of {n} samples; record at least one of two samples"
+        )
+    if record.ndim == 2:
+        return record
+    length = length or n
+    if length > n:
+        raise ConfigError(f"{path}: samples = {length} is longer than the record of {n}; lower it")
+    if rest := n % length:
+        notes.append(f"The last {rest} samples are no complete cycle of {length}: left out.")
+    return record[: n - rest].reshape(-1, length)
+
+
+def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
+    """Return the sampling rate that is told, or else the time axis's, once they agree."""
+    told = _single(path, "sampling rate", known.get("sampling_rate"))
+    axis = None
+    if "time" in known:
+        try:
+            axis = sampling_rate(known["time"])
+        except (ValueError, TypeError) as error:
+            raise ConfigError(f"{path}: {error}") from error
+        if np.size(known["time"]) not in lengths:
+            raise ConfigError(
+                f"{path}: its time axis has {np.size(known['time'])} values for {lengths[0]} "
+                "samples; give one for each"
+            )
+    if told is None and axis is None:
+        raise ConfigError(
+            f"{path} does not tell its sampling rate; give rate in Hz, or sampling_rate_hz in "
+            f"{path.stem}.toml beside it"
+        )
+    # The last digits of a step taken from times are rounding.
+    rate = float(RATE.check(f"{path}: rate", float(f"{axis:.9g}") if told is None else told))
+    if axis is not None and abs(axis / rate - 1) > RATE_TOLERANCE:
+        raise ConfigError(
+            f"{path}: rate = {rate:g} Hz contradicts its time axis, which has {axis:g} Hz; correct "
+            "one of them"
+        )
+    return rate
+
+
+def _single(path: Path, name: str, value: Any) -> Any:
+    """Return the one value that an array repeats, as a plain number."""
+    if value is None:
+        return None
+    values = np.unique(np.asarray(value))
+    if values.size != 1:
+        raise ConfigError(f"{path}: {name} has {values.size} different values; give one")
+    return values.tolist()[0]
+
+
+def _per_cycle(
+    path: Path, name: str, value: Any, shape: tuple[int, ...], total: int
+) -> NDArray[Any]:
+    """Return one value per cycle: given so, for all cycles at once, or for each sample."""
+    n, length = shape
+    try:
+        values = np.asarray(value).squeeze()
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}: {name} is a list of unequal lists; give one value per cycle"
+        ) from error
+    if values.ndim == 0:
+        return np.full(n, values)
+    if values.shape == (total,) and total != n and values.dtype.kind in "iuf":
+        return np.asarray(values[: n * length].reshape(n, length).mean(axis=1))
+    if values.shape != (n,):
+        raise ConfigError(
+            f"{path}: {name} has shape {values.shape} for {n} cycles of {length} samples; give one "
+            "value per cycle, or samples if the length of the cycles is wrong"
+        )
+    return values
+
+
+def _number(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
+    try:
+        if values.dtype.kind == "b":
+            raise TypeError
+        return values.astype(float)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {name} = {values[0]!r} is not a number; correct it") from error
+
+
+def _of_length(others: Named, n: int, notes: list[str]) -> Named:
+    """Return the arrays of one number or word per cycle, and note which are none."""
+    found = {}
+    for name, value in others.items():
+        values = np.asarray(value)
+        values = values.astype(str) if values.dtype.kind in "OT" else values
+        if values.shape == (n,) and values.dtype.kind in "biufU":
+            found[name] = values
+        elif values.size > 1:
+            notes.append(f"{name} of shape {values.shape} is not one value per cycle: left out.")
+    return found
+
+
+def _too_long(labels: Named) -> list[str]:
+    """Suspect millimetres where a press of metres is told."""
+    return [
+        f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in mm, call it {name}_mm."
+        for name in ("depth", "diameter")
+        if name in labels and np.any(labels[name] > LARGEST_PRESS)
+    ]
+
+
+def _time(length: int, rate: float) -> Any:
+    return _variable("time", np.arange(length) / rate, "s", "time in the cycle")
+
+
+def _variable(dims: str, values: NDArray[Any], units: str, long_name: str) -> Any:
+    return tuple(dims.split()), values, {"units": units, "long_name": long_name}
