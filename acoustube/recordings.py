@@ -1,0 +1,230 @@
+"""Recordings of ultrasonic rangefinders: from files of many kinds to one dataset."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from acoustube.containers import KINDS, load
+from acoustube.cycles import as_written, assemble, part_known
+from acoustube.errors import ConfigError
+from acoustube.io import partial_file, write_dataset
+
+_SIDECAR = {
+    "sampling_rate_hz": "sampling_rate",
+    "temperature_c": "temperature",
+    "channel": "channel",
+    "samples_per_cycle": "samples_per_cycle",
+    "labels": "labels",
+}
+
+
+def read(
+    path: str | Path,
+    *,
+    rate: float | None = None,
+    temperature: ArrayLike | None = None,
+    channel: int | None = None,
+    samples: int | None = None,
+) -> xr.Dataset:
+    """Read one recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF. Beside it may lie a file of the same
+        name ending in ``.toml`` or ``.json`` with any of ``sampling_rate_hz``, ``temperature_c``,
+        ``channel``, ``samples_per_cycle`` and a table ``labels``.
+    rate : float, optional
+        Samples per second. As all arguments, it goes before what lies beside the file, and that
+        before what the file says itself.
+    temperature : float or array of shape (cycle,), optional
+        Temperature of the air in degC.
+    channel : int, optional
+        Which channel to read, from 0.
+    samples : int, optional
+        Length of the cycles that a continuous record is cut into. Of an array of two axes, it says
+        which of them is the time; without it and a time axis of that length, rows are cycles.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
+        the labels (cycle) that are known or as long, coordinates ``cycle`` and ``time`` (s, from
+        0). Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, and ``warnings``, one a line.
+        What :func:`write` wrote comes back as it was, if nothing else is given.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, does not tell its rate or temperature, or holds values that are
+        not finite, out of range, all the same or in contradiction to each other.
+
+    Notes
+    -----
+    A label or a temperature of a continuous record that has a value for each sample is averaged
+    over each cycle. :func:`acoustube.tables.read_table` tells how text tables are understood.
+    """
+    path = Path(path)
+    _check_kind(path)
+    given = {
+        "sampling_rate": rate,
+        "temperature": temperature,
+        "channel": channel,
+        "samples_per_cycle": samples,
+    }
+    over = _sidecar(path) | {name: value for name, value in given.items() if value is not None}
+    if path.suffix.lower() == ".nc" and not over and (own := as_written(path)) is not None:
+        return own
+    contents = load(path)
+    notes = [contents.pop("note")] if "note" in contents else []
+    known, others = part_known(contents)
+    named, labels = part_known(over.pop("labels", {}))
+    return assemble(path, known | named | over, others, labels, notes)
+
+
+def read_all(
+    paths: str | Path | Iterable[str | Path], **options: Any
+) -> Iterator[tuple[Path, xr.Dataset | ConfigError]]:
+    """Read many recordings, and go on after one that cannot be read.
+
+    Parameters
+    ----------
+    paths : str, Path or iterable of these
+        Files and folders; see :func:`find`.
+    **options
+        Arguments of :func:`read`.
+
+    Yields
+    ------
+    Path, xarray.Dataset or ConfigError
+        The file, and what is in it or what is wrong with it.
+    """
+    seen = set()
+    for entry in _entries(paths):
+        try:
+            files = find(entry)
+        except ConfigError as error:
+            yield entry, error
+            continue
+        for path in files:
+            if path not in seen:
+                seen.add(path)
+                try:
+                    yield path, read(path, **options)
+                except ConfigError as error:
+                    yield path, error
+
+
+def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """List the recordings among files and in folders.
+
+    Parameters
+    ----------
+    paths : str, Path or iterable of these
+        A folder stands for all recordings in it and its subfolders, numbers in their names in
+        the order of their values; what begins with a dot is left out.
+
+    Returns
+    -------
+    list of Path
+        Each once.
+
+    Raises
+    ------
+    ConfigError
+        If an entry does not exist, is of an unknown kind or a folder without recordings: one line
+        for each.
+    """
+    found: dict[Path, None] = {}
+    wrong = []
+    for entry in _entries(paths):
+        try:
+            found |= dict.fromkeys(_in_folder(entry) if entry.is_dir() else [_check_kind(entry)])
+        except ConfigError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise ConfigError("\n".join(wrong))
+    return list(found)
+
+
+def write(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write a recording as netCDF, which :func:`read` returns as it was.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of :func:`read`.
+    path : str or Path
+        A name that ends in ``.nc``; an existing file is replaced once the new one is complete.
+
+    Raises
+    ------
+    ConfigError
+        If the name ends otherwise.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".nc":
+        raise ConfigError(f"out = {path} is not the name of a netCDF file; let it end in .nc")
+    with partial_file(path) as partial:
+        write_dataset(dataset, partial)
+
+
+def _entries(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    return [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    inside = [
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in KINDS
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    ]
+    if not inside:
+        raise ConfigError(f"{folder} holds no recordings; name a folder of {' '.join(KINDS)} files")
+    return sorted(inside, key=_natural)
+
+
+def _natural(path: Path) -> list[str | int]:
+    """Return a key by which ``run10`` comes after ``run9``."""
+    parts = re.split(r"(\d+)", str(path))
+    return [int(part) if i % 2 else part for i, part in enumerate(parts)]
+
+
+def _check_kind(path: Path) -> Path:
+    if path.suffix.lower() not in KINDS:
+        raise ConfigError(f"{path} is not of a kind that can be read; use {' '.join(KINDS)}")
+    if not path.is_file():
+        raise ConfigError(f"{path} is no file; check its name")
+    return path
+
+
+def _sidecar(path: Path) -> dict[str, Any]:
+    """Return what lies beside a file, under the names that files use themselves."""
+    beside = [file for suffix in (".toml", ".json") if (file := path.with_suffix(suffix)).is_file()]
+    if not beside:
+        return {}
+    if len(beside) > 1:
+        raise ConfigError(f"{beside[0]} and {beside[1].name} both describe {path.name}; keep one")
+    parse = tomllib.loads if beside[0].suffix == ".toml" else json.loads
+    try:
+        values = dict(parse(beside[0].read_text(encoding="utf-8-sig")))
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{beside[0]} cannot be read ({error}); correct it") from error
+    for key in values:
+        if key not in _SIDECAR:
+            near = difflib.get_close_matches(key, _SIDECAR, n=1) or _SIDECAR
+            raise ConfigError(f"{beside[0]}: {key} is not known; use {', '.join(near)}")
+    if not isinstance(values.get("labels", {}), dict):
+        raise ConfigError(f"{beside[0]}: labels must be a table of names and their values")
+    return {_SIDECAR[key]: value for key, value in values.items()}

@@ -1,0 +1,635 @@
+"""Recordings: the same cycles from every kind of file, and a sentence for what cannot be read."""
+
+import json
+import struct
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat, wavfile
+
+from acoustube import recordings
+from acoustube.errors import ConfigError
+from acoustube.recordings import find, read, read_all, write
+
+RATE, LENGTH, N = 200e3, 400, 3
+TEMPERATURE = np.array([20.0, 21.5, 19.25])
+LABELS = {"distance": [0.5, 1.25, 2.0], "depth_mm": [1.0, 2.0, 4.0], "press": [7, 8, 9]}
+
+
+def cycles(n=N, length=LENGTH, dtype=np.int16):
+    """Decaying bursts of a 12-bit converter, in each cycle another."""
+    time = np.arange(length) / RATE
+    tone = np.sin(2 * np.pi * 42e3 * time) * np.exp(-time / 5e-4)
+    return np.round(2000 * tone * np.linspace(1, 0.5, n)[:, None]).astype(dtype)
+
+
+def sidecar(path, **values):
+    path.with_suffix(".json").write_text(json.dumps(values))
+
+
+def beside(path):
+    """Say beside a file of sound what it has no place for."""
+    labels = {name: list(values) for name, values in LABELS.items()}
+    sidecar(path, temperature_c=TEMPERATURE.tolist(), samples_per_cycle=LENGTH, labels=labels)
+
+
+def named(signal):
+    return {"signal": signal, "fs": RATE, "temperature": TEMPERATURE} | {
+        name: np.asarray(values) for name, values in LABELS.items()
+    }
+
+
+def write_npz(path, signal):
+    np.savez(path, **named(signal))
+
+
+def write_npz_packed(path, signal):
+    np.savez_compressed(path, **named(signal))
+
+
+def write_npy(path, signal):
+    np.save(path, signal.ravel())
+    beside(path)
+    extra = json.loads(path.with_suffix(".json").read_text())
+    sidecar(path, sampling_rate_hz=RATE, **extra)
+
+
+def write_wide(path, signal, separator=","):
+    header = [f"s{i}" for i in range(LENGTH)]
+    rows = [
+        [TEMPERATURE[i], *(values[i] for values in LABELS.values()), *signal[i].tolist()]
+        for i in range(N)
+    ]
+    lines = [["temperature", *LABELS, *header], *rows]
+    path.write_text(
+        "# sampling_rate: 200000\n"
+        + "\n".join(separator.join(str(cell) for cell in line) for line in lines)
+    )
+
+
+def write_wide_tabs(path, signal):
+    write_wide(path, signal, "\t")
+
+
+def write_timed(path, signal):
+    """One cycle a column, which leaves no place for labels but one beside the file."""
+    beside(path)
+    rows = np.column_stack([np.arange(LENGTH) / RATE, signal.T])
+    lines = [",".join([repr(row[0].item()), *(f"{v:g}" for v in row[1:])]) for row in rows]
+    path.write_text("\n".join(["time,a,b,c", *lines]))
+
+
+def write_wav(path, signal):
+    wavfile.write(path, int(RATE), signal.ravel())
+    beside(path)
+
+
+def write_wav_24(path, signal):
+    """Three bytes a sample, which scipy reads and does not write."""
+    body = signal.astype("<i4").reshape(-1, 1).view("u1")[:, :3].tobytes()
+    form = struct.pack("<HHIIHH", 1, 1, int(RATE), int(RATE) * 3, 3, 24)
+    chunks = b"WAVEfmt " + struct.pack("<I", 16) + form + b"data" + struct.pack("<I", len(body))
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(chunks) + len(body)) + chunks + body)
+    beside(path)
+
+
+def write_flac(path, signal):
+    reason = "needs soundfile (acoustube[audio])"
+    soundfile = pytest.importorskip("soundfile", reason=reason, exc_type=ImportError)
+    soundfile.write(path, signal.ravel(), int(RATE), subtype="PCM_16")
+    beside(path)
+
+
+def write_flac_24(path, signal):
+    reason = "needs soundfile (acoustube[audio])"
+    soundfile = pytest.importorskip("soundfile", reason=reason, exc_type=ImportError)
+    soundfile.write(path, signal.ravel().astype(np.int32) << 8, int(RATE), subtype="PCM_24")
+    beside(path)
+
+
+def write_mat(path, signal):
+    savemat(path, named(signal), do_compression=True)
+
+
+def write_mat_struct(path, signal):
+    savemat(path, {"session": named(signal)})
+
+
+def write_mat_73(path, signal):
+    """What MATLAB writes with -v7.3: HDF5 behind its own header, all arrays turned over."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in named(signal).items():
+            item = file.create_dataset(name, data=np.atleast_2d(values).T)
+            item.attrs["MATLAB_class"] = np.bytes_(
+                values.dtype.name if name == "signal" else "double"
+            )
+        item = file.create_dataset("operator", data=np.array([[72], [73]], "u2"))
+        item.attrs["MATLAB_class"] = np.bytes_("char")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+
+
+def write_hdf5(path, signal):
+    with h5py.File(path, "w") as file:
+        group = file.create_group("session")
+        group.attrs["sample_rate"] = RATE
+        for name, values in named(signal).items():
+            if name != "fs":
+                group[name.removesuffix("_mm")] = values
+        group["depth"].attrs["units"] = "mm"
+
+
+def write_netcdf(path, signal):
+    """A file of someone else's: other names, other dimensions, the time given."""
+    variables = {
+        "adc": (("press_no", "t"), signal),
+        "temp": ("press_no", TEMPERATURE),
+        **{name: ("press_no", values) for name, values in LABELS.items()},
+    }
+    time = ("t", np.arange(LENGTH) / RATE * 1e3, {"units": "ms"})
+    xr.Dataset(variables, {"t": time}).to_netcdf(path, engine="h5netcdf")
+
+
+WRITERS = {
+    "npz": (".npz", write_npz),
+    "npz, compressed": (".npz", write_npz_packed),
+    "npy": (".npy", write_npy),
+    "csv, wide": (".csv", write_wide),
+    "tsv, wide": (".tsv", write_wide_tabs),
+    "csv, timed": (".csv", write_timed),
+    "wav, 16 bits": (".wav", write_wav),
+    "wav, 24 bits": (".wav", write_wav_24),
+    "flac, 16 bits": (".flac", write_flac),
+    "flac, 24 bits": (".flac", write_flac_24),
+    "mat 5": (".mat", write_mat),
+    "mat 5, in a structure": (".mat", write_mat_struct),
+    "mat 7.3": (".mat", write_mat_73),
+    "hdf5": (".h5", write_hdf5),
+    "netcdf": (".nc", write_netcdf),
+}
+
+
+def recorded(tmp_path, kind="npz"):
+    """Return a new file of the cycles, whose name says its kind."""
+    suffix, writer = WRITERS[kind]
+    path = tmp_path / f"run{suffix}"
+    writer(path, cycles())
+    return path
+
+
+def saved(path, signal, **others):
+    """Return an NPZ file that tells rate and temperature, unless told otherwise."""
+    np.savez(path, **({"signal": signal, "fs": RATE, "temperature": 20.0} | others))
+    return path
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_of_file_gives_the_same_cycles(tmp_path, kind):
+    """Times of nine digits give the rate back, and a unit's factor costs one rounding."""
+    data = read(recorded(tmp_path, kind))
+    np.testing.assert_array_equal(data["signal"], cycles())
+    assert data["signal"].dtype == (np.int32 if "24" in kind else np.int16)
+    assert data["signal"].dims == ("cycle", "time")
+    np.testing.assert_array_equal(data["temperature"], TEMPERATURE)
+    assert data["temperature"].dtype == float
+    assert data.attrs["sampling_rate"] == pytest.approx(RATE, rel=1e-8)
+    np.testing.assert_array_equal(data["true_distance"], LABELS["distance"])
+    np.testing.assert_allclose(data["depth"], [1e-3, 2e-3, 4e-3], rtol=4e-16)
+    np.testing.assert_array_equal(data["press"], LABELS["press"])
+    np.testing.assert_allclose(data["time"], np.arange(LENGTH) / RATE, rtol=1e-8)
+    assert data.attrs["source"] == "recording"
+    assert data.attrs["file"].startswith("run.")
+    assert not data.attrs["warnings"]
+    assert set(data.data_vars) == {"signal", "temperature", "true_distance", "depth", "press"}
+    assert all({"units", "long_name"} <= set(v.attrs) for v in data.variables.values())
+
+
+@pytest.mark.parametrize("kind", ["npz", "csv, wide", "netcdf"])
+def test_written_recording_comes_back_as_it_was(tmp_path, kind):
+    data = read(recorded(tmp_path, kind))
+    write(data, tmp_path / "copy.nc")
+    xr.testing.assert_identical(read(tmp_path / "copy.nc"), data)
+    with pytest.raises(ConfigError, match=r"let it end in \.nc"):
+        write(data, tmp_path / "copy.mat")
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i2", "i4", "f4", "f8"])
+def test_wav_keeps_its_type(tmp_path, dtype):
+    signal = (cycles(1) // 16 + 128).astype(dtype)
+    wavfile.write(tmp_path / "a.wav", int(RATE), signal[0])
+    data = read(tmp_path / "a.wav", temperature=20)
+    assert data["signal"].dtype == np.dtype(dtype)
+    np.testing.assert_array_equal(data["signal"], signal)
+
+
+def mapped(array):
+    while array is not None and not isinstance(array, np.memmap):
+        array = getattr(array, "base", None)
+    return array is not None
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".wav"])
+def test_large_files_are_mapped_not_copied(tmp_path, suffix):
+    path, signal = tmp_path / f"a{suffix}", cycles(100)
+    if suffix == ".npz":
+        saved(path, signal)
+    elif suffix == ".npy":
+        np.save(path, signal)
+    else:
+        wavfile.write(path, int(RATE), signal.ravel())
+    data = read(path, rate=RATE, temperature=20, samples=LENGTH)
+    assert mapped(data["signal"].values)
+    np.testing.assert_array_equal(data["signal"], signal)
+
+
+def test_mapped_npz_with_a_changed_byte_is_refused(tmp_path):
+    path = saved(tmp_path / "a.npz", cycles(100))
+    content = bytearray(path.read_bytes())
+    content[30_000] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"a\.npz cannot be read as NPZ \(Bad CRC"):
+        read(path)
+
+
+@given(
+    shape=st.tuples(st.integers(1, 6), st.integers(3, 12)),
+    order=st.randoms(use_true_random=False),
+    dtype=st.sampled_from(["i2", "f8"]),
+)
+@settings(deadline=None, max_examples=40)
+def test_columns_of_any_number_and_order_give_the_same_cycles(
+    tmp_path_factory, shape, order, dtype
+):
+    n, length = shape
+    signal = np.random.default_rng(n * length).integers(-999, 999, shape).astype(dtype) / 1
+    signal = signal.astype(dtype) if dtype == "i2" else signal / 7
+    labels = {
+        "Temperature (°C)": [20 + i for i in range(n)],
+        "force_N": [0.5 * i for i in range(n)],
+    }
+    slots = [None] * length + list(labels)
+    order.shuffle(slots)
+    numbers = iter(range(length))
+    columns = [
+        (f"x{i}", signal[:, i]) if s is None else (s, labels[s])
+        for s in slots
+        for i in [next(numbers) if s is None else 0]
+    ]
+    rows = [[name for name, _ in columns]]
+    rows += [[repr(np.asarray(c)[i].item()) for _, c in columns] for i in range(n)]
+    path = tmp_path_factory.mktemp("any") / "a.csv"
+    path.write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
+    data = read(path, rate=RATE)
+    np.testing.assert_array_equal(data["signal"], signal)
+    assert data["signal"].dtype == dtype
+    np.testing.assert_array_equal(data["temperature"], labels["Temperature (°C)"])
+    np.testing.assert_array_equal(data["force"], labels["force_N"])
+
+
+@given(n=st.integers(1, 5), length=st.integers(2, 40), rest=st.integers(0, 39))
+@settings(deadline=None, max_examples=40)
+def test_continuous_record_is_cut_into_whole_cycles(tmp_path_factory, n, length, rest):
+    record = np.arange(n * length + rest % length, dtype=np.int16)
+    path = saved(tmp_path_factory.mktemp("cut") / "a.npz", record)
+    data = read(path, samples=length)
+    np.testing.assert_array_equal(data["signal"], record[: n * length].reshape(n, length))
+    assert ("no complete cycle" in data.attrs["warnings"]) == (rest % length > 0)
+
+
+def test_temperature_of_each_sample_is_averaged_over_the_cycles(tmp_path):
+    """Halves are exact in binary, so the means are too."""
+    temperature = np.repeat([20.0, 21.5], LENGTH)
+    path = saved(tmp_path / "a.npz", cycles(2).ravel(), temperature=temperature)
+    assert read(path, samples=LENGTH)["temperature"].values.tolist() == [20.0, 21.5]
+
+
+@pytest.mark.parametrize("layout", ["rows", "columns", "counted", "two columns", "semicolons"])
+def test_tables_without_labels_are_understood_by_their_shape(tmp_path, layout):
+    path, signal = tmp_path / "a.csv", cycles(2)
+    if layout == "rows":
+        np.savetxt(path, signal, fmt="%d", delimiter=",")
+    elif layout == "columns":
+        np.savetxt(path, signal.T, fmt="%d", delimiter=",")
+    elif layout == "counted":  # as pandas writes it
+        header = "," + ",".join(str(i) for i in range(LENGTH))
+        rows = [f"{i}," + ",".join(str(v) for v in row) for i, row in enumerate(signal)]
+        path.write_text("\n".join([header, *rows]))
+    else:
+        signal = signal[:1]
+        lines = [f"{i / RATE:.6f},{value}" for i, value in enumerate(signal[0])]
+        text = "\n".join(lines)
+        if layout == "semicolons":
+            text = text.replace(",", ";").replace(".", ",")
+        path.write_text(text)
+    data = read(path, rate=RATE, temperature=20)
+    np.testing.assert_array_equal(data["signal"], signal)
+    assert np.issubdtype(data["signal"].dtype, np.integer)
+    assert bool(data.attrs["warnings"]) == (layout == "columns")
+
+
+def test_more_rows_than_columns_are_noted_and_turned_by_samples(tmp_path):
+    signal = np.random.default_rng(1).integers(0, 99, (12, 5))
+    np.savetxt(tmp_path / "a.csv", signal, fmt="%d", delimiter=",")
+    data = read(tmp_path / "a.csv", rate=RATE, temperature=20)
+    assert data["signal"].shape == (5, 12)
+    assert "give samples = 5 if its rows are cycles" in data.attrs["warnings"]
+    turned = read(tmp_path / "a.csv", rate=RATE, temperature=20, samples=5)
+    np.testing.assert_array_equal(turned["signal"], signal)
+
+
+def test_time_axis_tells_which_axis_is_time(tmp_path):
+    time = np.arange(LENGTH) / RATE
+    path = tmp_path / "a.npz"
+    np.savez(path, signal=cycles().T, time_us=1e6 * time + 50, temp=20.0)
+    data = read(path)
+    np.testing.assert_array_equal(data["signal"], cycles())
+    assert data["time"].values[0] == 0
+
+
+def test_argument_goes_before_sidecar_before_file(tmp_path):
+    path = saved(tmp_path / "a.npz", cycles(), fs=1e5, temperature=10.0, force=[1, 2, 3])
+    data = read(path)
+    assert (data.attrs["sampling_rate"], data["temperature"][0], data["force"][0]) == (1e5, 10, 1)
+    path.with_suffix(".toml").write_text(
+        "sampling_rate_hz = 2e5\ntemperature_c = 20\n[labels]\nforce = 4\ntube = 'A'\n"
+    )
+    data = read(path)
+    assert (data.attrs["sampling_rate"], data["temperature"][0]) == (2e5, 20)
+    assert data["force"].values.tolist() == [4, 4, 4]
+    assert data["tube"].values.tolist() == ["A"] * 3
+    data = read(path, rate=3e5, temperature=[30, 31, 32])
+    assert data.attrs["sampling_rate"] == 3e5
+    assert data["temperature"].values.tolist() == [30, 31, 32]
+
+
+def test_channel_is_chosen_by_argument_or_sidecar(tmp_path):
+    path, signal = tmp_path / "a.wav", cycles(2)
+    wavfile.write(path, int(RATE), signal.T.copy())
+    for channel in (0, 1):
+        data = read(path, temperature=20, channel=channel)
+        np.testing.assert_array_equal(data["signal"][0], signal[channel])
+    sidecar(path, temperature_c=20, channel=1)
+    np.testing.assert_array_equal(read(path)["signal"][0], signal[1])
+
+
+def test_clipped_and_silent_cycles_are_counted(tmp_path):
+    signal = cycles(4, 4000)
+    signal[:, 2000:2040] = signal[:, :40] // 2  # an echo at 10 ms
+    assert not read(saved(tmp_path / "a.npz", signal)).attrs["warnings"]
+    signal[1:3, 2000:2040:5] = signal.max()
+    text = read(saved(tmp_path / "a.npz", signal)).attrs["warnings"]
+    assert text.startswith("2 of 4 cycles reach the extreme codes")
+    assert not read(saved(tmp_path / "a.npz", signal.astype(float))).attrs["warnings"]
+    signal = cycles()
+    signal[1] = 7
+    assert "1 of 3 cycles are silent" in read(saved(tmp_path / "a.npz", signal)).attrs["warnings"]
+
+
+def test_what_is_no_label_is_left_out_with_a_note(tmp_path):
+    data = read(saved(tmp_path / "a.npz", cycles(), gains=[1, 2], depth=[1.0, 2.0, 3.0]))
+    assert "gains" not in data
+    assert data.attrs["warnings"].splitlines() == [
+        "depth reaches 3 m; if that is in mm, call it depth_mm.",
+        "gains of shape (2,) is not one value per cycle: left out.",
+    ]
+
+
+BAD = cycles().astype(float)
+BAD[1, 7], BAD[2, 0] = np.nan, np.inf
+WRONG = {
+    "nan": (
+        BAD,
+        {},
+        "a.npz: 2 samples are missing, NaN or infinite, the first in cycle 1 at sample 7",
+    ),
+    "silence": (np.full((2, 9), 5), {}, "a.npz is silent: all samples are 5; check the sensor"),
+    "one sample": (
+        np.ones((5, 1)),
+        {},
+        "a.npz holds 5 cycles of 1 samples; record at least one of two",
+    ),
+    "no sample": (np.ones((0, 5)), {}, "a.npz holds 0 cycles of 5 samples"),
+    "four axes": (np.ones((1, 1, 2, 2)), {}, "shape (1, 1, 2, 2); give real numbers of shape"),
+    "complex": (1j * cycles(), {}, "holds a signal of type complex128"),
+    "low rate": (
+        cycles(),
+        {"fs": 200.0},
+        "a.npz: rate = 200 is out of range; use 1000 to 1e+07 Hz",
+    ),
+    "fast": (cycles(), {"fs": 2e7}, "a.npz: rate = 20000000 is out of range"),
+    "rate in words": (cycles(), {"fs": "fast"}, "a.npz: rate = 'fast' is not a number"),
+    "two rates": (cycles(), {"fs": [1e5, 2e5]}, "sampling rate has 2 different values; give one"),
+    "time axis": (
+        cycles(),
+        {"time": np.arange(LENGTH) / 1e5},
+        "a.npz: rate = 200000 Hz contradicts its time axis, which has 100000 Hz; correct one",
+    ),
+    "uneven": (cycles(), {"time": np.arange(LENGTH) ** 2}, "time is not evenly spaced and rising"),
+    "short time": (cycles(), {"time": np.arange(9) / RATE}, "its time axis has 9 values for 400"),
+    "hot": (
+        cycles(),
+        {"temperature": [20, 293, 20]},
+        "temperature = 293 degC in cycle 1 is outside -20 to 60 degC; give it in degC",
+    ),
+    "nan degC": (cycles(), {"temperature": np.nan}, "temperature = nan degC in cycle 0"),
+    "temperature in words": (cycles(), {"temperature": "warm"}, "temperature = np.str_('warm')"),
+    "labels": (
+        cycles(),
+        {"force": [1, 2]},
+        "a.npz: force has shape (2,) for 3 cycles of 400 samples",
+    ),
+    "objects": (cycles(), {"note": np.array({})}, "a.npz cannot be read as NPZ (Object arrays"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_values_that_cannot_be_used_are_refused(tmp_path, what):
+    signal, others, message = WRONG[what]
+    with pytest.raises(ConfigError) as caught:
+        read(saved(tmp_path / "a.npz", signal, **others))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_rate_and_temperature_are_asked_for(tmp_path):
+    np.save(tmp_path / "a.npy", cycles())
+    with pytest.raises(ConfigError, match=r"give rate in Hz, or sampling_rate_hz in a\.toml"):
+        read(tmp_path / "a.npy")
+    with pytest.raises(ConfigError, match=r"give temperature in degC, or temperature_c in a\.toml"):
+        read(tmp_path / "a.npy", rate=RATE)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "has 2 channels; choose one with channel = 0 to 1"),
+        ({"channel": 2}, "channel = 2 is out of range; use a whole number from 0 to 1"),
+        ({"channel": 0, "samples": 1}, "samples = 1 is out of range"),
+        ({"channel": 0, "samples": 999}, "samples = 999 is longer than the record of 400"),
+    ],
+)
+def test_wrong_options_are_refused(tmp_path, options, message):
+    wavfile.write(tmp_path / "a.wav", int(RATE), cycles(2).T.copy())
+    with pytest.raises(ConfigError) as caught:
+        read(tmp_path / "a.wav", temperature=20, **options)
+    assert message in str(caught.value)
+
+
+def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="samples = 7 does not fit"):
+        read(saved(tmp_path / "a.npz", cycles()), samples=7)
+    np.savez(tmp_path / "b.npz", left=cycles(), right=cycles())
+    with pytest.raises(
+        ConfigError, match="holds left, right, of which none is known as the signal"
+    ):
+        read(tmp_path / "b.npz", rate=RATE, temperature=20)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "cannot be read"),
+        ("[]", ""),
+        ('{"sampling_rate": 1}', "sampling_rate is not known; use sampling_rate_hz"),
+        ('{"labels": [1]}', "labels must be a table of names and their values"),
+        ('{"labels": {"force": [1, [2, 3]]}}', "force is a list of unequal lists"),
+        ('{"labels": {"depth_mm": "deep"}}', "depth_mm = 'deep' is not a number"),
+        ('{"labels": {"press": [1, 2]}}', "press has shape (2,) for 3 cycles"),
+        ('{"sampling_rate_hz": {}}', "is not a number"),
+        ('{"temperature_c": null}', "temperature = nan degC"),
+    ],
+)
+def test_wrong_sidecars_are_refused(tmp_path, text, message):
+    path = saved(tmp_path / "a.npz", cycles())
+    path.with_suffix(".json").write_text(text)
+    if text == "[]":
+        assert read(path)["signal"].shape == (N, LENGTH)
+        return
+    with pytest.raises(ConfigError) as caught:
+        read(path)
+    assert message in str(caught.value)
+
+
+def test_two_sidecars_are_refused(tmp_path):
+    path = saved(tmp_path / "a.npz", cycles())
+    for suffix in (".toml", ".json"):
+        path.with_suffix(suffix).write_text("")
+    with pytest.raises(ConfigError, match=r"a\.json both describe a\.npz; keep one"):
+        read(path)
+
+
+JPEG = bytes.fromhex("ffd8ffe000104a46494600010100000100010000") + bytes(range(256)) * 20
+
+
+@pytest.mark.parametrize("suffix", recordings.KINDS)
+@pytest.mark.parametrize("content", [JPEG, b"Dear reader,\nthis is a letter.\n", b""])
+def test_files_of_another_kind_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(
+        ConfigError, match=rf"a\{suffix} cannot be read as [A-Za-z\d]+ \(.*export it"
+    ):
+        read(path, rate=RATE, temperature=20)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.99])
+@pytest.mark.parametrize(
+    "kind", [kind for kind in WRITERS if "csv" not in kind and "tsv" not in kind]
+)
+def test_files_cut_short_are_refused(tmp_path, kind, share):
+    path = recorded(tmp_path, kind)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ConfigError):
+        read(path)
+
+
+@pytest.mark.parametrize("kind", ["csv, wide", "tsv, wide"])
+def test_tables_cut_short_are_refused(tmp_path, kind):
+    path = recorded(tmp_path, kind)
+    path.write_text(path.read_text()[:-100])
+    with pytest.raises(
+        ConfigError, match="samples are missing, NaN or infinite, the first in cycle 2"
+    ):
+        read(path)
+
+
+def test_words_and_wrong_headers_in_tables_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    for text, message in (
+        ("temperature,s0,s1\n20,1,off", "holds ['off']"),
+        ("temperature,s0\n20,1,2", "the header has 2 names for 3 columns"),
+        ("temperature\n20", "no column holds samples"),
+        ("5,1,3\n1,2,3,4", "Expected 3 fields"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ConfigError) as caught:
+            read(path, rate=RATE, temperature=20)
+        assert message in str(caught.value)
+
+
+def test_flac_without_its_library_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "soundfile", None)
+    (tmp_path / "a.flac").write_bytes(b"fLaC")
+    with pytest.raises(
+        ConfigError, match=r"install acoustube\[audio\], or convert the file to WAV"
+    ):
+        read(tmp_path / "a.flac")
+
+
+def test_folders_are_searched_in_natural_order(tmp_path):
+    for name in ("run10.wav", "run9.wav", "b/run1.NPZ", ".hidden.wav", "notes.txt", "run9.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = [
+        path.relative_to(tmp_path).as_posix() for path in find([tmp_path / "run10.wav", tmp_path])
+    ]
+    assert found == ["run10.wav", "b/run1.NPZ", "run9.wav"]
+    assert find(tmp_path / "run9.wav") == [tmp_path / "run9.wav"]
+
+
+def test_each_wrong_entry_is_named(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "a.txt").touch()
+    with pytest.raises(ConfigError) as caught:
+        find([tmp_path / "empty", tmp_path / "a.txt", tmp_path / "none.wav"])
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3
+    assert "empty holds no recordings; name a folder of" in lines[0]
+    assert "a.txt is not of a kind that can be read; use .npz" in lines[1]
+    assert "none.wav is no file; check its name" in lines[2]
+
+
+def test_reading_many_goes_on_after_a_failure(tmp_path):
+    (tmp_path / "empty").mkdir()
+    good = saved(tmp_path / "b.npz", cycles(), temperature=99.0)
+    (tmp_path / "a.wav").write_bytes(JPEG)
+    found = list(read_all([tmp_path / "empty", tmp_path, good], temperature=20))
+    assert [path.name for path, _ in found] == ["empty", "a.wav", "b.npz"]
+    assert all(isinstance(result, ConfigError) for _, result in found[:2])
+    np.testing.assert_array_equal(found[2][1]["signal"], cycles())
+
+
+def test_written_files_are_checked_like_any_other(tmp_path):
+    data = read(saved(tmp_path / "a.npz", cycles()))
+    path = tmp_path / "b.nc"
+    write(data.assign_attrs(sampling_rate=1e5), path)
+    with pytest.raises(ConfigError, match="contradicts its time axis"):
+        read(path)
+    write(data.drop_vars("time"), path)
+    np.testing.assert_array_equal(read(path)["time"], data["time"])
+    assert read(path.rename(tmp_path / "c.nc"), temperature=30)["temperature"][0] == 30
+
+
+def test_reading_needs_no_solver_and_no_drawing():
+    code = "import acoustube.recordings, sys; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert not {"jax", "pyvista", "soundfile", "matplotlib"} & set(loaded.stdout.split())
