@@ -188,6 +188,8 @@ def open_netcdf(path: Path) -> Any:
     import xarray as xr
 
     engine = "h5netcdf" if h5py.is_hdf5(path) else "scipy"
+    if engine == "h5netcdf":
+        h5py.File(path).close()  # h5netcdf complains aloud about a file that this cannot open
     with xr.open_dataset(path, engine=engine, decode_times=False) as file:
         return file.load()
 
