@@ -333,6 +333,26 @@ def test_tables_without_labels_are_understood_by_their_shape(tmp_path, layout):
     assert bool(data.attrs["warnings"]) == (layout == "columns")
 
 
+TABLES = {
+    "commented header": ("# time,value\n0,5\n5e-6,6\n1e-5,7", [[5, 6, 7]]),
+    "named in us": ("# temperature: 21\ntime (µs);v\n0;5\n5;6\n10;7", [[5, 6, 7]]),
+    "two columns of one name": ("time,a,a\n0,1,4\n5e-6,2,5\n1e-5,3,6", [[1, 2, 3], [4, 5, 6]]),
+    "counted samples": ("sample,value\n0,5\n1,6\n2,7", [[5, 6, 7]]),
+    "separators at the ends": ("9,2,3,\n1,2,3,\n", [[9, 2, 3], [1, 2, 3]]),
+    "words": ("tube,s0,s1\nA,1,2\nB,3,4", [[1, 2], [3, 4]]),
+    "empty lines": ("\n\n9,2,3\n\n1,2,3\n", [[9, 2, 3], [1, 2, 3]]),
+}
+
+
+@pytest.mark.parametrize("what", TABLES)
+def test_tables_as_people_write_them_are_understood(tmp_path, what):
+    text, signal = TABLES[what]
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    data = read(tmp_path / "a.csv", rate=RATE, temperature=20)
+    np.testing.assert_array_equal(data["signal"], signal)
+    assert not data.attrs["warnings"]
+
+
 def test_more_rows_than_columns_are_noted_and_turned_by_samples(tmp_path):
     signal = np.random.default_rng(1).integers(0, 99, (12, 5))
     np.savetxt(tmp_path / "a.csv", signal, fmt="%d", delimiter=",")
@@ -350,6 +370,13 @@ def test_time_axis_tells_which_axis_is_time(tmp_path):
     data = read(path)
     np.testing.assert_array_equal(data["signal"], cycles())
     assert data["time"].values[0] == 0
+
+
+def test_columns_of_matlab_are_cycles_when_samples_says_so(tmp_path):
+    savemat(tmp_path / "a.mat", {"data": cycles().T, "Fs": RATE, "temp": TEMPERATURE[:, None]})
+    np.testing.assert_array_equal(read(tmp_path / "a.mat", samples=LENGTH)["signal"], cycles())
+    with pytest.raises(ConfigError, match="or samples if the length of the cycles is wrong"):
+        read(tmp_path / "a.mat")
 
 
 def test_argument_goes_before_sidecar_before_file(tmp_path):
