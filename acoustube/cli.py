@@ -226,6 +226,133 @@ def scatter(
     )
 
 
+@app.command
+def process(
+    *files: Path,
+    calibration: str | None = None,
+    prominence: float | None = None,
+    rate: float | None = None,
+    temperature: float | None = None,
+    channel: int | None = None,
+    samples: int | None = None,
+    out: Path | None = None,
+    figure: Path | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> int:
+    """Find the distance of a press in each cycle of recordings.
+
+    Parameters
+    ----------
+    files : Path
+        NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF, or folders of these.
+    calibration : str
+        A file that ``calibrate`` wrote, or the name of a calibration.
+    prominence : float
+        Least prominence of an echo, as a share of the send pulse, in place of the calibration's.
+    rate : float
+        Samples per second, where the files do not tell.
+    temperature : float
+        Of the air in degC, where the files do not tell.
+    channel : int
+        Of several, counted from 0.
+    samples : int
+        Samples of a cycle, where a file is one long record.
+    out : Path
+        The table to write (CSV), which must be new; standard output if not given.
+    figure : Path
+        A new picture (PNG, PDF or SVG) of the first file: its first cycle, and a waterfall.
+    quiet : bool
+        Print nothing but the table and what went wrong.
+    """
+    if not files:
+        raise ConfigError("process needs a file or a folder; name one or more")
+    if prominence is not None:
+        Number(1e-6, 1, "", "share of the send pulse").check("prominence", prominence)
+    for path in (out, figure):
+        if path is not None:
+            check_new_file(path)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.processed import run_process
+
+    complete = run_process(
+        files,
+        out,
+        Console(stderr=True, quiet=quiet),
+        calibration=calibration,
+        prominence=prominence,
+        rate=rate,
+        temperature=temperature,
+        channel=channel,
+        samples=samples,
+        figure=figure,
+    )
+    return 0 if complete else 1
+
+
+@app.command
+def calibrate(
+    *blocked: Path,
+    untouched: Annotated[list[Path], Parameter(consume_multiple=True)],
+    out: Path | None = None,
+    name: str | None = None,
+    sigmas: float = 2.8,
+    rate: float | None = None,
+    temperature: float | None = None,
+    figure: Path | None = None,
+) -> None:
+    """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
+
+    Parameters
+    ----------
+    blocked : Path
+        Recordings with the label ``true_distance`` (or ``distance_cm``, ``distance_m``).
+    untouched : list
+        Recordings without contact.
+    out : Path
+        The file to write, which must be new.
+    name : str
+        In place of a file: ``process --calibration NAME`` finds it.
+    sigmas : float
+        Least prominence of an echo, in standard deviations of the untouched cycles.
+    rate : float
+        Samples per second, where the files do not tell.
+    temperature : float
+        Of the air in degC, where the files do not tell.
+    figure : Path
+        A new picture (PNG, PDF or SVG) of the fits.
+    """
+    if not blocked:
+        raise ConfigError("calibrate needs recordings with the tube closed; name one or more")
+    if name is not None and not re.fullmatch(r"[\w-]{1,64}", name):
+        raise ConfigError(
+            f"name = {name} must be of letters, digits, - and _; use --out for a path"
+        )
+    Number(0.1, 100, "", "standard deviations").check("sigmas", sigmas)
+    for path in (out, figure):
+        if path is not None:
+            check_new_file(path)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.processed import run_calibrate
+
+    run_calibrate(
+        blocked,
+        untouched,
+        Console(),
+        out=out,
+        name=name,
+        sigmas=sigmas,
+        rate=rate,
+        temperature=temperature,
+        figure=figure,
+    )
+
+
 remembered = App(name="cache", help="Presses that need not be computed again.")
 app.command(remembered)
 
@@ -292,7 +419,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 a stage failed, 2 wrong usage, 130 interrupted.
     """
     try:
-        app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except CycloptsError as error:
         # Several sentences are joined into one.
         words = " ".join(str(error).split())
@@ -303,7 +430,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
         return _refuse(str(error), 1)
     except KeyboardInterrupt:
         return _refuse("interrupted; no incomplete run is left", 130)
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 def _refuse(message: str, code: int) -> int:

@@ -7,6 +7,7 @@ import csv
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TextIO
 
@@ -124,8 +125,6 @@ def run_process(
     known = None if calibration is None else signals.load(calibration_path(calibration))
     how = Processing() if known is None else known.processing
     if prominence is not None:
-        from dataclasses import replace
-
         how = replace(how, prominence=prominence)
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
     with heard_interrupts() as check, _opened(out) as file:
@@ -214,11 +213,7 @@ def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:
     from acoustube import plot, plot_cycles
 
     time, warmth = data["time"].values, float(data["temperature"].values[0])
-    one = (
-        signals.locate(time, data["signal"].values[0], Processing(), temperature=warmth)
-        if ranging.envelope.ndim == 1
-        else _one(ranging, 0)
-    )
+    one = _one(ranging, 0)
     sheet = Figure(figsize=(9, 8), layout="constrained")
     above, below = sheet.subplots(2, 1)
     plot_cycles.draw_cycle(above, time, data["signal"].values[0], one, warmth)
@@ -228,8 +223,6 @@ def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:
 
 def _one(ranging: Ranging, index: int) -> Ranging:
     """Return what was made of one cycle of several."""
-    from dataclasses import fields, replace
-
     echoes = ranging.echoes
     there = np.isfinite(echoes.times[index])
     single = signals.Echoes(
@@ -316,8 +309,14 @@ def run_calibrate(
         raise ConfigError(
             "the blocked cycles have no label true_distance; give it in the files or in a sidecar"
         )
-    if closed.attrs["sampling_rate"] != free.attrs["sampling_rate"]:
-        raise ConfigError("blocked and untouched cycles have different sampling rates")
+    for what, one, other in (
+        ("sampling rate", closed.attrs["sampling_rate"], free.attrs["sampling_rate"]),
+        ("number of samples", closed.sizes["time"], free.sizes["time"]),
+    ):
+        if one != other:
+            raise ConfigError(
+                f"blocked and untouched cycles must have the same {what}, not {one:g} and {other:g}"
+            )
     try:
         found = signals.calibrate(
             closed["time"].values, closed["signal"].values, closed["true_distance"].values,

@@ -12,12 +12,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube import __version__
-from acoustube.checks import check_samples, check_temperature, clipping, dead
-from acoustube.containers import open_netcdf
 from acoustube.errors import ConfigError
+from acoustube.recordings.checks import check_samples, check_temperature, clipping, dead
+from acoustube.recordings.containers import open_netcdf
+from acoustube.recordings.tables import meaning
 from acoustube.rules import Number
 from acoustube.signals import sampling_rate
-from acoustube.tables import meaning
 
 Named = dict[str, Any]
 
@@ -86,7 +86,7 @@ def assemble(
     path : Path
         The file, for messages and the attribute.
     known : dict
-        Values by quantity, in SI units and degC; see :func:`acoustube.tables.meaning`.
+        Values by quantity, in SI units and degC; see :func:`acoustube.recordings.tables.meaning`.
     others : dict
         Arrays of other names in the file. Those of one value per cycle become labels.
     labels : dict

@@ -1,4 +1,4 @@
-"""Recordings of ultrasonic rangefinders: from files of many kinds to one dataset."""
+"""Reading one file or many, with their sidecars and what a caller knows better."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import Any
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from acoustube.containers import KINDS, load
-from acoustube.cycles import as_written, assemble, part_known
 from acoustube.errors import ConfigError
 from acoustube.io import partial_file, write_dataset
+from acoustube.recordings.containers import KINDS, load
+from acoustube.recordings.cycles import as_written, assemble, part_known
 
 _SIDECAR = {
     "sampling_rate_hz": "sampling_rate",
@@ -71,7 +71,7 @@ def read(
     Notes
     -----
     A label or a temperature of a continuous record that has a value for each sample is averaged
-    over each cycle. :func:`acoustube.tables.read_table` tells how text tables are understood.
+    over each cycle. How text tables are understood: :func:`acoustube.recordings.tables.read_table`.
     """
     path = Path(path)
     _check_kind(path)

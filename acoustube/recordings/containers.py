@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.errors import ConfigError
-from acoustube.tables import Contents, meaning, read_table
+from acoustube.recordings.tables import Contents, meaning, read_table
 
 
 def load(path: Path) -> Contents:

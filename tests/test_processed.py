@@ -1,0 +1,165 @@
+"""The commands process and calibrate on files, as a user meets them."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_calibration import PLACES, blocked, untouched
+from test_pipeline import RATE, TIME, cycles_at
+
+from acoustube import signals
+
+COMMAND = str(Path(sys.executable).with_name("acoustube"))
+DISTANCES = np.linspace(0.3, 1.9, 7)
+
+
+def call(*words, **options):
+    return subprocess.run([COMMAND, *words], capture_output=True, text=True, check=False, **options)
+
+
+def save(name, cycles, **extra):
+    np.savez(name, signal=cycles.astype(np.uint16), rate=RATE, temperature=20.0, **extra)
+    return name
+
+
+def rows_of(text):
+    return list(csv.DictReader(text.splitlines()))
+
+
+def test_one_row_per_cycle_tells_its_distance():
+    save("a.npz", cycles_at(DISTANCES, noise=0.002))
+    result = call("process", "a.npz", "--out", "t.csv", "--prominence", "0.05")
+    assert result.returncode == 0, result.stderr
+    assert "7 cycles, echoes in 7" in result.stderr
+    rows = rows_of(Path("t.csv").read_text())
+    assert list(rows[0])[:7] == [
+        "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks",
+        "detected",
+    ]  # fmt: skip
+    assert [int(row["cycle"]) for row in rows] == list(range(7))
+    found = np.array([float(row["distance_cm"]) for row in rows])
+    # The board's air is 343.24 m/s fast, that of the cycles 343.2: 0.2 mm at 1.9 m.
+    assert found == pytest.approx(100 * DISTANCES, abs=0.1)
+    assert all(row["detected"] == "1" and row["file"] == "a.npz" for row in rows)
+    flight = [float(row["time_of_flight_ms"]) for row in rows]
+    assert flight == pytest.approx(2e3 * DISTANCES / 343.2, abs=5e-3)
+
+
+def test_table_goes_to_standard_output_and_many_cycles_are_those_of_one():
+    """600 cycles are three pieces on two threads, in their order."""
+    distances = np.linspace(0.3, 1.9, 600)
+    cycles = cycles_at(distances, noise=0.002).astype(np.uint16)
+    save("a.npz", cycles)
+    result = call("process", "a.npz", "--prominence", "0.05", "--quiet")
+    rows = rows_of(result.stdout)
+    assert result.stderr == ""
+    alone = signals.locate(TIME, cycles, signals.Processing(prominence=0.05))
+    found = [float(row["distance_cm"]) for row in rows]
+    assert found == pytest.approx(100 * alone.distance, rel=1e-5)
+    assert [float(row["amplitude"]) for row in rows] == pytest.approx(alone.amplitude, rel=1e-5)
+
+
+def test_bad_files_are_told_and_the_others_processed():
+    Path("runs").mkdir()
+    save("runs/a.npz", cycles_at(DISTANCES))
+    broken = cycles_at(DISTANCES)
+    broken[2, 7] = np.nan
+    np.savez("runs/b.npz", signal=broken, rate=RATE, temperature=20.0)
+    np.savez("runs/c.npz", signal=cycles_at(DISTANCES).astype(np.uint16), rate=RATE)
+    Path("runs/d.wav").write_bytes(b"\xff\xd8\xff\xe0 this is a picture")
+    Path("runs/e.npz").write_bytes(Path("runs/a.npz").read_bytes()[:5000])
+    save("runs/f.npz", cycles_at(DISTANCES)[:, :40])
+    save("runs/g.npz", cycles_at(DISTANCES))
+    result = call("process", "runs", "--out", "t.csv")
+    assert result.returncode == 1
+    rows = rows_of(Path("t.csv").read_text())
+    assert {row["file"] for row in rows} == {"a.npz", "g.npz"}
+    assert len(rows) == 14
+    told = " ".join(result.stderr.split())
+    for name in "bcdef":
+        assert f"{name}.{'wav' if name == 'd' else 'npz'}" in told
+    assert "5 files could not be processed" in told
+    assert "Traceback" not in result.stderr
+
+
+def test_nothing_to_process_is_refused():
+    Path("empty").mkdir()
+    assert call("process").returncode == 2
+    for words, part in (
+        (["empty"], "empty"),
+        (["missing.npz"], "missing.npz"),
+        (["a.npz", "--calibration", "nobody"], "nobody is neither a file nor the name"),
+        (["a.npz", "--prominence", "3"], "prominence = 3 is out of range"),
+        (["a.npz", "--out", "a.npz"], "nothing is overwritten"),
+    ):
+        save("a.npz", cycles_at(DISTANCES))
+        result = call("process", *words)
+        assert result.returncode != 0, words
+        assert part in " ".join(result.stderr.split()), words
+        assert "Traceback" not in result.stderr
+
+
+@pytest.fixture
+def recorded():
+    save("closed.npz", blocked(), true_distance_m=PLACES)
+    save("free.npz", untouched())
+
+
+@pytest.mark.usefixtures("recorded")
+def test_calibration_is_written_and_applied():
+    result = call(
+        "calibrate", "closed.npz", "--untouched", "free.npz", "--out", "c.toml", "--figure",
+        "c.png", "--sigmas", "8",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "111 blockages: slope 0.99" in result.stdout
+    assert "0 % of the untouched cycles show an echo" in " ".join(result.stdout.split())
+    assert Path("c.png").stat().st_size > 10_000
+    plain, calibrated = (
+        rows_of(call("process", "closed.npz", *words, "--quiet").stdout)
+        for words in ([], ["--calibration", "c.toml", "--figure", "p.png"])
+    )
+    before, after = (
+        np.array([float(row["distance_cm"]) for row in rows]) for rows in (plain, calibrated)
+    )
+    # What the line's intercept of 3 cm adds is gone, its slope of 0.99 stays.
+    assert np.median(before - 99 * PLACES) == pytest.approx(3.0, abs=0.1)
+    assert np.median(after - 99 * PLACES) == pytest.approx(0.0, abs=0.1)
+    assert Path("p.png").stat().st_size > 10_000
+
+
+@pytest.mark.usefixtures("recorded")
+def test_named_calibration_is_found_by_its_name(tmp_path):
+    import os
+
+    home = os.environ | {"XDG_DATA_HOME": str(tmp_path / "data"), "HOME": str(tmp_path)}
+    made = call("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", env=home)
+    assert made.returncode == 0, made.stderr
+    used = call("process", "closed.npz", "--calibration", "left", "--quiet", env=home)
+    assert used.returncode == 0, used.stderr
+    again = call("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", env=home)
+    assert again.returncode == 2
+    assert "left.toml cannot be written" in " ".join(again.stderr.split())
+    other = call("process", "closed.npz", "--calibration", "right", env=home)
+    assert "known are left" in " ".join(other.stderr.split())
+
+
+@pytest.mark.usefixtures("recorded")
+def test_calibrations_that_cannot_be_are_refused():
+    save("places.npz", blocked())
+    save("few.npz", blocked()[:9], true_distance_m=PLACES[:9])
+    save("slow.npz", untouched()[:, ::2])
+    for words, part in (
+        (["closed.npz", "--untouched", "free.npz"], "either a file with --out or a name"),
+        (["places.npz", "--untouched", "free.npz", "--out", "c.toml"], "no label true_distance"),
+        (["few.npz", "--untouched", "free.npz", "--out", "c.toml"], "3 different places"),
+        (["closed.npz", "--untouched", "slow.npz", "--out", "c.toml"], "same number of samples"),
+        (["closed.npz", "--untouched", "free.npz", "--name", "a/b"], "name = a/b must be"),
+    ):
+        result = call("calibrate", *words)
+        assert result.returncode == 2, words
+        assert part in " ".join(result.stderr.split()), words
+        assert not Path("c.toml").exists()
