@@ -1,0 +1,207 @@
+"""A rangefinder's parameters, each with its unit and where its default comes from.
+
+References
+----------
+.. [1] MaxBotix, LV-MaxSonar-EZ1 (MB1010) data sheet.
+.. [2] Texas Instruments, AM335x technical reference: the converter of the BeagleBone Black.
+.. [3] EchoTube, ISS 2019. doi:10.1145/3343055.3359712
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from acoustube.errors import ConfigError
+from acoustube.rules import Choice, Number, Section, setting
+from acoustube.waves.pulse import Pulse, SampledPulse
+from acoustube.waves.scattering import Complex
+
+
+@dataclass(frozen=True, kw_only=True)
+class Burst(Section):
+    """A drive of unit amplitude that is switched on and off.
+
+    Attributes
+    ----------
+    frequency : float
+        In Hz. Default 42 kHz [1]_.
+    cycles : float
+        Default 13 [1]_.
+    shape : str
+        ``square``, as from a logic output (default, chosen), or ``sine``.
+    """
+
+    frequency: float = setting(42e3, Number(1e3, 1e6, "Hz", "frequency of the drive"))
+    cycles: float = setting(13.0, Number(0.5, 1e3, "", "cycles of the drive"))
+    shape: str = setting("square", Choice(("square", "sine"), "form of the drive"))
+
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return self.cycles / self.frequency
+
+    def spectrum(self, frequency: Complex) -> Complex:
+        """Return the Fourier transform in s at frequencies in Hz, real or complex, but not zero.
+
+        A square is a sum of steps, each worth exp(-j omega t) / (j omega), a sine two lines of
+        finite length: closed forms, so that no overtone is aliased.
+        """
+        omega, carrier, end = 2 * pi * frequency, 2 * pi * self.frequency, self.duration
+        if self.shape == "square":
+            edges = np.arange(int(np.ceil(2 * self.cycles))) / (2 * self.frequency)
+            steps = np.where(np.arange(len(edges)) % 2, -2.0, 2.0)
+            steps[0] = 1.0
+            edges, steps = np.append(edges, end), np.append(steps, -np.sign(steps[-1]))
+            return np.exp(-1j * np.outer(omega, edges)) @ steps / (1j * omega)
+        lines = [
+            end * np.exp(0.5j * end * off) * np.sinc(end * off / (2 * pi))
+            for off in (carrier - omega, -carrier - omega)
+        ]
+        return np.asarray((lines[0] - lines[1]) / 2j)
+
+
+Drive = Burst | Pulse | SampledPulse
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """The rule of a setting that is no plain number; see :class:`~acoustube.rules.Number`."""
+
+    fits: Callable[[Any], bool]
+    allowed: str
+
+    def check(self, name: str, value: Any) -> Any:
+        if not self.fits(value):
+            raise ConfigError(f"{name} = {value!r} cannot be; use {self.allowed}")
+        return value
+
+
+DRIVE = _Kind(lambda value: isinstance(value, Drive), "a Burst, a Pulse or a SampledPulse")
+FLAG = _Kind(lambda value: isinstance(value, bool), "True or False")
+FACE = _Kind(
+    lambda value: isinstance(value, int | float | complex) and abs(value) <= 1 and value != -1,
+    "a number, real or complex, of magnitude 0 to 1, but not -1: such a face hears nothing",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rangefinder(Section):
+    """A transducer with its electronics, as it sits on a tube. The defaults are the paper's.
+
+    Attributes
+    ----------
+    drive : Burst, Pulse or SampledPulse
+        What excites the transducer, of unit amplitude. Default: 13 cycles of 42 kHz [1]_.
+    resonance : float
+        Resonance frequency of the transducer in Hz. Default 42 kHz [1]_.
+    quality_factor : float
+        Of that resonance: its frequency over its bandwidth at -3 dB; 0 for a flat response. Default
+        14 (3 kHz), chosen: within what such transducers have; the data sheet says nothing.
+    send : float
+        What the transducer hears of a steady drive at its resonance, in V: far over full scale.
+        Default 170, chosen so that a press that reflects a fifth makes a peak of its own from 16 cm
+        on, and none nearer: the paper's dead zone and EchoTube's [3]_, and the 6 inches of [1]_.
+    gain : float
+        What it hears of a steady drive that comes back whole from a tube without losses, in V.
+        Default 1.25, chosen so that the arctan of the paper's calibration has the published
+        asymptotes: 0.64 and 0.11 (as tanh) where 0.635 and 0.104 are published.
+    face_reflection : complex
+        Pressure that the face sends back over that which arrives. Default 0.3, chosen: no second
+        echo of a press is reported.
+    far_reflection : float
+        The same of the tube's far end. Default 0.05 for foam, chosen: no echo of it is reported.
+    clutter : float
+        Power that small irregularities reflect per metre of tube, in 1/m. Default 2e-4 (-37 dB),
+        chosen so that echoes of 0.5 to 1 % drown in it nearby, those of presses of about 2.5 mm,
+        and of less than 30 to 50 % at 1.95 m, where the paper finds only presses over 7 mm.
+    noise : float
+        Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.4 mV (0.9
+        counts), chosen so that in the paper's bore half the echoes of a closure at 2.5 m are lost,
+        after 74 dB of loss on both ways; EchoTube [3]_ reaches 2.4 to 2.5 m in 8 mm.
+    offset : float
+        Mean voltage in V. Default 0.9, chosen: the middle of the ADC's range.
+    drift : float
+        Slow wander of the offset in V, rms, over 10 s to 1000 s. Default 5 mV, chosen.
+    sampling_rate : float
+        In Hz. Default 200 kHz (paper).
+    n_samples : int
+        Of a cycle. Default 4000 (paper).
+    bits : int
+        Of the ADC. Default 12 (paper).
+    full_scale : float
+        Voltage in V of 2**bits counts. Default 1.8 [2]_.
+    quantised : bool
+        Whether the counts are whole and clipped at both ends of the scale. Default True.
+    cycle_rate : float
+        Cycles per second. Default 20 (paper).
+    lead : float
+        Time in s recorded before the drive starts. Default 0, chosen.
+    temperature_bias, temperature_noise : float
+        Mean and random error of the reported temperature in K. Defaults 0.5 and 0.1, chosen: those
+        of a plain semiconductor sensor. 0.5 K makes 0.09 % of distance.
+    temperature_resolution : float
+        Step of the reported temperature in K; 0 for none. Default 0.1, chosen.
+
+    Raises
+    ------
+    ConfigError
+        If a value is impossible.
+    """
+
+    drive: Drive = field(default=Burst(), metadata={"rule": DRIVE})
+    resonance: float = setting(42e3, Number(1e3, 1e6, "Hz", "resonance of the transducer"))
+    quality_factor: float = setting(14.0, Number(0, 1e3, "", "0 for a flat transducer"))
+    send: float = setting(170.0, Number(0, 1e6, "V", "own drive as heard"))
+    gain: float = setting(1.25, Number(0, 1e6, "V", "whole echo as heard"))
+    face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
+    far_reflection: float = setting(0.05, Number(-1, 1, "", "reflection of the far end"))
+    clutter: float = setting(2e-4, Number(0, 0.1, "1/m", "power reflected per metre"))
+    noise: float = setting(0.4e-3, Number(0, 1e3, "V", "rms of the noise"))
+    offset: float = setting(0.9, Number(-1e3, 1e3, "V", "mean voltage"))
+    drift: float = setting(5e-3, Number(0, 1e3, "V", "rms of the slow wander"))
+    sampling_rate: float = setting(200e3, Number(1e3, 1e8, "Hz", "samples per second"))
+    n_samples: int = setting(4000, Number(16, 1e6, "", "samples of a cycle", whole=True))
+    bits: int = setting(12, Number(1, 16, "", "of the ADC", whole=True))
+    full_scale: float = setting(1.8, Number(1e-6, 1e6, "V", "voltage of the highest count"))
+    quantised: bool = field(default=True, metadata={"rule": FLAG})
+    cycle_rate: float = setting(20.0, Number(1e-3, 1e5, "Hz", "cycles per second"))
+    lead: float = setting(0.0, Number(0, 1, "s", "time before the drive"))
+    temperature_bias: float = setting(0.5, Number(-50, 50, "K", "error of the temperature"))
+    temperature_noise: float = setting(0.1, Number(0, 50, "K", "error of the temperature"))
+    temperature_resolution: float = setting(0.1, Number(0, 50, "K", "step of the temperature"))
+
+    def resonator(self, frequency: Complex) -> Complex:
+        """Return the transducer's response at frequencies in Hz, real or complex, but not zero.
+
+        A second-order band-pass, 1 / (1 + j Q (f/f0 - f0/f)): it rings as exp(-pi f0 t / Q).
+        """
+        off = frequency / self.resonance - self.resonance / frequency
+        return 1 / (1 + 1j * self.quality_factor * off)
+
+    def to_json(self) -> str:
+        """Return all parameters as JSON, complex numbers as [real, imaginary]."""
+
+        def plain(value: Any) -> Any:
+            return [value.real, value.imag] if isinstance(value, complex) else value.tolist()
+
+        kind = {"kind": type(self.drive).__name__}
+        words = dataclasses.asdict(self)
+        return json.dumps(words | {"drive": kind | words["drive"]}, default=plain)
+
+
+IDEAL = Rangefinder(
+    drive=Pulse(frequency=42e3), quality_factor=0.0, send=0.9, gain=0.9, face_reflection=0.0,
+    far_reflection=0.0, clutter=0.0, noise=0.0, offset=0.0, drift=0.0, quantised=False,
+    temperature_bias=0.0, temperature_noise=0.0, temperature_resolution=0.0,
+)  # fmt: skip
+"""A sensor that adds nothing: its counts are fractions, and a whole echo is as high as its drive.
+
+Its drive is the paper's simulated one, whose sound is all within a band.
+"""
