@@ -1,7 +1,8 @@
 """Simulate a silicone tube that carries ultrasound and is pressed by a cylinder.
 
-The modules follow the data: tube -> indentation -> lumen -> waves -> signals -> distance. The
-names below are loaded when they are first used, so that importing the package costs nothing.
+The modules follow the data: tube -> indentation -> lumen -> waves -> ranging -> signals ->
+distance. The names below are loaded when they are first used, so that importing the package costs
+nothing.
 """
 
 from importlib import import_module
