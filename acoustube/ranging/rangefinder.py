@@ -119,8 +119,9 @@ class Rangefinder(Section):
         The same of the tube's far end. Default 0.05 for foam, chosen: no echo of it is reported.
     clutter : float
         Power that small irregularities reflect per metre of tube, in 1/m. Default 2e-4 (-37 dB),
-        chosen so that echoes of 0.5 to 1 % drown in it nearby, those of presses of about 2.5 mm,
-        and of less than 30 to 50 % at 1.95 m, where the paper finds only presses over 7 mm.
+        chosen so that the paper's processing misses half of the presses that reflect 0.4 % at 0.4
+        to 0.8 m, and 40 % at 1.95 m, where it misses those of less than 2.5 mm, and of 7 mm; what
+        these reflect is a guess, about 1 % and a third.
     noise : float
         Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.4 mV (0.9
         counts), chosen so that in the paper's bore half the echoes of a closure at 2.5 m are lost,
