@@ -122,5 +122,5 @@ def test_blockages_in_noise_and_silent_cycles_are_refused():
     rising = OFFSET + 1500 * (burst(np.zeros(1)) + echoes)
     with pytest.raises(ValueError, match="do not fall with distance"):
         calibrate(TIME, rising, PLACES, untouched())
-    with pytest.raises(ValueError, match="hold no send pulse"):
+    with pytest.raises(ValueError, match="holds no send pulse"):
         calibrate(TIME, blocked(), PLACES, np.full((3, 4000), OFFSET))

@@ -13,6 +13,7 @@ from acoustube.air import air_at
 from acoustube.errors import ConfigError
 from acoustube.io import write_dataset
 from acoustube.ranging import IDEAL, Burst, Rangefinder, blockage, clutter, record, response
+from acoustube.signals.echoes import _refine
 from acoustube.waves import Placed, Pulse, SampledPulse, axial_wavenumber
 
 BORE = 3.95e-3
@@ -77,7 +78,7 @@ def test_ideal_echo_peaks_where_a_fine_transform_has_it():
     way = np.exp(-1.4j * axial_wavenumber(0, 0, f, BORE, AIR))
     far = np.fft.irfft(np.append(0, np.fft.rfft(IDEAL.drive(fine))[1:] * way), fine.size)
     found, wanted = (
-        signals._refine(x, height(y), np.array([np.argmax(height(y))]))[0][0]
+        _refine(x, height(y), np.array([np.argmax(height(y))]))[0][0]
         for x, y in ((t, volts), (fine, far))
     )
     assert found == pytest.approx(wanted, abs=0.2e-6)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
 
 from acoustube.errors import ConfigError
-from acoustube.signals.localise import Processing, Ranging, locate, speed_of_sound
+from acoustube.signals.localise import Processing, Ranging, locate, process, speed_of_sound
 from acoustube.signals.steps import (
     Array,
     TimeGain,
@@ -30,10 +30,14 @@ FEWEST_PLACES = 6
 """Different places that a calibration needs: the gain has four parameters, two check them."""
 SHORTEST_SPAN = 0.3
 """Distance in m that they must span, several lengths of a pulse."""
+FAINTEST = 1e-5
+"""Prominence of a blockage's echo: its highest peak counts, however low it is."""
 SIGMAS = 2.8
 """Least prominence in standard deviations of cycles without contact, the paper's."""
-LARGEST_ERROR = 0.3
-"""Distance in m by which an echo may be off its place before it is taken for another one."""
+REACH = 0.3
+"""Distance in m from its place within which a blockage's echo is looked for."""
+OVER_BACKGROUND = 6.0
+"""Height of a blockage's echo over the untouched cycles there, in their standard deviations."""
 
 
 class Estimate(NamedTuple):
@@ -138,7 +142,8 @@ def calibrate(
 
     Notes
     -----
-    The blockages are processed without gain and matched filter. An arctangent is fitted to their
+    The blockages are processed without gain and matched filter, each around its place: far ones are
+    lower than what nearby irregularities of the tube return. An arctangent is fitted to their
     amplitudes, and a line to their distances, both by least squares; deviations are those of the
     fit. The send time is shifted so that the line passes through zero and keeps its slope. The
     least prominence is 2.8 standard deviations of what untouched cycles hold in the search window
@@ -152,9 +157,12 @@ def calibrate(
     how = how or Processing()
     places = np.asarray(true_distance, float)
     _check_places(places, np.asarray(blocked).shape)
-    plain = replace(how, gain=None, template_cycles=None, send_shift=0.0)
-    ranging = locate(time, blocked, plain, temperature=temperature)
-    used = _recognised(ranging, places)
+    if not np.all(np.ptp(np.asarray(untouched), axis=-1) > 0):
+        raise ValueError("an untouched cycle is silent: it holds no send pulse; leave it out")
+    nearest = np.maximum(places - REACH, how.nearest)
+    ranging = _without_gain(time, blocked, how, temperature, nearest, places + REACH)
+    quiet = _without_gain(time, untouched, how, untouched_temperature, 0.0, np.inf)
+    used = _recognised(np.asarray(time, float), ranging, quiet.envelope, places)
     speed = np.broadcast_to(speed_of_sound(temperature), places.shape)[used]
     places, found, heights = places[used], ranging.distance[used], ranging.amplitude[used]
     (slope, intercept), line_deviations = _line(places, found)
@@ -217,8 +225,8 @@ def untouched_deviation(
     scaled = np.abs(normalise(cycles, sent))
     distance = np.broadcast_to(speed * since / 2, scaled.shape)
     inside = (distance >= how.nearest) & (distance <= how.farthest)
-    if not inside.any() or not np.all(sent > 0):
-        raise ValueError("the untouched cycles hold no send pulse, or end before the search window")
+    if not inside.any():
+        raise ValueError("the untouched cycles end before the search window; record longer ones")
     return float(np.std(scaled[inside]))
 
 
@@ -244,15 +252,43 @@ def _check_places(places: Array, shape: tuple[int, ...]) -> None:
         )
 
 
-def _recognised(ranging: Ranging, places: Array) -> NDArray[np.bool_]:
-    """Return which cycles show their blockage, and refuse when too few do."""
-    typical = np.nanmedian(ranging.distance - places) if ranging.detected.any() else 0.0
-    used = ranging.detected & (np.abs(ranging.distance - places - typical) < LARGEST_ERROR)
+def _without_gain(
+    time: ArrayLike,
+    cycles: ArrayLike,
+    how: Processing,
+    temperature: ArrayLike,
+    nearest: ArrayLike,
+    farthest: ArrayLike,
+) -> Ranging:
+    """Process cycles without gain and matched filter, whatever their highest peak is."""
+    return process(
+        time,
+        cycles,
+        pulse_duration=how.pulse_cycles / how.frequency,
+        temperature=temperature,
+        offset_cutoff=how.offset_cutoff,
+        cutoff=how.cutoff,
+        prominence=FAINTEST,
+        nearest=nearest,
+        farthest=farthest,
+    )
+
+
+def _recognised(
+    time: Array, ranging: Ranging, background: Array, places: Array
+) -> NDArray[np.bool_]:
+    """Return which cycles show their blockage, and refuse when too few do.
+
+    It must stand out from what untouched cycles (m, time) hold at the same time.
+    """
+    level = np.nanmean(background, axis=0) + OVER_BACKGROUND * np.nanstd(background, axis=0)
+    there = np.interp(np.nan_to_num(ranging.return_time), time, level)
+    used = ranging.detected & (np.nan_to_num(ranging.amplitude) > there)
     left = np.unique(np.round(places[used], 3))
     if left.size < FEWEST_PLACES:
         lost = np.unique(np.round(places[~used], 2))
         raise ValueError(
-            f"only {left.size} places show an echo within {LARGEST_ERROR} m of where it belongs, "
+            f"only {left.size} places show an echo within {REACH} m of where it belongs, "
             f"{FEWEST_PLACES} are needed; not so at {', '.join(f'{z:g}' for z in lost[:8])} m: "
             "check the unit of the distances (m), the tube's closure and the search window"
         )

@@ -209,8 +209,8 @@ def process(
     template: ArrayLike | None = None,
     cutoff: float = 10e3,
     prominence: float = 0.01,
-    nearest: float = 0.0,
-    farthest: float = np.inf,
+    nearest: ArrayLike = 0.0,
+    farthest: ArrayLike = np.inf,
     send_shift: float = 0.0,
 ) -> Ranging:
     """Find the distance of a press in the signal of a probe.
@@ -239,7 +239,7 @@ def process(
         Cut-off of the envelope's low-pass in Hz.
     prominence : float
         Least prominence of an echo, as a share of the send pulse.
-    nearest, farthest : float
+    nearest, farthest : float or array of shape (...)
         Distances from the source end, in m, between which an echo is looked for. The search never
         starts before the send pulse has died away at the probe.
     send_shift : float
@@ -290,8 +290,8 @@ def process(
     send_time = send_time + send_shift
 
     faded = send_time + blind_time(pulse_duration, cutoff)
-    start = np.maximum(faded, send_time + 2 * (nearest - probe_position) / speed)
-    stop = send_time + 2 * (farthest - probe_position) / speed
+    start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
+    stop = send_time + 2 * (np.asarray(farthest) - probe_position) / speed
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
     return_time, amplitude, height = highest(echoes)
     found = distance(return_time - send_time, temperature)
