@@ -1,8 +1,8 @@
 """How long do 143 250 cycles of 4000 samples take, as many as the paper's flat table has?
 
-They are made once, of 600 different cycles repeated with new noise, and written to a netCDF file
-piece by piece; then they are processed as `acoustube process` does. Printed: seconds and the largest
-memory of the process, beside a plain loop of SciPy calls over some of the cycles, and how far the
+They are made and written to a netCDF file piece by piece; then they are read and processed as
+`acoustube process` does. Printed: seconds and the largest memory of the process, beside a plain
+loop of SciPy calls over some of the cycles, and how far the
 two are apart. Some minutes and 1.2 GB of disk: ``python benchmarks/signals_many_cycles.py [N]``.
 """
 
