@@ -5,9 +5,9 @@ comes back; it also hears its own ring-down. An amplifier, an ADC and slow distu
 record of that. Each part can be switched off; :data:`IDEAL` has none of them.
 """
 
+from acoustube.ranging.analogue import blockage, clutter, response
 from acoustube.ranging.rangefinder import IDEAL, Burst, Drive, Rangefinder
 from acoustube.ranging.recording import digitise, record
-from acoustube.ranging.response import blockage, clutter, response
 
 __all__ = [
     "IDEAL",

@@ -2,9 +2,9 @@
 
 References
 ----------
-.. [1] MaxBotix, LV-MaxSonar-EZ1 (MB1010) data sheet.
-.. [2] Texas Instruments, AM335x technical reference: the converter of the BeagleBone Black.
-.. [3] EchoTube, ISS 2019. doi:10.1145/3343055.3359712
+* Data sheet: MaxBotix, LV-MaxSonar-EZ1 (MB1010).
+* Reference manual: Texas Instruments, AM335x: the converter of the BeagleBone Black.
+* EchoTube: ISS 2019. doi:10.1145/3343055.3359712
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Burst(Section):
     Attributes
     ----------
     frequency : float
-        In Hz. Default 42 kHz [1]_.
+        In Hz. Default 42 kHz (data sheet).
     cycles : float
-        Default 13 [1]_.
+        Default 13 (data sheet).
     shape : str
         ``square``, as from a logic output (default, chosen), or ``sine``.
     """
@@ -98,16 +98,16 @@ class Rangefinder(Section):
     Attributes
     ----------
     drive : Burst, Pulse or SampledPulse
-        What excites the transducer, of unit amplitude. Default: 13 cycles of 42 kHz [1]_.
+        What excites the transducer, of unit amplitude. Default: 13 cycles of 42 kHz (data sheet).
     resonance : float
-        Resonance frequency of the transducer in Hz. Default 42 kHz [1]_.
+        Resonance frequency of the transducer in Hz. Default 42 kHz (data sheet).
     quality_factor : float
         Of that resonance: its frequency over its bandwidth at -3 dB; 0 for a flat response. Default
         14 (3 kHz), chosen: within what such transducers have; the data sheet says nothing.
     send : float
         What the transducer hears of a steady drive at its resonance, in V: far over full scale.
         Default 170, chosen so that a press that reflects a fifth makes a peak of its own from 16 cm
-        on, and none nearer: the paper's dead zone and EchoTube's [3]_, and the 6 inches of [1]_.
+        on, and none nearer: the dead zone of the paper and of EchoTube, 6 inches in the data sheet.
     gain : float
         What it hears of a steady drive that comes back whole from a tube without losses, in V.
         Default 1.25, chosen so that the arctan of the paper's calibration has the published
@@ -125,7 +125,7 @@ class Rangefinder(Section):
     noise : float
         Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.4 mV (0.9
         counts), chosen so that in the paper's bore half the echoes of a closure at 2.5 m are lost,
-        after 74 dB of loss on both ways; EchoTube [3]_ reaches 2.4 to 2.5 m in 8 mm.
+        after 74 dB of loss on both ways; EchoTube reaches 2.4 to 2.5 m in 8 mm.
     offset : float
         Mean voltage in V. Default 0.9, chosen: the middle of the ADC's range.
     drift : float
@@ -137,7 +137,7 @@ class Rangefinder(Section):
     bits : int
         Of the ADC. Default 12 (paper).
     full_scale : float
-        Voltage in V of 2**bits counts. Default 1.8 [2]_.
+        Voltage in V of 2**bits counts. Default 1.8 (reference manual).
     quantised : bool
         Whether the counts are whole and clipped at both ends of the scale. Default True.
     cycle_rate : float

@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.errors import ConfigError
+from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
-from acoustube.ranging.response import response
 from acoustube.waves.cascade import Placed
 from acoustube.waves.polyhedron import Array
 

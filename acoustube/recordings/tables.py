@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from acoustube.signals import sampling_rate
 
+# Arrays and single values by the name that they have in the file; "note" is a sentence.
 Contents = dict[str, Any]
-"""Arrays and single values by the name that they have in the file; ``note`` is a sentence."""
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
