@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat, wavfile
 
-from acoustube import recordings
 from acoustube.errors import ConfigError
 from acoustube.recordings import find, read, read_all, write
+from acoustube.recordings.containers import KINDS
 
 RATE, LENGTH, N = 200e3, 400, 3
 TEMPERATURE = np.array([20.0, 21.5, 19.25])
@@ -554,7 +554,7 @@ def test_two_sidecars_are_refused(tmp_path):
 JPEG = bytes.fromhex("ffd8ffe000104a46494600010100000100010000") + bytes(range(256)) * 20
 
 
-@pytest.mark.parametrize("suffix", recordings.KINDS)
+@pytest.mark.parametrize("suffix", KINDS)
 @pytest.mark.parametrize("content", [JPEG, b"Dear reader,\nthis is a letter.\n", b""])
 def test_files_of_another_kind_are_refused(tmp_path, suffix, content):
     path = tmp_path / f"a{suffix}"
