@@ -25,6 +25,8 @@ from acoustube.signals import Calibration, Processing, Ranging
 CHUNK = 250
 """Cycles that are processed together: 8 MB of double precision per step."""
 THREADS = 2
+MANY_ALARMS = 0.05
+"""Share of untouched cycles with an echo above which a higher prominence is advised."""
 COLUMNS = (
     "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
     "file",
@@ -362,6 +364,7 @@ def _print_calibration(found: Calibration, console: Console) -> None:
     )
     console.print(
         f"least prominence {found.processing.prominence:.3g} of the send pulse; "
-        f"{100 * found.false_alarms:.3g} % of the untouched cycles show an echo with it",
+        f"{100 * found.false_alarms:.3g} % of the untouched cycles show an echo with it"
+        + ("; raise --sigmas for fewer" if found.false_alarms > MANY_ALARMS else ""),
         soft_wrap=True,
     )

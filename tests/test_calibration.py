@@ -5,6 +5,7 @@ import pytest
 from test_pipeline import OFFSET, TIME, burst
 
 from acoustube.errors import ConfigError
+from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.signals import Processing, calibrate, load, locate, save, speed_of_sound
 from acoustube.signals.calibration import arctan_fall, untouched_deviation
 
@@ -41,7 +42,8 @@ def test_all_parameters_are_recovered_within_their_deviations(calibration):
         assert abs(estimate.value - true) < 4 * estimate.deviation + 0.01 * abs(true), name
         assert estimate.deviation < 0.05 * abs(true), name
     assert abs(calibration.slope.value - SLOPE) < 4 * calibration.slope.deviation + 1e-4
-    assert abs(calibration.intercept.value - INTERCEPT) < 4 * calibration.intercept.deviation + 2e-4
+    # The gain rises under an echo, and moves its maximum by a few tenths of a millimetre.
+    assert abs(calibration.intercept.value - INTERCEPT) < 4 * calibration.intercept.deviation + 5e-4
     assert calibration.distance_rmse < 1e-3
     assert calibration.amplitude_rmse < 5e-3
     assert calibration.fitted_amplitude(1.0) == pytest.approx(arctan_fall(1.0, *FALL), rel=0.01)
@@ -97,6 +99,44 @@ def test_other_files_are_no_calibration(tmp_path):
     for name in ("other.toml", "broken.toml", "missing.toml"):
         with pytest.raises(ConfigError, match=f"{name} is not a calibration"):
             load(tmp_path / name)
+
+
+def test_simulated_sensor_is_calibrated_to_millimetres():
+    """37 closures of a 2.5 m tube with losses: the places come back, and the paper's gain curve.
+
+    The paper's asymptotes are 0.635 and 0.104; the sensor's gain was chosen to meet them.
+    """
+    band, places = np.array([10e3, 90e3]), np.arange(0.20, 2.001, 0.05)
+    tube = {"radius": 3.95e-3, "length": 2.5, "temperature": 20.0}
+    closed = [
+        record([blockage(band, z)], Rangefinder(), n_cycles=2, seed=i, **tube)
+        for i, z in enumerate(places)
+    ]
+    free = record([], Rangefinder(), n_cycles=20, seed=99, **tube)
+    found = calibrate(
+        free["time"].values,
+        np.concatenate([part["signal"].values for part in closed]),
+        np.repeat(places, 2),
+        free["signal"].values,
+        temperature=np.concatenate([part["temperature"].values for part in closed]),
+        untouched_temperature=free["temperature"].values,
+        sigmas=20.0,
+    )
+    assert found.true_distance.size == 74
+    assert found.slope.value == pytest.approx(1.0, abs=2e-3)
+    assert found.distance_rmse < 4e-3
+    assert found.amplitude_rmse < 0.0254
+    gain = found.processing.gain
+    assert (gain.c4 - gain.c1, gain.c4 + gain.c1) == pytest.approx((0.635, 0.104), abs=0.02)
+    walk = [
+        record([blockage(band, z)], Rangefinder(), seed=500, **tube) for z in (0.33, 0.71, 1.13)
+    ]
+    for part, z in zip(walk, (0.33, 0.71, 1.13), strict=True):
+        ranging = locate(
+            part["time"].values, part["signal"].values[0], found.processing,
+            temperature=part["temperature"].values[0],
+        )  # fmt: skip
+        assert ranging.distance == pytest.approx(z, abs=5e-3)
 
 
 @pytest.mark.parametrize(

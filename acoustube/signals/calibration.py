@@ -13,7 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
 
 from acoustube.errors import ConfigError
-from acoustube.signals.localise import Processing, Ranging, locate, process, speed_of_sound
+from acoustube.signals.localise import (
+    Processing,
+    Ranging,
+    arguments,
+    locate,
+    process,
+    speed_of_sound,
+)
 from acoustube.signals.steps import (
     Array,
     TimeGain,
@@ -34,6 +41,8 @@ FAINTEST = 1e-5
 """Prominence of a blockage's echo: its highest peak counts, however low it is."""
 SIGMAS = 2.8
 """Least prominence in standard deviations of cycles without contact, the paper's."""
+HALF_NORMAL = 0.8937
+"""Standard deviation of rectified normal noise over its median."""
 REACH = 0.3
 """Distance in m from its place within which a blockage's echo is looked for."""
 OVER_BACKGROUND = 6.0
@@ -142,14 +151,14 @@ def calibrate(
 
     Notes
     -----
-    The blockages are processed without gain and matched filter, each around its place: far ones are
-    lower than what nearby irregularities of the tube return. An arctangent is fitted to their
-    amplitudes, and a line to their distances, both by least squares; deviations are those of the
-    fit. The send time is shifted so that the line passes through zero and keeps its slope. The
-    least prominence is 2.8 standard deviations of what untouched cycles hold in the search window
-    after the offset, gain, matched filter, rectification and normalisation. The paper's envelope is
-    the mean of the rectified carrier, this package's its amplitude: pi/2 times as high, and the
-    prominence with it.
+    Each blockage is looked for around its place: far ones are lower than what nearby irregularities
+    of the tube return. An arctangent is fitted to the amplitudes without gain and matched filter,
+    and a line to the distances with both, which move the maxima of the ringing send pulse and of
+    the echoes; by least squares, deviations are those of the fit. The send time is shifted so that
+    the line passes through zero and keeps its slope. The least prominence is 2.8 standard
+    deviations of what untouched cycles hold in the search window after the offset, gain, matched
+    filter, rectification and normalisation. The paper's envelope is the mean of the rectified
+    carrier, this package's its amplitude: pi/2 times as high, and the prominence with it.
 
     In white noise, whose envelope after the matched filter wanders like a Rayleigh variable, 2.8
     deviations are passed in most cycles: `false_alarms` tells, and `sigmas` raises them.
@@ -159,17 +168,22 @@ def calibrate(
     _check_places(places, np.asarray(blocked).shape)
     if not np.all(np.ptp(np.asarray(untouched), axis=-1) > 0):
         raise ValueError("an untouched cycle is silent: it holds no send pulse; leave it out")
-    nearest = np.maximum(places - REACH, how.nearest)
-    ranging = _without_gain(time, blocked, how, temperature, nearest, places + REACH)
-    quiet = _without_gain(time, untouched, how, untouched_temperature, 0.0, np.inf)
-    used = _recognised(np.asarray(time, float), ranging, quiet.envelope, places)
+    time = np.asarray(time, float)
+    plain = replace(how, gain=None, template_cycles=None, send_shift=0.0, prominence=FAINTEST)
+    ranging = _around(time, blocked, plain, temperature, places)
+    quiet = locate(time, untouched, plain, temperature=untouched_temperature)
+    used = _recognised(time, ranging, quiet.envelope, places)
+    fall, fall_deviations = _fall(places[used], ranging.amplitude[used])
+    complete = replace(how, gain=TimeGain(*fall), send_shift=0.0)
+    found = _around(
+        time, blocked, replace(complete, prominence=FAINTEST), temperature, places
+    ).distance
+    used &= np.isfinite(found)
     speed = np.broadcast_to(speed_of_sound(temperature), places.shape)[used]
-    places, found, heights = places[used], ranging.distance[used], ranging.amplitude[used]
+    places, found, heights = places[used], found[used], ranging.amplitude[used]
     (slope, intercept), line_deviations = _line(places, found)
     shift = 2 * intercept / float(np.mean(speed))
-    fall, fall_deviations = _fall(places, heights)
-    gain = TimeGain(*fall)
-    complete = replace(how, gain=gain, send_shift=shift)
+    complete = replace(complete, send_shift=shift)
     sigma = untouched_deviation(time, untouched, complete, temperature=untouched_temperature)
     complete = replace(complete, prominence=np.pi / 2 * sigmas * sigma)
     alarms = locate(time, untouched, complete, temperature=untouched_temperature).detected
@@ -207,14 +221,15 @@ def untouched_deviation(
     -------
     float
         As a share of the send pulse: after offset, gain, matched filter, rectification and
-        normalisation, the low-pass left out, as the paper has it.
+        normalisation, the low-pass left out, as the paper has it. By the median: the send pulse may
+        still ring where the window begins, which would rule the root of the mean square.
     """
     time, cycles = np.asarray(time, float), np.asarray(untouched, float)
     rate, duration = sampling_rate(time), how.pulse_cycles / how.frequency
     speed = speed_of_sound(temperature)[..., np.newaxis]
     if how.offset_cutoff is not None:
         cycles = remove_offset(cycles, rate, how.offset_cutoff)
-    since = np.maximum(time - duration / 2 - how.send_shift, 0.0)
+    since = np.maximum(time - duration / 2, 0.0)
     if how.gain is not None:
         cycles = compensate(cycles, speed * since / 2, how.gain)
     if how.template_cycles is not None:
@@ -227,7 +242,7 @@ def untouched_deviation(
     inside = (distance >= how.nearest) & (distance <= how.farthest)
     if not inside.any():
         raise ValueError("the untouched cycles end before the search window; record longer ones")
-    return float(np.std(scaled[inside]))
+    return HALF_NORMAL * float(np.median(scaled[inside]))
 
 
 def _check_places(places: Array, shape: tuple[int, ...]) -> None:
@@ -252,26 +267,16 @@ def _check_places(places: Array, shape: tuple[int, ...]) -> None:
         )
 
 
-def _without_gain(
-    time: ArrayLike,
-    cycles: ArrayLike,
-    how: Processing,
-    temperature: ArrayLike,
-    nearest: ArrayLike,
-    farthest: ArrayLike,
+def _around(
+    time: Array, blocked: ArrayLike, how: Processing, temperature: ArrayLike, places: Array
 ) -> Ranging:
-    """Process cycles without gain and matched filter, whatever their highest peak is."""
-    return process(
-        time,
-        cycles,
-        pulse_duration=how.pulse_cycles / how.frequency,
-        temperature=temperature,
-        offset_cutoff=how.offset_cutoff,
-        cutoff=how.cutoff,
-        prominence=FAINTEST,
-        nearest=nearest,
-        farthest=farthest,
-    )
+    """Process blockages, each around its place."""
+    window = {
+        "nearest": np.maximum(places - REACH, how.nearest),
+        "farthest": places + REACH,
+    }
+    settings = arguments(how, sampling_rate(time)) | window
+    return process(time, blocked, temperature=temperature, **settings)
 
 
 def _recognised(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,24 +136,29 @@ def locate(
         As :func:`process`.
     """
     how = how or Processing()
-    wave = None
-    if how.template_cycles is not None:
-        wave = template(sampling_rate(time), how.frequency, how.template_cycles)
     return process(
         time,
         samples,
-        pulse_duration=how.pulse_cycles / how.frequency,
         temperature=temperature,
         temperature_deviation=temperature_deviation,
-        offset_cutoff=how.offset_cutoff,
-        gain=how.gain,
-        template=wave,
-        cutoff=how.cutoff,
-        prominence=how.prominence,
-        nearest=how.nearest,
-        farthest=how.farthest,
-        send_shift=how.send_shift,
+        **arguments(how, sampling_rate(time)),
     )
+
+
+def arguments(how: Processing, rate: float) -> dict[str, Any]:
+    """Return what :func:`process` takes for a processing at a sampling rate in Hz."""
+    cycles = how.template_cycles
+    return {
+        "pulse_duration": how.pulse_cycles / how.frequency,
+        "offset_cutoff": how.offset_cutoff,
+        "gain": how.gain,
+        "template": None if cycles is None else template(rate, how.frequency, cycles),
+        "cutoff": how.cutoff,
+        "prominence": how.prominence,
+        "nearest": how.nearest,
+        "farthest": how.farthest,
+        "send_shift": how.send_shift,
+    }
 
 
 def speed_of_sound(temperature: ArrayLike) -> Array:
@@ -278,7 +284,7 @@ def process(
     if offset_cutoff is not None:
         pressure = remove_offset(pressure, rate, offset_cutoff)
     if gain is not None:
-        since = np.maximum(time - pulse_duration / 2 - send_shift, 0.0)
+        since = np.maximum(time - pulse_duration / 2, 0.0)
         pressure = compensate(pressure, probe_position + speed[..., np.newaxis] * since / 2, gain)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
     if template is not None:
