@@ -43,6 +43,7 @@ def located(
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     how : Processing
+        :func:`acoustube.signals.suited` to the recording's sampling rate.
     done : callable, optional
         Called with the number of cycles of each finished piece.
 
@@ -54,6 +55,7 @@ def located(
         Of the piece.
     """
     cycles, time = data["signal"], data["time"].values
+    how = signals.suited(how, signals.sampling_rate(time))
     warmth = data["temperature"].values
     starts = range(0, cycles.sizes["cycle"], CHUNK)
 
@@ -138,11 +140,11 @@ def run_process(
             try:
                 if isinstance(data, ConfigError):
                     raise data
-                _check_rate(data, known, path)
+                check_rate(float(data.attrs["sampling_rate"]), known, path)
                 found = 0
                 for first, ranging in _with_progress(data, how, console, check, path):
                     found += int(ranging.detected.sum())
-                    writer.writerows(_rows(first, ranging, path))
+                    writer.writerows(table_rows(first, ranging, path))
                     if figure is not None and not drawn:
                         _draw(data, ranging, figure)
                         drawn = True
@@ -186,26 +188,27 @@ def _with_progress(
             yield first, ranging
 
 
-def _check_rate(data: xr.Dataset, known: Calibration | None, path: Path) -> None:
+def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
     """Refuse a calibration of another sampling rate: its gain and template are of its own."""
-    rate = float(data.attrs["sampling_rate"])
     if known is not None and abs(rate / known.sampling_rate - 1) > 1e-3:
         raise ConfigError(
-            f"{path} has {rate:g} samples per second and the calibration {known.sampling_rate:g}; "
-            "calibrate with cycles like these"
+            f"{source} has {rate:g} samples per second and the calibration "
+            f"{known.sampling_rate:g}; calibrate with cycles like these"
         )
 
 
-def _rows(first: int, ranging: Ranging, path: Path) -> Iterator[list[object]]:
-    """Return one row per cycle."""
+def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[object]]:
+    """Return a row of :data:`COLUMNS` for each cycle, the first of which has a number.
+
+    The ranging is one of several cycles or of a single one.
+    """
     flight = 1e3 * (ranging.return_time - ranging.send_time)
-    peaks = np.sum(np.isfinite(ranging.echoes.times), axis=-1)
-    for i, seen in enumerate(ranging.detected):
-        numbers = (
-            flight[i], 100 * ranging.distance[i], ranging.amplitude[i], ranging.prominence[i],
-        )  # fmt: skip
-        texts = [f"{value:.6g}" if seen else "" for value in numbers]
-        yield [first + i, *texts, int(peaks[i]), int(seen), path.name]
+    columns = (flight, 100 * ranging.distance, ranging.amplitude, ranging.prominence)
+    numbers = np.atleast_2d(np.stack(columns, axis=-1))
+    peaks = np.atleast_1d(np.sum(np.isfinite(ranging.echoes.times), axis=-1))
+    for i, seen in enumerate(np.atleast_1d(ranging.detected)):
+        texts = [f"{value:.6g}" if seen else "" for value in numbers[i]]
+        yield [first + i, *texts, int(peaks[i]), int(seen), source.name]
 
 
 def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:

@@ -15,6 +15,7 @@ from acoustube.signals.localise import (
     locate,
     process,
     speed_of_sound,
+    suited,
 )
 from acoustube.signals.steps import (
     FILTER_ORDER,
@@ -29,6 +30,7 @@ from acoustube.signals.steps import (
     sampling_rate,
     template,
 )
+from acoustube.signals.tracking import Tracker
 
 __all__ = [
     "FILTER_ORDER",
@@ -37,6 +39,7 @@ __all__ = [
     "Processing",
     "Ranging",
     "TimeGain",
+    "Tracker",
     "blind_time",
     "calibrate",
     "compensate",
@@ -55,5 +58,6 @@ __all__ = [
     "save",
     "send_pulse",
     "speed_of_sound",
+    "suited",
     "template",
 ]

@@ -20,6 +20,7 @@ from acoustube.signals.localise import (
     locate,
     process,
     speed_of_sound,
+    suited,
 )
 from acoustube.signals.steps import (
     Array,
@@ -133,7 +134,8 @@ def calibrate(
     untouched : array of shape (m, time)
         Cycles without contact.
     how : Processing, optional
-        The paper's by default; its gain, shift and prominence are found here.
+        The paper's by default, :func:`suited` to the sampling rate; its gain, shift and prominence
+        are found here.
     temperature, untouched_temperature : float or array of shape (n,), (m,)
         In degC.
     sigmas : float
@@ -163,7 +165,7 @@ def calibrate(
     In white noise, whose envelope after the matched filter wanders like a Rayleigh variable, 2.8
     deviations are passed in most cycles: `false_alarms` tells, and `sigmas` raises them.
     """
-    how = how or Processing()
+    how = suited(how or Processing(), sampling_rate(time))
     places = np.asarray(true_distance, float)
     _check_places(places, np.asarray(blocked).shape)
     if not np.all(np.ptp(np.asarray(untouched), axis=-1) > 0):

@@ -155,7 +155,7 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     if not 0 < frequency < sampling_rate / 2:
         raise ValueError(
             f"frequency = {frequency:g} Hz must lie between 0 and half the sampling rate "
-            f"({sampling_rate / 2:g} Hz)"
+            f"({sampling_rate / 2:g} Hz); sample faster, or go without the matched filter"
         )
     half = int(np.floor(cycles / frequency * sampling_rate / 2))
     time = np.arange(-half, half + 1) / sampling_rate
