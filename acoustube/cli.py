@@ -293,6 +293,80 @@ def process(
 
 
 @app.command
+def live(
+    *,
+    port: str,
+    calibration: str | None = None,
+    prominence: float | None = None,
+    temperature: float = 20.0,
+    rate: float = 80e3,
+    # Floats, as in `simulate`.
+    frame_bytes: float = 2000,
+    baud: float = 1_000_000,
+    out: Path | None = None,
+    duration: float | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Find the distance of a press in each cycle that an EchoTube board sends, as it comes.
+
+    Ends with the line, after the duration, or with an interrupt.
+
+    Parameters
+    ----------
+    port : str
+        The serial port, such as /dev/ttyACM0.
+    calibration : str
+        A file that ``calibrate`` wrote, or the name of a calibration.
+    prominence : float
+        Least prominence of an echo, as a share of the send pulse, in place of the calibration's.
+    temperature : float
+        Of the air, in degC.
+    rate : float
+        Samples per second.
+    frame_bytes : int
+        Bytes of a frame, the two of the pulse width included.
+    baud : int
+        Bits per second of the line.
+    out : Path
+        The table to write (CSV), which must be new; a row is on the disk with its cycle.
+    duration : float
+        In s; without it until the line ends or an interrupt.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    if prominence is not None:
+        Number(1e-6, 1, "", "share of the send pulse").check("prominence", prominence)
+    Number(-40, 85, "degC", "of the air").check("temperature", temperature)
+    Number(1e3, 1e8, "Hz", "samples per second").check("rate", rate)
+    if duration is not None:
+        Number(0, 1e9, "s", "how long to listen").check("duration", duration)
+    n_bytes = Number(12, 1_000_000, "", "bytes of a frame", whole=True)
+    bits = Number(300, 100_000_000, "", "bits per second of the line", whole=True)
+    n_bytes.check("frame-bytes", frame_bytes)
+    bits.check("baud", baud)
+    if out is not None:
+        check_new_file(out)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.live import run_live
+
+    run_live(
+        port,
+        Console(quiet=quiet),
+        calibration=calibration,
+        prominence=prominence,
+        temperature=temperature,
+        rate=rate,
+        frame_bytes=int(frame_bytes),
+        baud=int(baud),
+        out=out,
+        duration=duration,
+    )
+
+
+@app.command
 def calibrate(
     *blocked: Path,
     untouched: Annotated[list[Path], Parameter(consume_multiple=True)],
@@ -428,8 +502,8 @@ def main(tokens: Sequence[str] | None = None) -> int:
         return _refuse(str(error), 2)
     except (SimulationError, OSError) as error:
         return _refuse(str(error), 1)
-    except KeyboardInterrupt:
-        return _refuse("interrupted; no incomplete run is left", 130)
+    except KeyboardInterrupt as error:
+        return _refuse(str(error) or "interrupted; no incomplete run is left", 130)
     return code if isinstance(code, int) else 0
 
 
