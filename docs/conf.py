@@ -45,6 +45,8 @@ ORDER = (
     "plot_cycles",
     "scattered",
     "processed",
+    "stream",
+    "live",
     "run",
     "errors",
     "cli",
