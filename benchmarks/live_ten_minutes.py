@@ -2,9 +2,9 @@
 
 A process of its own writes what EchoTube's board sends to a pseudo-terminal, 20 cycles per second,
 the bytes at the pace of 1 Mbaud; every hundredth frame ends in its middle. The table tells the
-cycles sent, received, garbled and dropped, percentiles of the latency from a cycle's last byte to its row
-in the log (of the last 2000 cycles), the largest error of a distance, the resident memory after ten
-seconds and at the end, and the seconds of one core. On Linux, ``python
+cycles sent, received, garbled and dropped, percentiles of the latency from a cycle's last byte to
+its row in the log (of the last 2000 cycles), the largest error of a distance, the resident memory
+after ten seconds and at the end, and the seconds of one core. On Linux, ``python
 benchmarks/live_ten_minutes.py``, or with the minutes as an argument.
 """
 
