@@ -87,7 +87,7 @@ class Tally:
         return (
             f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
             f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
-            f"{1e3 * self.latency:.1f} ms"
+            f"{1e3 * self.latency:.1f} ms" + (", joined in the middle" if self.n_joined else "")
         )
 
 
@@ -164,11 +164,13 @@ def run_live(
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"interrupted; {tally.words()}; {kept}") from None
     console.print(tally.words(), soft_wrap=True)
-    if receiver.failure is not None:
+    if isinstance(receiver.failure, OSError):
         raise SimulationError(
             f"{port} was cut off after {tracker.n_cycles} intact cycles, {kept}; connect the board "
             "and start again"
         ) from receiver.failure
+    if receiver.failure is not None:
+        raise receiver.failure
     return tally
 
 

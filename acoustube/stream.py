@@ -198,13 +198,13 @@ class Receiver:
     ----------
     n_dropped : int
         Intact cycles that were never taken.
-    failure : OSError or None
-        What ended the line; cycles may still be waiting.
+    failure : Exception or None
+        What ended the line, an OSError unless it is a defect; cycles may still be waiting.
     """
 
     def __init__(self, port: Port, decoder: Decoder, depth: int = DEPTH):
         self.n_dropped = 0
-        self.failure: OSError | None = None
+        self.failure: Exception | None = None
         self._port, self._decoder, self._depth = port, decoder, depth
         self._waiting: deque[tuple[float, Frame]] = deque()
         self._news = threading.Condition()
@@ -234,13 +234,12 @@ class Receiver:
             return self._waiting.popleft() if self._waiting else None
 
     def _read(self) -> None:
-        # pyserial's own exceptions are OSErrors.
         try:
             while not self._stopped.is_set():
                 data = self._port.read(max(1, self._port.in_waiting))
                 if data:
                     self._keep(self._decoder.feed(data), time.perf_counter())
-        except OSError as error:
+        except Exception as error:  # one of a thread would be lost; pyserial's own are OSErrors
             with self._news:
                 self.failure = error
                 self._news.notify()

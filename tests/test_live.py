@@ -28,6 +28,7 @@ from acoustube import signals
 from acoustube.errors import ConfigError
 from acoustube.live import RATE, run_live, trace
 from acoustube.signals import Processing, Tracker
+from acoustube.signals.calibration import arctan_fall
 from acoustube.stream import FRAME_BYTES, HEAD, Decoder, Receiver, encode
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
@@ -109,6 +110,39 @@ def test_template_at_the_alias_frequency_would_be_worse():
     )
     error = signals.locate(TIME, cycles_at(distances), alias).distance - distances
     assert np.max(np.abs(error)) > 1.5 * TOLERANCE
+
+
+PLACES = np.repeat(np.arange(0.25, 2.0, 0.05), 6) + np.tile(np.arange(6) * 0.7e-3, 35)
+"""In groups of six, in which the carrier's phase goes once round."""
+
+
+def blocked():
+    """Cycles of closures whose echoes fall as an arctangent, as `test_calibration` has them."""
+    heights = arctan_fall(PLACES, -0.25, 2.0, 0.9, 0.42)
+    clean = burst(np.zeros(1), TIME) + heights[:, None] * burst(2 * PLACES / SPEED, TIME)
+    hiss = np.random.default_rng(2).normal(scale=0.003, size=clean.shape)
+    return np.rint(128 + 100 * (clean + hiss)).clip(0, 255).astype(np.uint8)
+
+
+def untouched():
+    clean = np.repeat(burst(np.zeros(1), TIME), 30, axis=0)
+    hiss = np.random.default_rng(3).normal(scale=0.003, size=clean.shape)
+    return np.rint(128 + 100 * (clean + hiss)).clip(0, 255).astype(np.uint8)
+
+
+@needs_pty
+def test_calibration_of_undersampled_cycles_is_found_and_used(board):
+    found = signals.calibrate(TIME, blocked(), PLACES, untouched(), sigmas=8)
+    assert found.processing.template_cycles is None
+    assert found.slope.value == pytest.approx(1.0, abs=2e-3)
+    assert abs(found.intercept.value) < 2e-3
+    signals.save(found, "c.toml")
+    paced(board, 40, 40.0, before=0.3)
+    run_live(board.port, Console(quiet=True), calibration="c.toml", out=Path("a.csv"), duration=2.5)
+    places = [float(row["distance_cm"]) for row in logged("a.csv")]
+    assert places == pytest.approx(100 * DISTANCES, abs=100 * TOLERANCE)
+    with pytest.raises(ConfigError, match="100000 samples per second and the calibration 80000"):
+        run_live(board.port, Console(quiet=True), calibration="c.toml", rate=100e3)
 
 
 # ---------------------------------------------------------------------------------------------
@@ -302,6 +336,17 @@ def test_what_came_before_the_failure_is_still_there():
     assert receiver.take() is None
 
 
+@needs_pty
+def test_defect_in_the_reading_thread_is_not_taken_for_a_cut_cable(board, monkeypatch):
+    def broken(*_):
+        raise TypeError("a defect")
+
+    monkeypatch.setattr(Decoder, "feed", broken)
+    threading.Timer(0.3, board.send, [b"\0"]).start()
+    with pytest.raises(TypeError, match="a defect"):
+        run_live(board.port, Console(quiet=True), duration=5)
+
+
 # ---------------------------------------------------------------------------------------------
 # The command on a pseudo-terminal
 
@@ -382,6 +427,7 @@ def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
     assert command.returncode == 1
     assert "41 cycles at" in output
     assert "echoes in 41, 1 garbled, 0 dropped, latency" in " ".join(output.split())
+    assert "joined in the middle" in " ".join(output.split())
     told = " ".join(errors.split())
     assert "was cut off after 41 intact cycles, a.csv holds them; connect the board" in told
     assert "Traceback" not in errors
@@ -479,8 +525,7 @@ def test_terminal_shows_a_panel_with_the_trace(board):
 @needs_pty
 def test_silent_and_foreign_lines_are_told(board):
     text = StringIO()
-    thread = threading.Timer(0.2, board.send, [b"\x55" * 3000])
-    thread.start()
+    threading.Timer(0.2, board.send, [b"\x55" * 3000]).start()
     tally = run_live(board.port, Console(file=text), duration=0.6)
     assert tally.n_cycles == 0
     assert "no intact cycle in 3000 bytes, 1 garbled; check the baud rate" in text.getvalue()
