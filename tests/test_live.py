@@ -479,6 +479,24 @@ def test_cycles_are_in_the_log_within_20_ms_of_their_last_byte(board):
     assert (tally.n_garbled, tally.n_joined, tally.n_dropped) == (0, 0, 0)
 
 
+@needs_pty
+def test_slow_processing_drops_whole_cycles_and_counts_each(board, monkeypatch):
+    """What is left is the last cycle, and none is unaccounted for."""
+    update = Tracker.update
+
+    def slow(self, *words):
+        time.sleep(0.02)
+        return update(self, *words)
+
+    monkeypatch.setattr(Tracker, "update", slow)
+    threading.Timer(0.3, board.send, [b"".join(FRAMES * 5)]).start()
+    tally = run_live(board.port, Console(quiet=True), out=Path("a.csv"), duration=3.0)
+    assert tally.n_dropped > 20
+    assert tally.n_cycles + tally.n_dropped == 200
+    assert tally.n_garbled == 0
+    assert logged("a.csv")[-1]["pulse_width"] == "1039"
+
+
 def paced(board, n, rate, before):
     """Send cycles from another thread at a rate per second, each byte at 1 Mbaud."""
 
