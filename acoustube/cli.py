@@ -250,9 +250,9 @@ def process(
     prominence : float
         Least prominence of an echo, as a share of the send pulse, in place of the calibration's.
     rate : float
-        Samples per second, where the files do not tell.
+        Samples per second, in place of the files' own.
     temperature : float
-        Of the air in degC, where the files do not tell.
+        Of the air in degC, in place of the files' own.
     channel : int
         Of several, counted from 0.
     samples : int
@@ -260,7 +260,7 @@ def process(
     out : Path
         The table to write (CSV), which must be new; standard output if not given.
     figure : Path
-        A new picture (PNG, PDF or SVG) of the first file: its first cycle, and a waterfall.
+        A new picture (PNG, PDF or SVG): the first cycle with an echo, and a waterfall around it.
     quiet : bool
         Print nothing but the table and what went wrong.
     """
@@ -271,6 +271,7 @@ def process(
     for path in (out, figure):
         if path is not None:
             check_new_file(path)
+    _check_picture(figure)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -375,6 +376,8 @@ def calibrate(
     sigmas: float = 2.8,
     rate: float | None = None,
     temperature: float | None = None,
+    channel: int | None = None,
+    samples: int | None = None,
     figure: Path | None = None,
 ) -> None:
     """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
@@ -392,9 +395,13 @@ def calibrate(
     sigmas : float
         Least prominence of an echo, in standard deviations of the untouched cycles.
     rate : float
-        Samples per second, where the files do not tell.
+        Samples per second, in place of the files' own.
     temperature : float
-        Of the air in degC, where the files do not tell.
+        Of the air in degC, in place of the files' own.
+    channel : int
+        Of several, counted from 0.
+    samples : int
+        Samples of a cycle, where a file is one long record.
     figure : Path
         A new picture (PNG, PDF or SVG) of the fits.
     """
@@ -408,6 +415,7 @@ def calibrate(
     for path in (out, figure):
         if path is not None:
             check_new_file(path)
+    _check_picture(figure)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -423,8 +431,17 @@ def calibrate(
         sigmas=sigmas,
         rate=rate,
         temperature=temperature,
+        channel=channel,
+        samples=samples,
         figure=figure,
     )
+
+
+def _check_picture(figure: Path | None) -> None:
+    """Refuse a picture of a kind that cannot be drawn, before anything is computed."""
+    kinds = (".png", ".pdf", ".svg")
+    if figure is not None and figure.suffix.lower() not in kinds:
+        raise ConfigError(f"figure = {figure} must end in one of {', '.join(kinds)}")
 
 
 remembered = App(name="cache", help="Presses that need not be computed again.")

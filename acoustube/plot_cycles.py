@@ -8,32 +8,18 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from acoustube.plot import CM, ENVELOPE, PRESS, RETURN, SEND, SIGNAL
-from acoustube.signals import Calibration, Ranging, distance, rectify, remove_offset
+from acoustube.signals import (
+    Calibration,
+    Processing,
+    Ranging,
+    distance,
+    rectify,
+    remove_offset,
+)
 from acoustube.signals.steps import sampling_rate
 
 MOST_ROWS = 1000
 """Rows of a waterfall; of more cycles, evenly chosen ones are drawn."""
-
-
-def cycle_figure(
-    time: ArrayLike, cycle: ArrayLike, ranging: Ranging, temperature: float = 20.0
-) -> Figure:
-    """Draw a processed cycle.
-
-    Parameters
-    ----------
-    time : array of shape (time,)
-        In s.
-    cycle : array of shape (time,)
-        As recorded.
-    ranging : Ranging
-        What was made of it.
-    temperature : float
-        In degC.
-    """
-    sheet = Figure(figsize=(9, 4), layout="constrained")
-    draw_cycle(sheet.subplots(), time, cycle, ranging, temperature)
-    return sheet
 
 
 def draw_cycle(
@@ -43,7 +29,7 @@ def draw_cycle(
     time = np.asarray(time, float)
     place = CM * distance(time - ranging.send_time, temperature)
     plain = rectify(remove_offset(cycle, sampling_rate(time)))
-    ahead = place < CM * 0.15
+    ahead = place < CM * Processing().nearest
     loudest = max(float(plain[~ahead].max(initial=0.0)), 1e-300)
     echoes = ranging.echoes
     top = float(np.max(ranging.envelope[~ahead], initial=0.0)) or 1.0
@@ -65,12 +51,13 @@ def draw_cycle(
     return axes
 
 
-def draw_waterfall(axes: Axes, time: ArrayLike, envelopes: ArrayLike, temperature: float) -> Axes:
+def draw_waterfall(
+    axes: Axes, time: ArrayLike, envelopes: ArrayLike, send_time: float, temperature: float
+) -> Axes:
     """Draw envelopes (cycle, time) as an image over distance and cycle, in dB."""
     envelopes, time = np.asarray(envelopes, float), np.asarray(time, float)
     rows = np.unique(np.linspace(0, len(envelopes) - 1, min(len(envelopes), MOST_ROWS)).astype(int))
-    sent = time[int(np.argmax(np.mean(envelopes, axis=0)))]
-    place = CM * distance(time - sent, temperature)
+    place = CM * distance(time - send_time, temperature)
     level = 20 * np.log10(np.maximum(envelopes[rows], 1e-4))
     image = axes.imshow(
         level, aspect="auto", origin="lower", cmap="viridis", vmin=-60, vmax=0,

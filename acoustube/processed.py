@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import csv
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 import xarray as xr
 from platformdirs import user_data_path
 from rich.console import Console
+from rich.markup import escape
 
 from acoustube import recordings, signals
 from acoustube.errors import ConfigError
@@ -25,6 +26,8 @@ from acoustube.signals import Calibration, Processing, Ranging
 CHUNK = 250
 """Cycles that are processed together: 8 MB of double precision per step."""
 THREADS = 2
+LOUD = 1.5
+"""Height of an echo over the send pulse above which the record is suspected to begin elsewhere."""
 MANY_ALARMS = 0.05
 """Share of untouched cycles with an echo above which a higher prominence is advised."""
 COLUMNS = (
@@ -114,7 +117,7 @@ def run_process(
     rate, temperature, channel, samples
         See :func:`acoustube.recordings.read`.
     figure : Path, optional
-        A picture of the first cycle and a waterfall of all of the first file.
+        A picture of the first cycle with an echo, and a waterfall of the cycles around it.
 
     Returns
     -------
@@ -137,26 +140,42 @@ def run_process(
         for path, data in recordings.read_all(
             paths, rate=rate, temperature=temperature, channel=channel, samples=samples
         ):
+            found, loudest, first_piece = 0, 0.0, None
             try:
                 if isinstance(data, ConfigError):
                     raise data
                 check_rate(float(data.attrs["sampling_rate"]), known, path)
-                found = 0
                 for first, ranging in _with_progress(data, how, console, check, path):
                     found += int(ranging.detected.sum())
+                    loudest = max(loudest, float(np.nanmax(ranging.amplitude, initial=0.0)))
+                    first_piece = first_piece or ranging
                     writer.writerows(table_rows(first, ranging, path))
-                    if figure is not None and not drawn:
-                        _draw(data, ranging, figure)
-                        drawn = True
             except (ConfigError, ValueError) as error:
                 failures += 1
                 text = " ".join(str(error).split())
                 named = text if str(path) in text else f"{path}: {text}"
-                console.print(f"[red]not processed:[/] {named}", soft_wrap=True)
+                console.print(f"[red]not processed:[/] {escape(named)}", soft_wrap=True)
                 continue
             n_cycles, n_found = n_cycles + data.sizes["cycle"], n_found + found
-            for warning in str(data.attrs.get("warnings", "")).splitlines():
-                console.print(f"[yellow]note:[/] {path}: {warning}", soft_wrap=True)
+            notes = str(data.attrs.get("warnings", "")).splitlines()
+            if loudest > LOUD:
+                notes.append(
+                    f"an echo is {loudest:.3g} times as high as the send pulse: does each cycle "
+                    "begin when the pulse leaves?"
+                )
+            for note in notes:
+                console.print(f"[yellow]note:[/] {escape(f'{path}: {note}')}", soft_wrap=True)
+            if figure is not None and not drawn and found and first_piece is not None:
+                _draw(data, first_piece, figure)
+                drawn = True
+    if known is None:
+        console.print(
+            "[yellow]note:[/] without a calibration distances are from the maximum of the send "
+            "pulse and may be some centimetres off; acoustube calibrate makes one",
+            soft_wrap=True,
+        )
+    if figure is not None and not drawn:
+        console.print("[yellow]note:[/] no echo, and no picture", soft_wrap=True)
     console.print(
         f"{n_cycles} cycles, echoes in {n_found}"
         + (f"; {failures} files could not be processed" if failures else ""),
@@ -208,21 +227,23 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
     peaks = np.atleast_1d(np.sum(np.isfinite(ranging.echoes.times), axis=-1))
     for i, seen in enumerate(np.atleast_1d(ranging.detected)):
         texts = [f"{value:.6g}" if seen else "" for value in numbers[i]]
-        yield [first + i, *texts, int(peaks[i]), int(seen), source.name]
+        yield [first + i, *texts, int(peaks[i]), int(seen), str(source)]
 
 
 def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:
-    """Draw the first cycle of a recording, and the waterfall of its first piece."""
+    """Draw the first cycle of a piece that has an echo, and the waterfall of the piece."""
     from matplotlib.figure import Figure
 
     from acoustube import plot, plot_cycles
 
     time, warmth = data["time"].values, float(data["temperature"].values[0])
-    one = _one(ranging, 0)
+    index = int(np.argmax(ranging.detected))
+    one = _one(ranging, index)
     sheet = Figure(figsize=(9, 8), layout="constrained")
     above, below = sheet.subplots(2, 1)
-    plot_cycles.draw_cycle(above, time, data["signal"].values[0], one, warmth)
-    plot_cycles.draw_waterfall(below, time, ranging.envelope, warmth)
+    plot_cycles.draw_cycle(above, time, data["signal"].values[index], one, warmth)
+    sent = float(np.nanmedian(ranging.send_time))
+    plot_cycles.draw_waterfall(below, time, ranging.envelope, sent, warmth)
     plot.save(sheet, figure)
 
 
@@ -276,6 +297,8 @@ def run_calibrate(
     sigmas: float = 2.8,
     rate: float | None = None,
     temperature: float | None = None,
+    channel: int | None = None,
+    samples: int | None = None,
     figure: Path | None = None,
 ) -> Path:
     """Calibrate a sensor from recordings, and write the calibration.
@@ -292,7 +315,7 @@ def run_calibrate(
     name : str, optional
     sigmas : float
         Least prominence in standard deviations of the untouched cycles.
-    rate, temperature
+    rate, temperature, channel, samples
         See :func:`acoustube.recordings.read`.
     figure : Path, optional
         A picture of the fits.
@@ -309,7 +332,11 @@ def run_calibrate(
     """
     if (out is None) == (name is None):
         raise ConfigError("give the calibration either a file with --out or a name with --name")
-    closed, free = (_together(paths, rate, temperature) for paths in (blocked, untouched))
+    path = out if out is not None else calibration_folder() / f"{name}.toml"
+    if path.exists():
+        raise ConfigError(f"{path} exists and nothing is overwritten; remove it or name another")
+    options = {"rate": rate, "temperature": temperature, "channel": channel, "samples": samples}
+    closed, free = (_together(paths, options) for paths in (blocked, untouched))
     if "true_distance" not in closed:
         raise ConfigError(
             "the blocked cycles have no label true_distance; give it in the files or in a sidecar"
@@ -330,22 +357,21 @@ def run_calibrate(
         )  # fmt: skip
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    path = out if out is not None else calibration_folder() / f"{name}.toml"
     path.parent.mkdir(parents=True, exist_ok=True)
     signals.save(found, path)
     if figure is not None:
         from acoustube import plot, plot_cycles
 
         plot.save(plot_cycles.calibration_figure(found), figure)
-    _print_calibration(found, console)
-    console.print(f"Written to [bold]{path}[/].", soft_wrap=True)
+    _print_calibration(found, closed["true_distance"].values, console)
+    console.print(f"Written to [bold]{escape(str(path))}[/].", soft_wrap=True)
     return path
 
 
-def _together(paths: Sequence[Path], rate: float | None, temperature: float | None) -> xr.Dataset:
+def _together(paths: Sequence[Path], options: Mapping[str, Any]) -> xr.Dataset:
     """Return the cycles of several recordings as one."""
     parts = []
-    for _, data in recordings.read_all(paths, rate=rate, temperature=temperature):
+    for _, data in recordings.read_all(paths, **options):
         if isinstance(data, ConfigError):
             raise data
         parts.append(data)
@@ -356,13 +382,17 @@ def _together(paths: Sequence[Path], rate: float | None, temperature: float | No
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 
 
-def _print_calibration(found: Calibration, console: Console) -> None:
+def _print_calibration(found: Calibration, given: Any, console: Console) -> None:
     gain = found.processing.gain
     assert gain is not None
+    lost = np.unique(np.round(given[~np.isin(given, found.true_distance)], 3))
+    left_out = f", none at {', '.join(f'{z:g}' for z in lost)} m" if lost.size else ""
+    near, far = gain.c4 - gain.c1, gain.c4 + gain.c1
     console.print(
-        f"{found.true_distance.size} blockages: slope {found.slope.value:.4f} +- "
-        f"{found.slope.deviation:.4f} m/m, RMSE {1e3 * found.distance_rmse:.3g} mm; arctan RMSE "
-        f"{found.amplitude_rmse:.3g}, tanh from {gain.c4 - gain.c1:.3g} to {gain.c4 + gain.c1:.3g}",
+        f"{found.true_distance.size} of {given.size} blockages{left_out}: slope "
+        f"{found.slope.value:.4f} +- {found.slope.deviation:.4f} m/m, RMSE "
+        f"{1e3 * found.distance_rmse:.3g} mm; arctan RMSE {found.amplitude_rmse:.3g}, tanh from "
+        f"{near:.3g} to {far:.3g}",
         soft_wrap=True,
     )
     console.print(

@@ -128,10 +128,10 @@ def test_simulated_sensor_is_calibrated_to_millimetres():
     assert found.amplitude_rmse < 0.0254
     gain = found.processing.gain
     assert (gain.c4 - gain.c1, gain.c4 + gain.c1) == pytest.approx((0.635, 0.104), abs=0.02)
-    walk = [
-        record([blockage(band, z)], Rangefinder(), seed=500, **tube) for z in (0.33, 0.71, 1.13)
-    ]
-    for part, z in zip(walk, (0.33, 0.71, 1.13), strict=True):
+    # A pulse that leaves later, as when a board is triggered otherwise, is followed.
+    walk = [(z, lead) for z in (0.33, 0.71, 1.13) for lead in (0.0, 25e-6, 100e-6)]
+    for z, lead in walk:
+        part = record([blockage(band, z)], Rangefinder(lead=lead), seed=500, **tube)
         ranging = locate(
             part["time"].values, part["signal"].values[0], found.processing,
             temperature=part["temperature"].values[0],

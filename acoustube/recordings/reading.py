@@ -221,6 +221,8 @@ def _sidecar(path: Path) -> dict[str, Any]:
         values = dict(parse(beside[0].read_text(encoding="utf-8-sig")))
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{beside[0]} cannot be read ({error}); correct it") from error
+    if {"processing", "calibration"} <= set(values):
+        return {}  # a calibration that lies beside its recording
     for key in values:
         if key not in _SIDECAR:
             near = difflib.get_close_matches(key, _SIDECAR, n=1) or _SIDECAR

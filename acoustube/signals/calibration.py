@@ -26,7 +26,6 @@ from acoustube.signals.steps import (
     Array,
     TimeGain,
     compensate,
-    envelope,
     matched_filter,
     normalise,
     remove_offset,
@@ -78,7 +77,8 @@ class Calibration:
     false_alarms : float
         Share of the untouched cycles in which the processing finds an echo.
     true_distance, estimated_distance, amplitude : array of shape (n,)
-        Of each cycle that was used, the distance with the shift.
+        Of each cycle that was used, the distance with the shift; a closure that does not stand out
+        is left out.
     """
 
     processing: Processing
@@ -181,6 +181,7 @@ def calibrate(
         time, blocked, replace(complete, prominence=FAINTEST), temperature, places
     ).distance
     used &= np.isfinite(found)
+    _check_places(places[used], (int(used.sum()), time.size))
     speed = np.broadcast_to(speed_of_sound(temperature), places.shape)[used]
     places, found, heights = places[used], found[used], ranging.amplitude[used]
     (slope, intercept), line_deviations = _line(places, found)
@@ -236,9 +237,7 @@ def untouched_deviation(
         cycles = compensate(cycles, speed * since / 2, how.gain)
     if how.template_cycles is not None:
         cycles = matched_filter(cycles, template(rate, how.frequency, how.template_cycles))
-    # The envelope's maximum is the send pulse's amplitude everywhere in this package.
-    before = int(np.searchsorted(time, duration + 1 / how.cutoff))
-    sent = envelope(cycles, rate, how.cutoff)[..., :before].max(axis=-1)
+    sent = locate(time, untouched, how, temperature=temperature).send_amplitude
     scaled = np.abs(normalise(cycles, sent))
     distance = np.broadcast_to(speed * since / 2, scaled.shape)
     inside = (distance >= how.nearest) & (distance <= how.farthest)
@@ -406,10 +405,10 @@ def load(path: str | Path) -> Calibration:
             fits[name] = Estimate(float(value), float(deviation))
         fits |= {name: np.asarray(found[name], float) for name in _LISTS}
         fits |= {name: float(found[name]) for name in _NUMBERS}
-        return Calibration(
-            processing=_processing(document["processing"]),
-            **fits,
-        )
+        processing = _processing(document["processing"])
+        if not fits["sampling_rate"] > 2 * processing.cutoff:
+            raise ValueError("sampling_rate must be over twice the cutoff")
+        return Calibration(processing=processing, **fits)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
             f"{path} is not a calibration ({' '.join(str(error).split())}); acoustube calibrate "

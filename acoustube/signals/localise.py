@@ -24,6 +24,8 @@ from acoustube.signals.steps import (
     template,
 )
 
+FLAT = 0.95
+"""Share of a send pulse's height that counts as its plateau."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
 
@@ -37,7 +39,9 @@ class Ranging:
     envelope : array of shape (..., time)
         Envelope as a share of the send pulse's.
     send_time, send_amplitude : array of shape (...)
-        Maximum of the send pulse's envelope: time in s, and amplitude in the unit of the signal.
+        Maximum of the send pulse's envelope: time in s, without gain and matched filter but with
+        the shift; of a clipped pulse, half its duration after its rise. And the amplitude after
+        both, the highest before the search window.
     echoes : Echoes
         All echoes found in the search window.
     return_time, amplitude : array of shape (...)
@@ -103,6 +107,18 @@ class Processing:
     farthest: float = 2.15
     send_shift: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that process nothing."""
+        positive = ("frequency", "pulse_cycles", "cutoff", "prominence", "farthest")
+        for name in (*positive, "offset_cutoff", "template_cycles", "nearest", "send_shift"):
+            value = getattr(self, name)
+            if value is None and name in ("offset_cutoff", "template_cycles"):
+                continue
+            if isinstance(value, str) or not np.isfinite(value):
+                raise ValueError(f"{name} = {value!r} must be a finite number")
+            if not value > 0 and name not in ("nearest", "send_shift"):
+                raise ValueError(f"{name} = {value} must be positive")
+
 
 def suited(how: Processing, sampling_rate: float) -> Processing:
     """Return a processing that cycles of a sampling rate allow: undersampled ones unmatched.
@@ -125,7 +141,7 @@ def suited(how: Processing, sampling_rate: float) -> Processing:
     80 - 42 = 38 kHz, so close to half the rate that the samples are a beat of 2 kHz with
     alternating signs. Its phase is the carrier's, and changes once along every 4 mm of the tube.
     A template at 38 kHz is such a beat too, of a phase of its own: it moves the peak by the
-    difference (on echoes of 11 cycles in 1750 mm of tube by -10 mm in the mean, 7 mm deviation).
+    difference (on echoes of 11 cycles in 1750 mm of tube a deviation of 7 mm, at most 13 mm off).
     Rectification and low-pass need no phase and stay. They do not come away unharmed: the rectified
     carrier's overtone at 84 kHz appears at 4 kHz, below the usual cut-off, and what falls between
     the samples is lost. Measured on those echoes: distances 0.3 mm too long, deviation 4 mm, at
@@ -308,32 +324,35 @@ def process(
     No echo is looked for within :func:`blind_time` of the send pulse's maximum.
 
     Noise moves a maximum by its slope there over the envelope's curvature; the slope's deviation is
-    estimated from the differences of neighbouring samples in the window, by their median, which
-    few echoes do not move.
+    estimated from the differences of neighbouring samples behind the send pulse, by their median,
+    which few echoes do not move.
     """
     time, pressure = _checked(time, pressure)
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
     if offset_cutoff is not None:
         pressure = remove_offset(pressure, rate, offset_cutoff)
-    if gain is not None:
-        since = np.maximum(time - pulse_duration / 2, 0.0)
-        pressure = compensate(pressure, probe_position + speed[..., np.newaxis] * since / 2, gain)
-    send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
-    if template is not None:
-        pressure = matched_filter(pressure, template)
-        send_end += np.size(template) / (2 * rate)
     raw = envelope(pressure, rate, cutoff)
+    send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
     send_time, send_amplitude = send_pulse(time, raw, before=send_end)
-    scaled = normalise(raw, send_amplitude)
-    send_time = send_time + send_shift
-
+    clipped, edge = _clipped(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
+    send_time = np.where(clipped, edge + pulse_duration / 2, send_time) + send_shift
     faded = send_time + blind_time(pulse_duration, cutoff)
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
     stop = send_time + 2 * (np.asarray(farthest) - probe_position) / speed
+    if gain is not None:
+        since = np.maximum(time - pulse_duration / 2, 0.0)
+        pressure = compensate(pressure, probe_position + speed[..., np.newaxis] * since / 2, gain)
+    if template is not None:
+        pressure = matched_filter(pressure, template)
+    if gain is not None or template is not None:
+        raw = envelope(pressure, rate, cutoff)
+        ahead = time < np.broadcast_to(start, raw.shape[:-1])[..., np.newaxis]
+        send_amplitude = np.max(raw, axis=-1, where=ahead, initial=0.0)
+    scaled = normalise(raw, send_amplitude)
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
     return_time, amplitude, height = highest(echoes)
     found = distance(return_time - send_time, temperature)
-    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, np.max(start), np.min(stop))
+    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end)
     by_warmth = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
     return Ranging(
         envelope=scaled,
@@ -349,10 +368,28 @@ def process(
     )
 
 
-def _time_deviation(time: Array, envelope: Array, peak: Array, start: float, stop: float) -> Array:
+def _clipped(
+    time: Array, envelope: Array, height: Array, *, before: float, least: float
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return which send pulses are flat for longer than `least`, in s, and when they rise.
+
+    A send pulse far over full scale has no maximum, but a plateau that wanders with the noise.
+    """
+    ahead = envelope[..., : int(np.searchsorted(time, before))]
+    step, top = time[1] - time[0], np.asarray(height)[..., np.newaxis]
+    flat = step * np.sum(ahead > FLAT * top, axis=-1) > least
+    high = ahead >= top / 2
+    first = np.argmax(high, axis=-1)[..., np.newaxis]
+    here = np.take_along_axis(ahead, first, axis=-1)[..., 0]
+    earlier = np.take_along_axis(ahead, np.maximum(first - 1, 0), axis=-1)[..., 0]
+    rise = here - earlier
+    share = np.divide(here - top[..., 0] / 2, rise, out=np.zeros_like(rise), where=rise > 0)
+    return flat, time[first[..., 0]] - share * step
+
+
+def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> Array:
     """Return the standard deviation of the time of each cycle's peak, by the noise around it."""
-    inside = slice(*np.searchsorted(time, [start, stop]))
-    slopes = np.abs(np.diff(envelope[..., inside], axis=-1))
+    slopes = np.abs(np.diff(envelope[..., int(np.searchsorted(time, start)) :], axis=-1))
     if slopes.shape[-1] == 0:
         return np.full(peak.shape, np.nan)
     noise = NORMAL_MEDIAN * np.median(slopes, axis=-1)
