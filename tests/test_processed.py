@@ -120,6 +120,17 @@ def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
         assert part in " ".join(refused.stderr.split())
 
 
+def test_record_that_begins_before_its_trigger_keeps_its_time():
+    """As an oscilloscope writes it, 2 ms before: the distances are those of a record from zero."""
+    cycles = cycles_at(DISTANCES)
+    early = np.concatenate([np.full((7, 400), 2048.0), cycles], axis=1)
+    time = (np.arange(4400) - 400) / RATE
+    np.savez("early.npz", signal=early.astype(np.uint16), time=time, temperature=20.0)
+    result = call("process", "early.npz", "--prominence", "0.05", "--quiet")
+    found = np.array([float(row["distance_cm"]) for row in rows_of(result.stdout)])
+    assert found == pytest.approx(100 * DISTANCES, abs=0.1)
+
+
 def test_nothing_to_process_is_refused():
     Path("empty").mkdir()
     assert call("process").returncode == 2

@@ -24,6 +24,8 @@ Named = dict[str, Any]
 RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
+LONGEST_LEAD = 0.1
+"""Time in s between trigger and record beyond which a time axis counts from elsewhere."""
 RATE_TOLERANCE = 1e-3
 """How far a rate may be from the time axis: times of four digits agree that well."""
 
@@ -136,7 +138,8 @@ def assemble(
         "acoustube_version": __version__,
         "warnings": "\n".join(notes),
     }
-    return xr.Dataset(variables, {"cycle": cycle, "time": _time(length, rate)}, attributes)
+    time = _time(length, rate, _start(known, length))
+    return xr.Dataset(variables, {"cycle": cycle, "time": time}, attributes)
 
 
 def part_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
@@ -323,8 +326,18 @@ def _too_long(labels: Named) -> list[str]:
     ]
 
 
-def _time(length: int, rate: float) -> Any:
-    return _variable("time", np.arange(length) / rate, "s", "time in the cycle")
+def _start(known: Named, length: int) -> float:
+    """Return when a cycle starts by its own time axis, whose zero is taken for the trigger.
+
+    An axis of a whole record, or far from zero, tells nothing of the trigger.
+    """
+    time = np.ravel(known.get("time", ()))
+    near = time.size == length and abs(float(time[0])) < LONGEST_LEAD
+    return float(time[0]) if near else 0.0
+
+
+def _time(length: int, rate: float, start: float = 0.0) -> Any:
+    return _variable("time", start + np.arange(length) / rate, "s", "time since the trigger")
 
 
 def _variable(dims: str, values: NDArray[Any], units: str, long_name: str) -> Any:
