@@ -75,7 +75,7 @@ def test_streaming_is_the_batch():
         found = np.stack([getattr(ranging, name) for ranging in single])
         np.testing.assert_allclose(found, getattr(batch, name), rtol=1e-9, atol=1e-12)
     deviations = np.stack([ranging.distance_deviation for ranging in single])
-    np.testing.assert_allclose(deviations, batch.distance_deviation, rtol=0.05)
+    np.testing.assert_allclose(deviations, batch.distance_deviation, rtol=1e-9)
     assert (tracker.n_cycles, tracker.n_detections) == (40, 40)
 
 

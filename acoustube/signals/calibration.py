@@ -17,21 +17,14 @@ from acoustube.signals.localise import (
     Processing,
     Ranging,
     arguments,
+    enhanced,
     locate,
+    nominal_distance,
     process,
     speed_of_sound,
     suited,
 )
-from acoustube.signals.steps import (
-    Array,
-    TimeGain,
-    compensate,
-    matched_filter,
-    normalise,
-    remove_offset,
-    sampling_rate,
-    template,
-)
+from acoustube.signals.steps import Array, TimeGain, normalise, remove_offset, sampling_rate
 
 FEWEST_PLACES = 6
 """Different places that a calibration needs: the gain has four parameters, two check them."""
@@ -228,18 +221,15 @@ def untouched_deviation(
         still ring where the window begins, which would rule the root of the mean square.
     """
     time, cycles = np.asarray(time, float), np.asarray(untouched, float)
-    rate, duration = sampling_rate(time), how.pulse_cycles / how.frequency
-    speed = speed_of_sound(temperature)[..., np.newaxis]
+    rate = sampling_rate(time)
+    settings = arguments(how, rate)
     if how.offset_cutoff is not None:
         cycles = remove_offset(cycles, rate, how.offset_cutoff)
-    since = np.maximum(time - duration / 2, 0.0)
-    if how.gain is not None:
-        cycles = compensate(cycles, speed * since / 2, how.gain)
-    if how.template_cycles is not None:
-        cycles = matched_filter(cycles, template(rate, how.frequency, how.template_cycles))
-    sent = locate(time, untouched, how, temperature=temperature).send_amplitude
+    places = nominal_distance(time, speed_of_sound(temperature), settings["pulse_duration"])
+    cycles = enhanced(cycles, places, how.gain, settings["template"])
+    sent = process(time, untouched, temperature=temperature, **settings).send_amplitude
     scaled = np.abs(normalise(cycles, sent))
-    distance = np.broadcast_to(speed * since / 2, scaled.shape)
+    distance = np.broadcast_to(places, scaled.shape)
     inside = (distance >= how.nearest) & (distance <= how.farthest)
     if not inside.any():
         raise ValueError("the untouched cycles end before the search window; record longer ones")

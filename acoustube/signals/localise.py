@@ -339,13 +339,9 @@ def process(
     faded = send_time + blind_time(pulse_duration, cutoff)
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
     stop = send_time + 2 * (np.asarray(farthest) - probe_position) / speed
-    if gain is not None:
-        since = np.maximum(time - pulse_duration / 2, 0.0)
-        pressure = compensate(pressure, probe_position + speed[..., np.newaxis] * since / 2, gain)
-    if template is not None:
-        pressure = matched_filter(pressure, template)
     if gain is not None or template is not None:
-        raw = envelope(pressure, rate, cutoff)
+        places = probe_position + nominal_distance(time, speed, pulse_duration)
+        raw = envelope(enhanced(pressure, places, gain, template), rate, cutoff)
         ahead = time < np.broadcast_to(start, raw.shape[:-1])[..., np.newaxis]
         send_amplitude = np.max(raw, axis=-1, where=ahead, initial=0.0)
     scaled = normalise(raw, send_amplitude)
@@ -366,6 +362,35 @@ def process(
         distance_deviation=np.hypot(by_noise, by_warmth),
         detected=np.isfinite(return_time),
     )
+
+
+def nominal_distance(time: Array, speed: Array, pulse_duration: float) -> Array:
+    """Return from where an echo arrives at each time, the pulse's middle leaving at its nominal.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        In s.
+    speed : array of shape (...)
+        Of sound in m/s.
+    pulse_duration : float
+        In s.
+
+    Returns
+    -------
+    array of shape (..., time)
+        In m from the probe, zero before the pulse's middle.
+    """
+    return speed[..., np.newaxis] * np.maximum(time - pulse_duration / 2, 0.0) / 2
+
+
+def enhanced(
+    samples: Array, distance: Array, gain: TimeGain | None, template: ArrayLike | None
+) -> Array:
+    """Return cycles (..., time) after gain and matched filter, as far as there are any."""
+    if gain is not None:
+        samples = compensate(samples, distance, gain)
+    return samples if template is None else matched_filter(samples, template)
 
 
 def _clipped(

@@ -31,8 +31,7 @@ class Tracker:
     Notes
     -----
     Nothing is remembered of a cycle, so that the results are those of :func:`locate` on all cycles
-    together, to rounding. Only `distance_deviation` may differ, by what the noise of a cycle does:
-    a batch takes it from the part of the window that all its cycles have in common.
+    together, to rounding.
     """
 
     def __init__(self, time: ArrayLike, how: Processing | None = None):
