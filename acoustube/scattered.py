@@ -197,7 +197,7 @@ def _dataset(
 ) -> xr.Dataset:
     """Gather the scattering matrix with its coordinates and its origin."""
     dims = "frequency port_out mode_out port_in mode_in"
-    s = np.where(_propagating(found), found.s, 0.0)
+    s = found.s
     what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
     variables = {
         "s_real": variable(dims, s.real, "1", f"real part of the {what}"),

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from math import log, pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
-from acoustube.waves.cascade import FADED, LEFT_OUT, Placed, continued, transfer
+from acoustube.waves.cascade import FADED, Placed, continued, in_band, transfer
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.pulse import check_duration
@@ -166,7 +165,7 @@ def response(
     own *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
     own *= np.exp(-2j * pi * frequency * rangefinder.lead)
     heard = own * rangefinder.resonator(frequency)
-    inside = _known(presses, real, heard)
+    inside = in_band(presses, real, heard, what="what the rangefinder hears")
     air, band, face = air_at(temperature), frequency[inside], rangefinder.face_reflection
     pressure = transfer(
         presses, air, band, radius=radius, length=length, probes=(0.0,),
@@ -201,19 +200,3 @@ def _anti_alias(frequency: Array, rate: float) -> Array:
     """Return the filter's gain: whole up to PASSED of half the rate, then a cosine down to none."""
     falling = np.clip((2 * frequency / rate - PASSED) / (1 - PASSED), 0, 1)
     return 0.5 + 0.5 * np.cos(pi * falling)
-
-
-def _known(presses: Sequence[Placed], frequency: Array, heard: Complex) -> NDArray[np.bool_]:
-    """Return at which frequencies all presses are known, and refuse a sensor that needs more."""
-    bands = [press.scattering.frequency[[0, -1]] for press in presses]
-    inside = np.ones(len(frequency), bool)
-    for low, high in bands:
-        inside &= (frequency >= low) & (frequency <= high)
-    energy = np.abs(heard) ** 2
-    left_out = energy[~inside].sum() / energy.sum()
-    if left_out > LEFT_OUT:
-        raise ValueError(
-            f"{100 * left_out:.2g} % of the energy that the rangefinder would hear lies outside "
-            "the band in which the presses' scattering is known; compute it over a wider band"
-        )
-    return inside

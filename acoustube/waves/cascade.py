@@ -126,7 +126,7 @@ def heard(
     damping = log(FADED) / time[-1]
     spectrum = np.fft.rfft(np.asarray(pulse(time), float) * np.exp(-damping * time))
     frequency = np.fft.rfftfreq(n_cycle, time_step)
-    inside = _in_band(presses, frequency, spectrum)
+    inside = in_band(presses, frequency, spectrum, what="the pulse")
     answer = np.zeros((len(probes), len(frequency)), complex)
     answer[:, inside] = spectrum[inside] * transfer(
         presses, air, frequency[inside] - 1j * damping / (2 * pi), radius=radius, length=length,
@@ -313,10 +313,7 @@ def continued(scattering: Scattering, frequency: NDArray[Any]) -> Complex:
             f"steps of {step[0]:g} Hz are too coarse for what happens beside a cut-on; compute the "
             f"press in steps of {COARSEST_STEP:g} Hz at most"
         )
-    travels = scattering.propagates
-    both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
-    s = np.where(both, scattering.s, 0.0)
-    n = len(given)
+    n, s = len(given), scattering.s
     # The response begins before zero, since the press begins before its reference plane.
     time = (np.arange(n) - n // 10) / (n * step[0])
     response = np.asarray(np.exp(2j * pi * np.outer(time, given)) @ s.reshape(n, -1) / n, complex)
@@ -347,20 +344,38 @@ def _check_tube(presses: Sequence[Placed], air: Air, radius: float) -> None:
                 )
 
 
-def _in_band(presses: Sequence[Placed], frequency: Array, spectrum: Complex) -> NDArray[np.bool_]:
-    """Return which frequencies all presses know, and refuse a pulse that needs more."""
+def in_band(
+    presses: Sequence[Placed], frequency: Array, spectrum: Complex, *, what: str
+) -> NDArray[np.bool_]:
+    """Return which frequencies all presses know.
+
+    Parameters
+    ----------
+    presses : sequence of Placed
+    frequency : ndarray
+        In Hz, (n,).
+    spectrum : ndarray
+        Of what is to be heard of them, (n,).
+    what : str
+        What an error calls it.
+
+    Raises
+    ------
+    ValueError
+        If it is silent, or too much of its energy lies at other frequencies.
+    """
     inside = frequency > 0
     for press in presses:
         low, high = press.scattering.frequency[[0, -1]]
         inside &= (frequency >= low) & (frequency <= high)
     energy = np.abs(spectrum) ** 2
     if not 0 < energy.sum() < np.inf:
-        raise ValueError("the pulse is silent, or holds values that are not finite")
+        raise ValueError(f"{what} is silent, or holds values that are not finite")
     left_out = energy[~inside].sum() / energy.sum()
     if left_out > LEFT_OUT:
         low, high = frequency[inside][[0, -1]] if inside.any() else (0.0, 0.0)
         raise ValueError(
-            f"{100 * left_out:.2g} % of the pulse's energy lies outside {1e-3 * low:.4g} to "
+            f"{100 * left_out:.2g} % of {what}'s energy lies outside {1e-3 * low:.4g} to "
             f"{1e-3 * high:.4g} kHz, in which the presses' scattering is known, and "
             f"{100 * LEFT_OUT:g} % are allowed; compute it over a wider band"
         )
