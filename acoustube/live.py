@@ -12,7 +12,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -23,9 +23,9 @@ from rich.panel import Panel
 
 from acoustube import signals
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.processed import COLUMNS, calibration_path, check_rate, table_rows
+from acoustube.processed import COLUMNS, check_rate, chosen, table_rows
 from acoustube.run import REPORT_INTERVAL, heard_interrupts
-from acoustube.signals import Processing, Ranging, Tracker
+from acoustube.signals import Ranging, Tracker
 from acoustube.stream import FRAME_BYTES, HEAD, MISSING, PATIENCE, Decoder, Frame, Receiver
 
 RATE = 80e3
@@ -183,11 +183,9 @@ def _tracker(
     frame_bytes: int,
 ) -> Tracker:
     """Return the processing of the board's cycles, tried with a silent one."""
-    known = None if calibration is None else signals.load(calibration_path(calibration))
+    known, how = chosen(calibration, prominence)
     check_rate(rate, known, port)
-    how = signals.suited(Processing() if known is None else known.processing, rate)
-    if prominence is not None:
-        how = replace(how, prominence=prominence)
+    how = signals.suited(how, rate)
     try:
         # The first samples gave their place to the pulse width.
         tracker = Tracker(np.arange(HEAD, frame_bytes) / rate, how)

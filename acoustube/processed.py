@@ -7,7 +7,7 @@ import csv
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -129,10 +129,7 @@ def run_process(
     ConfigError
         If the calibration cannot be used.
     """
-    known = None if calibration is None else signals.load(calibration_path(calibration))
-    how = Processing() if known is None else known.processing
-    if prominence is not None:
-        how = replace(how, prominence=prominence)
+    known, how = chosen(calibration, prominence)
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
     with heard_interrupts() as check, _opened(out) as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -140,16 +137,17 @@ def run_process(
         for path, data in recordings.read_all(
             paths, rate=rate, temperature=temperature, channel=channel, samples=samples
         ):
-            found, loudest, first_piece = 0, 0.0, None
+            found, loudest, shown = 0, 0.0, None
             try:
                 if isinstance(data, ConfigError):
                     raise data
                 check_rate(float(data.attrs["sampling_rate"]), known, path)
                 for first, ranging in _with_progress(data, how, console, check, path):
-                    found += int(ranging.detected.sum())
-                    loudest = max(loudest, float(np.nanmax(ranging.amplitude, initial=0.0)))
-                    first_piece = first_piece or ranging
                     writer.writerows(table_rows(first, ranging, path))
+                    if ranging.detected.any():
+                        found += int(ranging.detected.sum())
+                        loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
+                        shown = shown or (first, ranging)
             except (ConfigError, ValueError) as error:
                 failures += 1
                 text = " ".join(str(error).split())
@@ -165,8 +163,8 @@ def run_process(
                 )
             for note in notes:
                 console.print(f"[yellow]note:[/] {escape(f'{path}: {note}')}", soft_wrap=True)
-            if figure is not None and not drawn and found and first_piece is not None:
-                _draw(data, first_piece, figure)
+            if figure is not None and not drawn and shown is not None:
+                _draw(data, how, *shown, figure)
                 drawn = True
     if known is None:
         console.print(
@@ -182,6 +180,28 @@ def run_process(
         soft_wrap=True,
     )
     return failures == 0
+
+
+def chosen(
+    calibration: str | None, prominence: float | None
+) -> tuple[Calibration | None, Processing]:
+    """Return the calibration that was asked for, if any, and the processing with it.
+
+    Parameters
+    ----------
+    calibration : str or None
+        A file, or the name of a calibration.
+    prominence : float or None
+        In place of the calibration's.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such calibration.
+    """
+    known = None if calibration is None else signals.load(calibration_path(calibration))
+    how = Processing() if known is None else known.processing
+    return known, how if prominence is None else replace(how, prominence=prominence)
 
 
 @contextlib.contextmanager
@@ -230,37 +250,24 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
         yield [first + i, *texts, int(peaks[i]), int(seen), str(source)]
 
 
-def _draw(data: xr.Dataset, ranging: Ranging, figure: Path) -> None:
-    """Draw the first cycle of a piece that has an echo, and the waterfall of the piece."""
+def _draw(data: xr.Dataset, how: Processing, first: int, ranging: Ranging, figure: Path) -> None:
+    """Draw the first cycle with an echo of a piece that begins at `first`, and the whole piece."""
     from matplotlib.figure import Figure
 
     from acoustube import plot, plot_cycles
 
-    time, warmth = data["time"].values, float(data["temperature"].values[0])
-    index = int(np.argmax(ranging.detected))
-    one = _one(ranging, index)
+    index = first + int(np.argmax(ranging.detected))
+    time, cycle = data["time"].values, data["signal"].values[index]
+    warmth = float(data["temperature"].values[index])
+    one = signals.locate(
+        time, cycle, signals.suited(how, float(data.attrs["sampling_rate"])), temperature=warmth
+    )
     sheet = Figure(figsize=(9, 8), layout="constrained")
     above, below = sheet.subplots(2, 1)
-    plot_cycles.draw_cycle(above, time, data["signal"].values[index], one, warmth)
+    plot_cycles.draw_cycle(above, time, cycle, one, warmth)
     sent = float(np.nanmedian(ranging.send_time))
     plot_cycles.draw_waterfall(below, time, ranging.envelope, sent, warmth)
     plot.save(sheet, figure)
-
-
-def _one(ranging: Ranging, index: int) -> Ranging:
-    """Return what was made of one cycle of several."""
-    echoes = ranging.echoes
-    there = np.isfinite(echoes.times[index])
-    single = signals.Echoes(
-        echoes.times[index][there], echoes.amplitudes[index][there],
-        echoes.prominences[index][there],
-    )  # fmt: skip
-    values = {
-        field.name: getattr(ranging, field.name)[index]
-        for field in fields(ranging)
-        if field.name != "echoes"
-    }
-    return replace(ranging, echoes=single, **values)
 
 
 def calibration_path(name: str) -> Path:
