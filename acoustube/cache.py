@@ -13,6 +13,7 @@ import re
 import tempfile
 import zipfile
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -29,6 +30,11 @@ DIGEST = "digest"
 NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
 LIBRARIES = ("ipctk", "pytetwild")
 """Packages whose version decides a result, beside acoustube's own code."""
+CODE = {
+    "press": ("tube.py", "limits.py", "mechanics.py", "indentation"),
+    "scattering": ("air.py", "lumen.py", "waves"),
+}
+"""Modules, and folders of modules, that each kind of result is computed by."""
 
 
 class Entry(NamedTuple):
@@ -63,25 +69,27 @@ def folder() -> Path:
     return Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
 
 
-def key(dependencies: Mapping[str, Any]) -> str:
+def key(kind: str, dependencies: Mapping[str, Any]) -> str:
     """Return the name of a result.
 
     Parameters
     ----------
+    kind : {"press", "scattering"}
+        What it is.
     dependencies : mapping
         Everything that the result depends on, in what JSON can hold. The source code that computes
         it is added here.
     """
-    text = json.dumps(dict(dependencies) | {"code": _code()}, sort_keys=True)
+    text = json.dumps(dict(dependencies) | {"code": _code(kind)}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _code() -> str:
-    """Return the hash of the modules that a press is computed by."""
+@cache
+def _code(kind: str) -> str:
+    """Return the hash of the modules that a kind of result is computed by."""
     package = files("acoustube")
-    around = ("tube.py", "limits.py", "mechanics.py")
-    modules = [package.joinpath(name) for name in around]
-    modules += (package / "indentation").iterdir()
+    parts = [package.joinpath(name) for name in CODE[kind]]
+    modules = [m for part in parts for m in (part.iterdir() if part.is_dir() else [part])]
     code = hashlib.sha256()
     for module in sorted(modules, key=lambda module: module.name):
         if module.name.endswith(".py"):
@@ -89,6 +97,11 @@ def _code() -> str:
     for library in LIBRARIES:
         code.update(version(library).encode())
     return code.hexdigest()
+
+
+def holds(name: str) -> bool:
+    """Tell whether there is an entry, which may still prove damaged."""
+    return (folder() / f"{name}.npz").is_file()
 
 
 def recall(name: str) -> dict[str, NDArray[Any]] | None:

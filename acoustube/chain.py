@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import jax
@@ -12,9 +12,10 @@ import xarray as xr
 
 from acoustube import record, signals
 from acoustube.air import LAYERS_OF_A_GAP, Air, air_at, viscous_thickness
-from acoustube.config import Config
+from acoustube.config import Config, check_touched
 from acoustube.errors import SimulationError
 from acoustube.indentation import Indentation
+from acoustube.limits import LARGEST_CLOSING
 from acoustube.lumen import Lumen, lumen, measure, pressed_part
 from acoustube.mechanics import pressed
 from acoustube.rules import filled
@@ -24,6 +25,7 @@ from acoustube.waves import (
     Placed,
     Pulse,
     Recording,
+    Scattering,
     SourceEnd,
     attenuation,
     cut_cells,
@@ -75,6 +77,8 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     ------
     SimulationError
         If a stage cannot finish.
+    ConfigError
+        If the tube is not pressed.
 
     Notes
     -----
@@ -83,6 +87,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     :func:`acoustube.waves.propagate`, :func:`acoustube.signals.process`.
     """
     config = config or Config()
+    check_touched(config)
     report = report or _silent
     seconds: dict[str, float] = {}
     air = air_of(config)
@@ -128,6 +133,12 @@ def warnings_for(config: Config) -> list[str]:
         found.append(
             f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
             "looked for: move the press away from the source or raise the low-pass."
+        )
+    depth, bore = config.indentation.depth_mm, config.tube.inner_diameter_mm
+    if depth > LARGEST_CLOSING * bore:
+        found.append(
+            f"At {depth:g} mm the walls of the {bore:g} mm lumen meet, or nearly: what is narrower "
+            f"than a cell of {bore / waves.resolution:.2g} mm passes sound only about as it should."
         )
     if waves.losses == "off":
         loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
@@ -199,7 +210,7 @@ def listen(
             probes=(probe,),
             source_end=source_end,
             time_step=time_step,
-            lossy_band=_band(pulse) if config.waves.losses == "on" else None,
+            lossy_band=band_of(config) if config.waves.losses == "on" else None,
             progress=_share_of(progress or _ignore, done),
         )
         time_step = recordings[source_end].time_step
@@ -227,12 +238,54 @@ def listen_by_parts(
     budget : Budget
         What they can be trusted with.
     """
-    air, pulse, probe = air_of(config), _pulse(config), _probe(config)
-    bore, lossy = 1e-3 * config.tube.inner_diameter_mm, config.waves.losses == "on"
-    across, length = bore / config.waves.resolution, 2 * part.position
+    bore = 1e-3 * config.tube.inner_diameter_mm
+    matrix, cells = scattering_of(
+        part, air_of(config), band_of(config), bore=bore, resolution=config.waves.resolution,
+        lossy=config.waves.losses == "on", progress=progress,
+    )  # fmt: skip
+    recordings = joined(config, [Placed(matrix, 1e-2 * filled(config.indentation.position_cm))])
+    return recordings, _budget(config, cells, None, recordings)
+
+
+def scattering_of(
+    part: Lumen,
+    air: Air,
+    band: tuple[float, float],
+    *,
+    bore: float,
+    resolution: int,
+    lossy: bool,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Scattering, CutCells]:
+    """Return the scattering of a press, by its own place.
+
+    Parameters
+    ----------
+    part : Lumen
+        The pressed part, from :func:`acoustube.lumen.pressed_part`.
+    air : Air
+    band : tuple of float
+        Lowest and highest frequency in Hz.
+    bore : float
+        Inner diameter in m.
+    resolution : int
+        Grid cells across the bore.
+    lossy : bool
+        With losses at the wall and in the air.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    scattering : Scattering
+        In steps of `FREQUENCY_STEP`.
+    cells : CutCells
+        The lumen on its grid.
+    """
+    across, length = bore / resolution, 2 * part.position
     # A whole number of layers, so that the grid of a symmetric press is symmetric too.
     spacing = across, across, length / np.ceil(length / across)
-    lowest, highest = _band(pulse)
+    lowest, highest = band
     count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
     cells = cut_cells(part.surface, spacing)
     matrix = scatter(
@@ -244,30 +297,49 @@ def listen_by_parts(
         symmetric_only=part.symmetric,
         progress=progress,
     )
-    press = Placed(matrix, 1e-2 * filled(config.indentation.position_cm))
+    return matrix, cells
+
+
+def joined(config: Config, presses: Sequence[Placed]) -> dict[SourceEnd, Recording]:
+    """Return what the probe of a tube hears, from presses of known scattering.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    presses : sequence of Placed
+        Instead of the settings' press; none for an untouched tube.
+
+    Returns
+    -------
+    dict of Recording
+        For each choice of the source end. Spacing and shape of the grid are the first press's.
+    """
+    probe = _probe(config)
     recordings: dict[SourceEnd, Recording] = {}
     for source_end in SOURCE_ENDS:
         time, pressure = heard(
-            [press],
-            air,
-            pulse,
-            radius=bore / 2,
+            presses,
+            air_of(config),
+            _pulse(config),
+            radius=0.5e-3 * config.tube.inner_diameter_mm,
             length=1e-2 * config.tube.length_cm,
-            duration=_duration(config, air),
+            duration=_duration(config, air_of(config)),
             time_step=TIME_STEP,
             probes=[probe],
             source_reflection=-1.0 if source_end == "release" else 0.0,
-            lossy=lossy,
+            lossy=config.waves.losses == "on",
         )
+        first = presses[0].scattering if presses else None
         recordings[source_end] = Recording(
             time=time,
             pressure=pressure,
             time_step=TIME_STEP,
             probes=(probe,),
-            spacing=matrix.spacing,
-            shape=matrix.shape,
+            spacing=first.spacing if first else (np.nan,) * 3,
+            shape=first.shape if first else (0, 0, 0),
         )
-    return recordings, _budget(config, cells, None, recordings)
+    return recordings
 
 
 def _budget(
@@ -290,8 +362,9 @@ def _budget(
     )
 
 
-def _band(pulse: Pulse) -> tuple[float, float]:
+def band_of(config: Config) -> tuple[float, float]:
     """Return the band in Hz in which the sound is followed."""
+    pulse = _pulse(config)
     lowest, highest = pulse.band(HEARD)
     return max(lowest, LOWEST * pulse.frequency), highest
 

@@ -18,10 +18,11 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from acoustube import __version__, cache
-from acoustube.config import Mechanics, describe, load_config
+from acoustube.config import Mechanics, check_touched, describe, load_config
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
 from acoustube.rules import Number
+from acoustube.sweep.plan import DEFAULTS, load_plan, other_settings
 
 app = App(
     name="acoustube",
@@ -36,6 +37,12 @@ app = App(
 def _option(name: str) -> Parameter:
     """Return an option that is helped by the setting's own meaning, default and range."""
     return Parameter(help=describe(name), show_default=False)
+
+
+def _axis(name: str) -> Parameter:
+    """Return an option of several values, helped by the setting's own meaning."""
+    words = describe(name, DEFAULTS["waves"].get(name))
+    return Parameter(help=words, show_default=False, consume_multiple=True)
 
 
 @app.command
@@ -88,6 +95,7 @@ def simulate(
         losses=losses,
         method=method,
     )
+    check_touched(settings)
     folder = check_out(out if out is not None else fresh_folder("simulate"))
 
     with _interrupts_held_back():
@@ -96,6 +104,111 @@ def simulate(
         from acoustube.run import run
 
     run(settings, folder, Console(quiet=quiet))
+
+
+@app.command
+def sweep(
+    *,
+    indenter: Annotated[list[str] | None, _axis("indenter_mm")] = None,
+    shape: Annotated[list[str] | None, _axis("shape")] = None,
+    depth: Annotated[list[str] | None, _axis("depth_mm")] = None,
+    position: Annotated[list[str] | None, _axis("position_cm")] = None,
+    length: Annotated[list[str] | None, _axis("length_cm")] = None,
+    bore: Annotated[list[str] | None, _axis("inner_diameter_mm")] = None,
+    hardness: Annotated[list[str] | None, _axis("shore_a")] = None,
+    support: Annotated[list[str] | None, _axis("support")] = None,
+    frequency: Annotated[list[str] | None, _axis("frequency_khz")] = None,
+    temperature: Annotated[list[str] | None, _axis("temperature_c")] = None,
+    resolution: Annotated[list[str] | None, _axis("resolution")] = None,
+    losses: Annotated[list[str] | None, _axis("losses")] = None,
+    method: Annotated[list[str] | None, _axis("method")] = None,
+    vary: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    random: float | None = None,
+    sampler: Literal["sobol", "latin"] | None = None,
+    seed: float | None = None,
+    plan: Path | None = None,
+    out: Path | None = None,
+    workers: float | None = None,
+    shard: str | None = None,
+    dask: str | None = None,
+    retry: Literal["failed"] | None = None,
+    dry_run: Annotated[bool, Parameter(show_default=False)] = False,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> int:
+    """Press and sound a tube in many ways; what is there already is not computed again.
+
+    Each setting takes one or more values, or ranges first:last:step with both ends; all their
+    combinations are computed, or a random choice. A depth of 0 is the untouched tube.
+
+    Parameters
+    ----------
+    vary : list
+        Other settings, as wall_mm=1.2:2:0.2 or support=held,free.
+    random : int
+        Take this many cases at random; settings may then be given as a range low:high.
+    sampler : str
+        How a random plan fills the ranges: sobol (default) or latin.
+    seed : int
+        Of a random plan.
+    plan : Path
+        A TOML file with the plan; the options win over it.
+    out : Path
+        The folder to write, or to go on with.
+    workers : int
+        Processes; as many as there are cores if not given.
+    shard : str
+        Compute one of several equal shares, as 3/40, for job arrays; all write to one folder.
+    dask : str
+        Address of the scheduler of a running Dask cluster, in place of processes.
+    retry : str
+        Try failed cases again.
+    dry_run : bool
+        Print cases, what is shared and remembered, and the expected costs, and end.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    given = {
+        "indenter_mm": indenter, "shape": shape, "depth_mm": depth, "position_cm": position,
+        "length_cm": length, "inner_diameter_mm": bore, "shore_a": hardness, "support": support,
+        "frequency_khz": frequency, "temperature_c": temperature, "resolution": resolution,
+        "losses": losses, "method": method,
+    }  # fmt: skip
+    over = {name: words for name, words in given.items() if words is not None}
+    over |= other_settings(vary or [])
+    wanted = load_plan(plan, over, count=random, sampler=sampler, seed=seed)
+    if workers is not None:
+        Number(1, 1024, "", "processes", whole=True).check("workers", workers)
+    share = _share(shard)
+    if out is None and not dry_run:
+        raise ConfigError("out is missing; name the folder to write, or give --dry-run")
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube import swept
+
+    console = Console(quiet=quiet)
+    processes = None if workers is None else int(workers)
+    if dry_run or out is None:
+        swept.dry_run(wanted, out, processes, console)
+        return 0
+    executor, width = swept.dask_executor(dask) if dask is not None else (None, None)
+    complete = swept.run_sweep(
+        wanted, out, console, workers=processes, executor=executor, width=width, share=share,
+        retry=retry is not None,
+    )  # fmt: skip
+    return 0 if complete else 1
+
+
+def _share(shard: str | None) -> tuple[int, int]:
+    """Return number and count of a share such as 3/40."""
+    if shard is None:
+        return 1, 1
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", shard)
+    number, count = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= number <= count:
+        raise ConfigError(f"shard = {shard} is no share; write NUMBER/COUNT, such as 3/40")
+    return number, count
 
 
 @app.command

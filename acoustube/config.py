@@ -12,13 +12,14 @@ import difflib
 import json
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
-from acoustube.limits import CLEARANCE, LARGEST_CLOSING, pressed_reach
+from acoustube.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
 from acoustube.rules import Choice, File, Number, Section, filled, setting, short
 
 CELLS_PER_WAVELENGTH = 8
@@ -79,7 +80,7 @@ class IndentationSettings(Section):
         ),
     )
     indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing tool"))
-    depth_mm: float = setting(4.0, Number(0.05, 50, "mm", "how far it is pressed in"))
+    depth_mm: float = setting(4.0, Number(0, 50, "mm", "how far it is pressed in"))
     steps: int = setting(
         16,
         Number(1, 1000, "", "equally spaced depths that acoustube indent reports", whole=True),
@@ -179,8 +180,9 @@ class Mechanics:
     def __post_init__(self) -> None:
         _check_sections(self)
         _check_press(self.indentation)
+        check_touched(self)
         if self.tube.surface is None:  # otherwise the sizes are known when the surface is read
-            _check_depth(self.tube, self.indentation, closing=True)
+            _check_depth(self.tube, self.indentation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,8 +197,12 @@ class Config:
     Raises
     ------
     ConfigError
-        If the sections contradict each other: a press past the floor or deeper than sound
-        is followed, too near an end, or a grid that is too coarse for the sound or too large.
+        If the sections contradict each other: a press deeper than the solver follows, too near an
+        end, or a grid that is too coarse for the sound or too large.
+
+    Notes
+    -----
+    A depth of zero is the untouched tube, which a sweep may include.
     """
 
     tube: TubeSettings = TubeSettings()
@@ -210,7 +216,7 @@ class Config:
         _check_audible(self)
         self._fill("indentation", "position_cm", self.tube.length_cm / 2)
         self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
-        _check_depth(self.tube, self.indentation, closing=False)
+        _check_depth(self.tube, self.indentation)
         _check_position(self)
         _check_resolution(self)
         _check_probe(self.tube, self.waves)
@@ -232,8 +238,26 @@ def _check_sections(config: Any) -> None:
             raise ConfigError(f"{field.name} = {value!r} must be a {section.__name__}")
 
 
+def check_touched(config: Config | Mechanics) -> None:
+    """Refuse a press that does not touch the tube, where one is needed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if config.indentation.depth_mm == 0:
+        raise ConfigError(
+            f"depth_mm = 0 presses nothing; use {SHALLOWEST_MM:g} or more (only a sweep may "
+            "include the untouched tube)"
+        )
+
+
 def _check_press(press: IndentationSettings) -> None:
     """Refuse settings of the press that have no effect or contradict each other."""
+    if 0 < press.depth_mm < SHALLOWEST_MM:
+        raise ConfigError(
+            f"depth_mm = {short(press.depth_mm)} is hardly a touch; use {SHALLOWEST_MM:g} or more"
+        )
     if press.yaw_deg != 0 and press.shape != "rod":
         raise ConfigError(
             f"yaw_deg = {short(press.yaw_deg)} turns a {press.shape}, which is round; use 0"
@@ -260,19 +284,14 @@ def _check_audible(config: Config) -> None:
         )
 
 
-def _check_depth(tube: TubeSettings, indentation: IndentationSettings, *, closing: bool) -> None:
-    """Refuse a press past the floor, or so deep that the walls meet where sound must pass."""
+def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
+    """Refuse a press past the floor, or far beyond a closed lumen."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
-    deepest = _round_down(bore + tube.wall_mm / 2 if closing else LARGEST_CLOSING * bore)
+    deepest = _round_down(bore + tube.wall_mm / 2)
     if depth > outer:
         reason = f"is past the floor (outer diameter {outer:g} mm)"
-    elif depth > deepest and closing:
-        reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"
     elif depth > deepest:
-        reason = (
-            f"would close the lumen (inner diameter {bore:g} mm), "
-            "which sound cannot pass; acoustube indent follows it"
-        )
+        reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"
     else:
         return
     raise ConfigError(f"depth_mm = {short(depth)} {reason}; use at most {deepest:g}")
@@ -399,6 +418,7 @@ _SECTION_OF = {
 
 
 Settings = TypeVar("Settings", Config, Mechanics)
+Given = dict[str, dict[str, Any]]
 
 
 def load_config(
@@ -433,22 +453,57 @@ def load_config(
     >>> load_config(indenter_mm=10).indentation.indenter_mm
     10.0
     """
-    given = _read(Path(path)) if path is not None else {name: {} for name in _SECTIONS}
+    given: Given = {}
+    if path is not None:
+        given = given_in(Path(path), read_document(Path(path)))
+    return configured(given, kind, **overrides)
+
+
+def configured(
+    given: Mapping[str, Mapping[str, Any]],
+    kind: type[Settings] = Config,  # type: ignore[assignment]
+    **overrides: Any,
+) -> Settings:
+    """Build the settings from values by section, then from single ones, as :func:`load_config`.
+
+    Raises
+    ------
+    ConfigError
+        If a name or a value is wrong.
+    """
+    values = {name: dict(given.get(name, {})) for name in _SECTIONS}
     for name, value in overrides.items():
-        if name not in _SECTION_OF:
-            raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
         if value is not None:
-            given[_SECTION_OF[name]][name] = value
+            values[section_of(name)][name] = value
     # From the folder that the caller is in; those of the file are already absolute.
-    _make_absolute(given, Path.cwd())
+    _make_absolute(values, Path.cwd())
     wanted = [field.name for field in dataclasses.fields(kind)]
-    return kind(**{name: _SECTIONS[name](**given[name]) for name in wanted})
+    return kind(**{name: _SECTIONS[name](**values[name]) for name in wanted})
 
 
-def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the values that a TOML file gives, by section."""
+def section_of(name: str) -> str:
+    """Return the section that a setting belongs to.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such setting.
+    """
+    if name not in _SECTION_OF:
+        raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
+    return _SECTION_OF[name]
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or it is not TOML.
+    """
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path} is not a text file in UTF-8; give a TOML file") from error
     except tomllib.TOMLDecodeError as error:
@@ -458,6 +513,23 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
         raise ConfigError(
             f"{path} cannot be read ({reason}); check the name of the file"
         ) from error
+
+
+def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the values that a TOML file gives, by section.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    document : dict
+        Its content.
+
+    Raises
+    ------
+    ConfigError
+        If a section or a name is not known.
+    """
     for section, values in document.items():
         _check_names(path, section, values)
     given = {name: dict(document.get(name, {})) for name in _SECTIONS}
@@ -501,11 +573,12 @@ def _nearest(name: str, known: Any) -> str:
     return f"; known are {', '.join(known)}"
 
 
-def describe(name: str) -> str:
-    """Return what a setting means, its default and what it may be, in words."""
+def describe(name: str, default: Any = None) -> str:
+    """Return what a setting means, its default (or another) and what it may be, in words."""
     section = _SECTION_OF[name]
     (field,) = (f for f in dataclasses.fields(_SECTIONS[section]) if f.name == name)
-    rule, default = field.metadata["rule"], getattr(getattr(Config(), section), name)
+    rule = field.metadata["rule"]
+    default = getattr(getattr(Config(), section), name) if default is None else default
     meaning = rule.meaning[0].upper() + rule.meaning[1:]
     if default is None:
         return f"{meaning}."

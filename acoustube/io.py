@@ -186,6 +186,8 @@ def partial_file(path: Path) -> Iterator[Path]:
     partial = path.with_name(f".acoustube-partial-{uuid.uuid4().hex[:8]}")
     try:
         yield partial
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)

@@ -7,7 +7,10 @@ Pressing moves the modelled end outwards by up to a tenth of a millimetre, and l
 """
 
 LARGEST_CLOSING = 0.9
-"""Deepest press whose sound is computed, as a share of the bore; soon after it the walls meet."""
+"""Deepest press whose sound is right, as a share of the bore; soon after it the walls meet."""
+
+SHALLOWEST_MM = 0.05
+"""Depth of the shallowest press."""
 
 
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:

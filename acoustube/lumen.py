@@ -198,15 +198,10 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     ConfigError
         If the modelled part does not fit between the tube's ends.
     SimulationError
-        If the lumen is closed.
+        If the tube is bent too sharply to be straightened.
     """
     tube, mesh = indentation.tube, indentation.mesh
     inner, outer = (deformed_wall(indentation, increment, outer=layer) for layer in (False, True))
-    if indentation.closed[increment]:
-        raise SimulationError(
-            f"The lumen is closed at a depth of {1e3 * indentation.depth[increment]:.2f} mm, "
-            "which the wave model does not hold for; ask for less depth."
-        )
     walls = [_straight(wall, outer[:, 0], mesh) for wall in (inner, outer)]
     reach = max(np.abs(wall[..., 2]).max() for wall in walls)
     room = min(position, tube.length - position)
@@ -242,13 +237,49 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
     Raises
     ------
     SimulationError
-        If the lumen is closed.
+        If the tube is bent too sharply to be straightened.
     """
     tube = indentation.tube
     # A tube that tilts off the floor gains a little length when it is straightened.
     half = 1.02 * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
     short = dataclasses.replace(tube, length=2 * half)
     return lumen(dataclasses.replace(indentation, tube=short), half, increment)
+
+
+def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
+    """Return the lumen of a whole tube from that of its pressed part.
+
+    Parameters
+    ----------
+    part : Lumen
+        From :func:`pressed_part`.
+    position, length : float
+        Of the press and of the tube, in m.
+
+    Returns
+    -------
+    Lumen
+
+    Raises
+    ------
+    ConfigError
+        If the pressed part does not fit between the tube's ends.
+    """
+    shift = np.array([0.0, 0.0, position - part.position])
+
+    def longer(rings: Array) -> Array:
+        moved = rings + shift
+        if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
+            raise ConfigError(
+                f"position = {position} m is too near an end; the press needs {part.position:.3f} "
+                "m of tube on each side."
+            )
+        moved[0, :, 2], moved[-1, :, 2] = 0.0, length
+        return moved
+
+    return dataclasses.replace(
+        part, rings=longer(part.rings), outer_rings=longer(part.outer_rings), position=position
+    )
 
 
 def _straight(wall: Array, bottom: Array, mesh: Mesh) -> Array:

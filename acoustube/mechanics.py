@@ -93,19 +93,9 @@ def pressed(
     """
     press, layer, support = press_from(config), layer_from(config), config.indentation.support
     surface = config.tube.surface
-    round_tube = tube_from(config)
-    name = cache.key(
-        {
-            "tube": dataclasses.asdict(round_tube),
-            "surface": surface and _content(Path(surface)),
-            "press": dataclasses.asdict(press),
-            "layer": layer and dataclasses.asdict(layer),
-            "support": support,
-            "depths": list(depths),
-        }
-    )
+    name = remembered_as(config, depths)
     known = cache.recall(name)
-    tube, mesh = (round_tube, None) if surface is None else _imported(config, press, known)
+    tube, mesh = (tube_from(config), None) if surface is None else _imported(config, press, known)
     if known is not None:
         return restored(tube, press, known, support=support, layer=layer, mesh=mesh)
     found = indent(
@@ -113,6 +103,24 @@ def pressed(
     )
     cache.store(name, _arrays(found), f"{wall_in_words(config)}; {press_in_words(config)}")
     return found
+
+
+def remembered_as(config: Config | Mechanics, depths: Sequence[float]) -> str:
+    """Return the name in the cache of the press that the settings describe, to depths in m."""
+    layer, surface = layer_from(config), config.tube.surface
+    tube = dataclasses.asdict(tube_from(config))
+    del tube["length"]  # beyond the modelled part, whose length follows from the press
+    return cache.key(
+        "press",
+        {
+            "tube": tube,
+            "surface": surface and _content(Path(surface)),
+            "press": dataclasses.asdict(press_from(config)),
+            "layer": layer and dataclasses.asdict(layer),
+            "support": config.indentation.support,
+            "depths": list(depths),
+        },
+    )
 
 
 def wall_in_words(config: Config | Mechanics) -> str:

@@ -101,8 +101,10 @@ def run_scatter(
         )
     notes = _notes(cells, found, air)
     with partial_file(out) as partial:
-        dataset = _dataset(found, path, notes)
+        dataset = to_dataset(found)
         dataset.attrs |= {
+            "lumen": path.name,
+            "warnings": "\n".join(notes),
             "temperature": temperature,
             "humidity_percent": humidity,
             "pressure_kpa": pressure_kpa,
@@ -190,12 +192,18 @@ def _propagating(found: Scattering) -> NDArray[np.bool_]:
     return np.broadcast_to(both, found.s.shape)
 
 
-def _dataset(
-    found: Scattering,
-    path: Path,
-    notes: list[str],
-) -> xr.Dataset:
-    """Gather the scattering matrix with its coordinates and its origin."""
+def to_dataset(found: Scattering) -> xr.Dataset:
+    """Gather a scattering matrix with its coordinates and its origin.
+
+    Parameters
+    ----------
+    found : Scattering
+
+    Returns
+    -------
+    xarray.Dataset
+        Which :func:`from_dataset` makes a scattering of again.
+    """
     dims = "frequency port_out mode_out port_in mode_in"
     s = found.s
     what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
@@ -216,7 +224,6 @@ def _dataset(
         coordinates[name] = variable(name, list(found.modes), "1", text)
     origin = {
         "title": "Scattering of duct modes by a lumen",
-        "lumen": path.name,
         "acoustube_version": __version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "time_convention": "exp(+j omega t)",
@@ -228,7 +235,6 @@ def _dataset(
         "grid_shape": found.shape,
         "steps": found.steps,
         "time_step": found.time_step,
-        "warnings": "\n".join(notes),
     }
     return xr.Dataset(variables, coordinates, origin)
 
@@ -254,30 +260,40 @@ def read(path: str | Path) -> Scattering:
         raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
     try:
         with xr.open_dataset(path, engine="h5netcdf") as file:
-            data = file.load()
-        s = data["s_real"].values + 1j * data["s_imag"].values
-        nx, ny, nz = (int(n) for n in data.attrs["grid_shape"])
-        dx, dy, dz = (float(h) for h in data.attrs["cell_size"])
-        low, high = (float(z) for z in data.attrs["extent"])
-        return Scattering(
-            frequency=data["frequency"].values,
-            modes=tuple(str(name) for name in data["mode_in"].values),
-            s=s,
-            propagates=data["propagates"].values.astype(bool),
-            cut_ons=data["cut_on"].values,
-            settled=data["settled"].values.astype(bool),
-            sound_speed=float(data.attrs["sound_speed"]),
-            extent=(low, high),
-            spacing=(dx, dy, dz),
-            shape=(nx, ny, nz),
-            steps=int(data.attrs["steps"]),
-            time_step=float(data.attrs["time_step"]),
-        )
+            return from_dataset(file.load())
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise ConfigError(
             f"{path} is not a file of this version's acoustube scatter "
             f"({' '.join(str(error).split())}); write one with it"
         ) from error
+
+
+def from_dataset(data: xr.Dataset) -> Scattering:
+    """Return the scattering that :func:`to_dataset` made a dataset of.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If it is another dataset.
+    """
+    s = data["s_real"].values + 1j * data["s_imag"].values
+    nx, ny, nz = (int(n) for n in data.attrs["grid_shape"])
+    dx, dy, dz = (float(h) for h in data.attrs["cell_size"])
+    low, high = (float(z) for z in data.attrs["extent"])
+    return Scattering(
+        frequency=data["frequency"].values,
+        modes=tuple(str(name) for name in data["mode_in"].values),
+        s=s,
+        propagates=data["propagates"].values.astype(bool),
+        cut_ons=data["cut_on"].values,
+        settled=data["settled"].values.astype(bool),
+        sound_speed=float(data.attrs["sound_speed"]),
+        extent=(low, high),
+        spacing=(dx, dy, dz),
+        shape=(nx, ny, nz),
+        steps=int(data.attrs["steps"]),
+        time_step=float(data.attrs["time_step"]),
+    )
 
 
 def _print(found: Scattering, notes: list[str], console: Console) -> None:

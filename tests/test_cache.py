@@ -51,11 +51,12 @@ def test_entry_whose_content_changed_counts_as_missing():
 
 
 def test_name_depends_on_everything_given_and_on_the_code(monkeypatch):
-    name = cache.key({"depth": 1.0, "tube": {"wall": 2}})
-    assert name == cache.key({"tube": {"wall": 2}, "depth": 1.0})
-    assert name != cache.key({"tube": {"wall": 3}, "depth": 1.0})
-    monkeypatch.setattr(cache, "_code", lambda: "changed")
-    assert name != cache.key({"depth": 1.0, "tube": {"wall": 2}})
+    name = cache.key("press", {"depth": 1.0, "tube": {"wall": 2}})
+    assert name == cache.key("press", {"tube": {"wall": 2}, "depth": 1.0})
+    assert name != cache.key("press", {"tube": {"wall": 3}, "depth": 1.0})
+    assert name != cache.key("scattering", {"depth": 1.0, "tube": {"wall": 2}})
+    monkeypatch.setattr(cache, "_code", lambda kind: "changed")
+    assert name != cache.key("press", {"depth": 1.0, "tube": {"wall": 2}})
 
 
 def test_entries_are_listed_sized_and_cleared():

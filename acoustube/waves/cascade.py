@@ -16,7 +16,7 @@ Journal of Mathematics and Physics 41, 1-41. doi:10.1002/sapm19624111
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi
 from typing import Any, NamedTuple
 
@@ -319,6 +319,36 @@ def continued(scattering: Scattering, frequency: NDArray[Any]) -> Complex:
     response = np.asarray(np.exp(2j * pi * np.outer(time, given)) @ s.reshape(n, -1) / n, complex)
     found = np.asarray(np.exp(-2j * pi * np.outer(frequency, time)) @ response, complex)
     return found.reshape(len(frequency), *s.shape[1:])
+
+
+def rescaled(scattering: Scattering, sound_speed: float) -> Scattering:
+    """Return the scattering of the same lumen in air of another speed of sound.
+
+    Parameters
+    ----------
+    scattering : Scattering
+    sound_speed : float
+        In m/s.
+
+    Returns
+    -------
+    Scattering
+        At other frequencies: those of the same wavelengths.
+
+    Notes
+    -----
+    Without losses this is exact, on the grid too. The thickness of the boundary layers in
+    wavelengths goes as the root of viscosity over speed times bore: 15 K change the losses within
+    a press, some 0.5 dB, by 4 %.
+    """
+    ratio = sound_speed / scattering.sound_speed
+    return replace(
+        scattering,
+        frequency=scattering.frequency * ratio,
+        cut_ons=scattering.cut_ons * ratio,
+        sound_speed=sound_speed,
+        time_step=scattering.time_step / ratio,
+    )
 
 
 def _check_tube(presses: Sequence[Placed], air: Air, radius: float) -> None:

@@ -1,0 +1,1 @@
+"""Many presses: a plan of cases, the work that they share, and its execution without loss."""

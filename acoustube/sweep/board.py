@@ -1,0 +1,89 @@
+"""How far a sweep is: bars on a terminal, a line a minute elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from acoustube.sweep.costs import hear_cost, in_words, matrix_cost, path_cost
+from acoustube.sweep.graph import Descent
+
+INTERVAL = 60.0
+"""Seconds between two lines of progress where there is no terminal."""
+
+
+class Board:
+    """How far a sweep is, stage by stage, and how long it will take."""
+
+    def __init__(self, totals: dict[str, tuple[int, float]], console: Console) -> None:
+        self.totals = totals
+        self.done = dict.fromkeys(totals, 0)
+        self.left = sum(cost for _, cost in totals.values())
+        self.spent, self.started, self.last = 0.0, time.perf_counter(), time.perf_counter()
+        self.console = console
+        self.bars: Progress | None = None
+        self.rows: dict[str, TaskID] = {}
+
+    def count(self, stage: str, cost: float, n: int = 1, *, reused: bool = False) -> None:
+        """Count what is done."""
+        self.done[stage] += n
+        self.left -= cost
+        self.spent += 0.0 if reused else cost
+        if self.bars is not None:
+            self.bars.update(self.rows[stage], completed=self.done[stage])
+
+    def tick(self) -> None:
+        """Print a line now and then where there is no terminal."""
+        now = time.perf_counter()
+        if self.bars is not None:
+            self.bars.update(self.rows["cases"], left=self._left(now))
+        elif now - self.last > INTERVAL:
+            self.last = now
+            stages = [f"{s} {self.done[s]} of {n}" for s, (n, _) in self.totals.items() if n]
+            self.console.print(f"{', '.join(stages)}; {self._left(now)}", soft_wrap=True)
+
+    def _left(self, now: float) -> str:
+        if self.spent <= 0:
+            return ""
+        return f"{in_words(max(self.left, 0.0) * (now - self.started) / self.spent)} left"
+
+
+@contextmanager
+def progress_board(paths: Sequence[Descent], console: Console) -> Iterator[Board]:
+    """Yield the board of a sweep, with a bar for each stage on a terminal."""
+    groups = [group for path in paths for group in path.groups]
+    pressed = [path for path in paths if path.depths]
+    matrices = [group for group in groups if group.band is not None]
+    totals = {
+        "path": (len(pressed), sum(map(path_cost, pressed))),
+        "scattering": (len(matrices), sum(map(matrix_cost, matrices))),
+        "cases": (
+            sum(len(group.cases) for group in groups),
+            sum(hear_cost(group.cases) for group in groups),
+        ),
+    }
+    board = Board(totals, console)
+    if not console.is_terminal:
+        yield board
+        return
+    columns = (
+        TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(),
+        TimeElapsedColumn(), TextColumn("{task.fields[left]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as bars:
+        board.bars = bars
+        board.rows = {
+            stage: bars.add_task(stage, total=n, left="") for stage, (n, _) in totals.items() if n
+        }
+        yield board

@@ -1,0 +1,201 @@
+"""Tasks on many workers: whatever happens to one of them, the others go on."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from dataclasses import dataclass
+from typing import Any
+
+from acoustube.errors import SimulationError
+
+ATTEMPTS = 3
+"""How often a task may lose its worker before it is given up."""
+GLANCE = 0.2
+"""Seconds between two looks at the workers."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A piece of work.
+
+    Attributes
+    ----------
+    stage : str
+        What kind it is.
+    work : callable
+        A function of a module, which a worker can import.
+    arguments : tuple
+    then : callable
+        Called here with what `work` returned; it returns the tasks that can follow.
+    failed : callable
+        Called here with why it failed.
+    cost : float
+        Seconds that it is expected to take.
+    """
+
+    stage: str
+    work: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    then: Callable[[Any], Iterable[Task]]
+    failed: Callable[[str], None]
+    cost: float
+
+
+def run_tasks(
+    tasks: Iterable[Task],
+    make_pool: Callable[[], Executor],
+    width: int,
+    tick: Callable[[], None],
+) -> None:
+    """Run tasks and those that follow from them.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    make_pool : callable
+        Makes an executor; called again if its workers are lost.
+    width : int
+        Tasks that are handed over at a time.
+    tick : callable
+        Called several times a second; what it raises ends the run.
+
+    Raises
+    ------
+    SimulationError
+        If the executor itself is gone.
+
+    Notes
+    -----
+    A task whose worker is lost is tried again, and the last time alone, so that one which kills
+    its worker takes no other with it. What follows from a task goes before what waits: results are
+    written as soon as they can be.
+    """
+    waiting: deque[Task] = deque(tasks)
+    running: dict[Future[Any], Task] = {}
+    lost: Counter[Task] = Counter()
+    pool = make_pool()
+    try:
+        while waiting or running:
+            broken = not _hand_over(pool, waiting, running, width, lost)
+            finished, _ = wait(running, timeout=GLANCE, return_when=FIRST_COMPLETED)
+            tick()
+            for future in finished:
+                task = running.pop(future)
+                try:
+                    result = future.result()
+                except CancelledError as error:
+                    raise SimulationError(
+                        "the workers' scheduler is gone; run the same command again to go on"
+                    ) from error
+                except BrokenExecutor:
+                    broken = True
+                    lost[task] += 1
+                    _again(task, waiting, lost)
+                except Exception as error:
+                    task.failed(" ".join(f"{error}".split()) or type(error).__name__)
+                else:
+                    waiting.extendleft(reversed(list(task.then(result))))
+            if broken:
+                for task in running.values():
+                    lost[task] += 1
+                    _again(task, waiting, lost)
+                running.clear()
+                _end(pool)
+                pool = make_pool()
+    finally:
+        _end(pool)
+
+
+def _hand_over(
+    pool: Executor,
+    waiting: deque[Task],
+    running: dict[Future[Any], Task],
+    width: int,
+    lost: Counter[Task],
+) -> bool:
+    """Hand tasks over while there is room; return False if the workers are gone."""
+    while waiting and len(running) < width:
+        last_try = lost[waiting[0]] == ATTEMPTS - 1 or any(
+            lost[task] == ATTEMPTS - 1 for task in running.values()
+        )
+        if last_try and running:
+            break
+        task = waiting.popleft()
+        try:
+            running[pool.submit(task.work, *task.arguments)] = task
+        except BrokenExecutor:
+            waiting.appendleft(task)
+            return False
+    return True
+
+
+def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
+    """Let a task wait once more that has lost its worker, unless it always does."""
+    if lost[task] < ATTEMPTS:
+        waiting.appendleft(task)
+    else:
+        task.failed(
+            f"its worker was killed {ATTEMPTS} times, as for want of memory; use fewer --workers"
+        )
+
+
+def _end(pool: Executor) -> None:
+    """End a pool without waiting for what it is doing."""
+    processes = list((getattr(pool, "_processes", None) or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()
+
+
+def process_pool(workers: int) -> Executor:
+    """Return a pool of fresh processes, which share the cores.
+
+    Parameters
+    ----------
+    workers : int
+    """
+    import multiprocessing
+
+    return ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),  # JAX deadlocks in forked processes
+        initializer=_start,
+        initargs=(max(1, cores() // workers),),
+    )
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _start(threads: int) -> None:
+    """Prepare a worker: bound its threads, leave interrupts to its parent, and end with it."""
+    import multiprocessing
+    import signal
+    import threading
+
+    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

@@ -1,0 +1,216 @@
+"""The folder of a sweep: results in files that are complete or not there, failures, the plan.
+
+A file of results is named by the hash of its cases' names and holds the hash of its own content.
+Nothing is written twice, so that any number of sweeps may write to one folder.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from acoustube import __version__
+from acoustube.errors import ConfigError, SimulationError
+from acoustube.io import check_out, partial_file
+from acoustube.sweep.plan import digest
+
+PLAN = "sweep.toml"
+FAILURES = "failed"
+SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
+SCATTERING = "scattering"
+"""Group of a file with the scattering matrix of its press."""
+PARTIAL = ".acoustube-partial-"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What a full disk, or a used-up share of it, is reported as."""
+
+
+class Contents(NamedTuple):
+    """What there is in a sweep's folder.
+
+    Attributes
+    ----------
+    finished : dict of Path
+        File of each finished case, by name.
+    damaged : list of Path
+        Files of results whose content is not what was written.
+    foreign : list of Path
+        Files that no sweep wrote.
+    """
+
+    finished: dict[str, Path]
+    damaged: list[Path]
+    foreign: list[Path]
+
+
+def prepared(path: str | Path) -> Path:
+    """Return a folder that a sweep can be written to, made if it is not there.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written to, or holds something else.
+    """
+    folder = Path(path).expanduser().resolve()
+    if not (folder / PLAN).is_file():
+        folder = check_out(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with partial_file(folder / f"{PARTIAL}trial") as partial:
+            partial.write_text("a trial\n", encoding="utf-8")
+        (folder / f"{PARTIAL}trial").unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+        ) from error
+    return folder
+
+
+def contents(folder: Path) -> Contents:
+    """Return what there is in a sweep's folder, once its results have been checked."""
+    finished: dict[str, Path] = {}
+    damaged: list[Path] = []
+    foreign: list[Path] = []
+    for path in sorted(folder.iterdir()):
+        if SHARD.fullmatch(path.name):
+            names = _names(path)
+            finished |= dict.fromkeys(names or (), path)
+            damaged += [path] * (names is None)
+        elif not (path.name in (PLAN, FAILURES) or path.name.startswith(PARTIAL)):
+            foreign += [path] * (path.suffix != ".damaged")
+    return Contents(finished, damaged, foreign)
+
+
+def _names(path: Path) -> list[str] | None:
+    """Return the cases of a file of results, or None if it is not what was written."""
+    try:
+        data, matrix = read(path)
+        good = data.attrs["content"] == _content(data, matrix)
+        return [str(name) for name in data["press"].values] if good else None
+    except Exception:  # a damaged file fails in many ways, and all mean the same
+        return None
+
+
+def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
+    """Return the cases of a file of results, and the scattering matrix that they share."""
+    with xr.open_dataset(path, engine="h5netcdf") as file:
+        data = file.load()
+    matrix = None
+    if data.attrs["scattering"] == "yes":
+        with xr.open_dataset(path, engine="h5netcdf", group=SCATTERING) as file:
+            matrix = file.load()
+    return data, matrix
+
+
+def write(folder: Path, data: xr.Dataset, matrix: xr.Dataset | None) -> Path:
+    """Write the results of some cases in one step.
+
+    Parameters
+    ----------
+    folder : Path
+    data : xarray.Dataset
+        Along ``press``.
+    matrix : xarray.Dataset or None
+        The scattering that they share.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    SimulationError
+        If the disk is full.
+    """
+    data = data.assign_attrs(scattering="no" if matrix is None else "yes")
+    data.attrs["content"] = _content(data, matrix)
+    path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
+    try:
+        with partial_file(path) as partial:
+            data.to_netcdf(partial, engine="h5netcdf", encoding=_packed(data))
+            if matrix is not None:
+                matrix.to_netcdf(
+                    partial, mode="a", group=SCATTERING, engine="h5netcdf",
+                    encoding=_packed(matrix),
+                )  # fmt: skip
+    except (OSError, RuntimeError) as error:  # HDF5 tells of a full disk in its own words
+        raise unwritable(folder, error) from error
+    return path
+
+
+def unwritable(folder: Path, error: Exception) -> Exception:
+    """Return what is to be raised where a file cannot be written."""
+    number = getattr(error, "errno", None)
+    words = str(error)
+    if number in FULL or any(f"errno = {n}" in words for n in FULL):
+        return SimulationError(
+            f"{folder} cannot hold more: the disk is full; everything in it is intact, so make "
+            "room and run the same command again"
+        )
+    return SimulationError(f"{folder} cannot be written ({getattr(error, 'strerror', words)})")
+
+
+def _packed(data: xr.Dataset) -> dict[Any, dict[str, Any]]:
+    large = [name for name, v in data.variables.items() if v.size > 1000 and v.dtype.kind in "fiu"]
+    return {name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large}
+
+
+def _content(data: xr.Dataset, matrix: xr.Dataset | None) -> str:
+    """Return the hash of all values, by name."""
+    found = hashlib.sha256()
+    for part in (data, matrix):
+        for name, values in sorted((part.variables if part is not None else {}).items()):
+            array = np.asarray(values.values)
+            array = array.astype("U") if array.dtype.kind in "OUS" else array
+            text = array.dtype.kind == "U"
+            found.update(f"{name} {array.shape}".encode())
+            found.update("\0".join(array.ravel()).encode() if text else array.tobytes())
+    return found.hexdigest()
+
+
+def set_aside(path: Path) -> Path:
+    """Give a damaged file a name that is not read, and return it."""
+    return path.replace(path.with_name(f"{path.name}.damaged"))
+
+
+def failures(folder: Path) -> dict[str, str]:
+    """Return why cases have failed, by name."""
+    found = {}
+    for path in sorted((folder / FAILURES).glob("*.json")):
+        try:
+            found[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not a record of a failure: the case is tried again
+    return found
+
+
+def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[str, Any]) -> None:
+    """Record that a case has failed, and why."""
+    (folder / FAILURES).mkdir(exist_ok=True)
+    content = {
+        "reason": reason,
+        "configuration": configuration,
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "acoustube_version": __version__,
+    }
+    try:
+        with partial_file(folder / FAILURES / f"{name}.json") as partial:
+            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise unwritable(folder, error) from error
+
+
+def forget_failures(folder: Path, names: Iterable[str]) -> None:
+    """Remove the records of failed cases."""
+    for name in names:
+        (folder / FAILURES / f"{name}.json").unlink(missing_ok=True)
+    if (folder / FAILURES).is_dir() and not any((folder / FAILURES).iterdir()):
+        (folder / FAILURES).rmdir()

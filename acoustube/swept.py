@@ -1,0 +1,337 @@
+"""The command ``acoustube sweep``: a plan, what of it is there, the rest on many workers."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from acoustube import __version__
+from acoustube.config import section_of
+from acoustube.errors import ConfigError
+from acoustube.io import partial_file
+from acoustube.run import heard_interrupts
+from acoustube.sweep import store
+from acoustube.sweep.board import progress_board
+from acoustube.sweep.costs import (
+    GIGABYTES,
+    hear_cost,
+    in_words,
+    matrix_cost,
+    path_cost,
+    remembered,
+    size_of,
+)
+from acoustube.sweep.execution import cores, process_pool, run_tasks
+from acoustube.sweep.graph import Case, Descent, kept, shard, structured
+from acoustube.sweep.plan import Plan, case_name, to_toml
+from acoustube.sweep.runner import Runner
+
+LOOKED_UP = 20_000
+"""Cases of a plan up to which each is checked, and looked up, in a dry run."""
+SAMPLED = 2000
+"""Cases that are checked of a larger one."""
+LISTED = 10
+"""Failed cases that are printed."""
+
+
+class Work(NamedTuple):
+    """What a plan asks for, and what of it is there.
+
+    Attributes
+    ----------
+    paths : list of Descent
+        Of all cases.
+    todo : list of Descent
+        What remains.
+    finished, failed : int
+        Cases.
+    n_cases : int
+        Of this share.
+    """
+
+    paths: list[Descent]
+    todo: list[Descent]
+    finished: int
+    failed: dict[str, str]
+    n_cases: int
+
+
+def run_sweep(
+    plan: Plan,
+    out: str | Path,
+    console: Console,
+    *,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    width: int | None = None,
+    share: tuple[int, int] = (1, 1),
+    retry: bool = False,
+) -> bool:
+    """Compute the cases of a plan that are not there yet.
+
+    Parameters
+    ----------
+    plan : Plan
+    out : str or path
+        A folder, new or of a sweep.
+    console : rich.console.Console
+        Where to print.
+    workers : int, optional
+        Processes; as many as there are cores by default.
+    executor : concurrent.futures.Executor, optional
+        In place of processes of this machine. It is shut down at the end.
+    width : int, optional
+        Tasks that are handed to `executor` at a time; 1 by default.
+    share : tuple of int
+        Number, from 1, and count of equal shares of the plan, of which one is computed.
+    retry : bool
+        Try cases again that have failed before.
+
+    Returns
+    -------
+    bool
+        Whether no case has failed.
+
+    Raises
+    ------
+    ConfigError
+        If the plan or the folder cannot be used.
+    SimulationError
+        If the disk is full, or the executor is gone.
+    """
+    started = time.perf_counter()
+    cases = _cases(plan)
+    folder = store.prepared(out)
+    found = store.contents(folder)
+    for path in found.damaged:
+        aside = store.set_aside(path)
+        _note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
+    if found.foreign:
+        names = ", ".join(path.name for path in found.foreign[:3])
+        more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
+        _note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
+    work = _work(cases, folder, found, share, retry)
+    _note_other_plan(plan, folder, found, {case.name for case in cases}, console)
+    with partial_file(folder / store.PLAN) as part:
+        part.write_text(to_toml(plan), encoding="utf-8")
+    pool_size = workers or cores()
+    _print_work(work, pool_size if executor is None else width or 1, console)
+    done = Counter[str]()
+    if work.todo:
+        make_pool, at_once = _pool(executor, width, pool_size)
+        with heard_interrupts() as check, progress_board(work.todo, console) as board:
+            runner = Runner(folder, board, dict(work.failed), done)
+
+            def tick() -> None:
+                check()
+                board.tick()
+
+            try:
+                run_tasks(runner.first(work.todo), make_pool, at_once, tick)
+            except KeyboardInterrupt:
+                there = work.finished + done["case"]
+                raise KeyboardInterrupt(
+                    f"interrupted; {there} of {work.n_cases} cases are finished, run the same "
+                    "command again to go on"
+                ) from None
+            failed = runner.failed
+    else:
+        failed = work.failed
+    _print_end(done, failed, folder, time.perf_counter() - started, console)
+    return not failed
+
+
+def dry_run(plan: Plan, out: str | Path | None, workers: int | None, console: Console) -> None:
+    """Print what a plan asks for, what is there, and what the rest costs.
+
+    Parameters
+    ----------
+    plan : Plan
+    out : str or path or None
+        The sweep's folder, if any.
+    workers : int, optional
+        As many as there are cores by default.
+    console : rich.console.Console
+
+    Raises
+    ------
+    ConfigError
+        If a case cannot be.
+    """
+    workers = workers or cores()
+    if len(plan) <= LOOKED_UP:
+        cases = _cases(plan)
+        folder = Path(out) if out is not None else None
+        there = folder is not None and (folder / store.PLAN).is_file()
+        found = store.contents(folder) if folder and there else store.Contents({}, [], [])
+        work = _work(cases, folder if there else None, found, (1, 1), retry=True)
+        _print_work(work, workers, console)
+        return
+    step = len(plan) // SAMPLED + 1
+    sample = [Case(str(i), c) for i, c in enumerate(plan.configs(range(0, len(plan), step)))]
+    part = structured(sample)
+    scale = _Scale(len(plan) / len(sample), *_counted(plan))
+    _print_work(Work(part, part, 0, {}, len(plan)), workers, console, scale)
+    _note(console, f"one in {step} cases was checked, none looked up")
+
+
+class _Scale(NamedTuple):
+    """By how much a plan is larger than a sample of it, and its true numbers of pieces."""
+
+    cases: float
+    n_paths: int
+    n_matrices: int
+
+
+def _counted(plan: Plan) -> tuple[int, int]:
+    """Return how many paths and scattering matrices a plan has, from what varies in it."""
+    own = {name for names in OWN.values() for name in names}
+    of_path = [name for name in plan.columns() if section_of(name) in OWN and name not in own]
+    return plan.distinct(of_path), plan.distinct([*of_path, "depth_mm", *OF_MATRIX])
+
+
+def _cases(plan: Plan) -> list[Case]:
+    """Return the cases of a plan, each once."""
+    if not len(plan):
+        raise ConfigError("the plan has no cases; give values to vary")
+    named = {case_name(config): config for config in plan.configs()}
+    return [Case(name, config) for name, config in named.items()]
+
+
+def _work(
+    cases: Sequence[Case],
+    folder: Path | None,
+    found: store.Contents,
+    share: tuple[int, int],
+    retry: bool,
+) -> Work:
+    paths = structured(cases)
+    mine = shard(paths, *share)
+    failed = {n: r for n, r in store.failures(folder).items() if n in mine} if folder else {}
+    if retry and folder is not None:
+        failed = {}
+    finished = mine & set(found.finished)
+    todo = kept(paths, mine - finished - set(failed))
+    return Work(paths, todo, len(finished), failed, len(mine))
+
+
+def _note_other_plan(
+    plan: Plan, folder: Path, found: store.Contents, names: set[str], console: Console
+) -> None:
+    """Say what in a folder is of another plan or version."""
+    path = folder / store.PLAN
+    before = path.read_text(encoding="utf-8") if path.is_file() else None
+    others = len(set(found.finished) - names)
+    if before is not None and before != to_toml(plan):
+        _note(
+            console,
+            f"the plan has changed since {folder.name} was begun; "
+            f"{len(names & set(found.finished))} of its {len(names)} cases are there already"
+            + f", and {others} that it no longer asks for are kept"
+            * (others > 0),
+        )
+        if f'acoustube_version = "{__version__}"' not in before:
+            _note(console, "the folder was begun by another version of acoustube")
+
+
+def _pool(
+    executor: Executor | None, width: int | None, workers: int
+) -> tuple[Callable[[], Executor], int]:
+    if executor is None:
+        return partial(process_pool, workers), workers
+    return lambda: executor, width or 1
+
+
+def _print_work(work: Work, workers: int, console: Console, scale: _Scale | None = None) -> None:
+    """Print the cases, what they share, and what they cost."""
+    groups = [group for path in work.todo for group in path.groups]
+    n_paths = sum(1 for path in work.todo if path.depths)
+    n_matrices = sum(1 for group in groups if group.band is not None)
+    known_paths, known_matrices, cost = remembered(work.todo) if scale is None else (0, 0, 0.0)
+    size = sum(size_of(group) for group in groups)
+    if scale is not None:
+        costs = [path_cost(path) for path in work.todo], [matrix_cost(g) for g in groups]
+        cost = scale.n_paths * float(np.mean(costs[0] or [0.0]))
+        cost += scale.n_matrices * float(np.mean(costs[1] or [0.0]))
+        cost += scale.cases * sum(hear_cost(group.cases) for group in groups)
+        n_paths, n_matrices, size = scale.n_paths, scale.n_matrices, scale.cases * size
+    table = Table(show_header=False, box=None, pad_edge=False)
+    state = f"{work.finished} finished" + f", {len(work.failed)} failed" * bool(work.failed)
+    table.add_row("cases", f"{work.n_cases}, {state}")
+    table.add_row("paths of presses", f"{n_paths}, {known_paths} remembered")
+    table.add_row("scattering matrices", f"{n_matrices}, {known_matrices} remembered")
+    needed = f"{in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"
+    table.add_row("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk")
+    console.print(f"[bold]acoustube {__version__}[/]: a sweep", highlight=False)
+    console.print(table)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values) if values else 0.0
+
+
+def _note(console: Console, text: str) -> None:
+    console.print(f"[yellow]note:[/] {escape(text)}", soft_wrap=True)
+
+
+def _print_end(
+    done: Counter[str], failed: dict[str, str], folder: Path, seconds: float, console: Console
+) -> None:
+    """Print what was computed and what failed."""
+    if done:
+        console.print(
+            f"paths: {done['path computed']} computed, {done['path reused']} reused; scattering: "
+            f"{done['scattering computed']} computed, {done['scattering reused']} reused; cases: "
+            f"{done['case']} computed",
+            soft_wrap=True,
+        )
+    else:
+        console.print("nothing to compute")
+    for name, reason in list(failed.items())[:LISTED]:
+        console.print(f"[red]failed:[/] {escape(f'{name}: {reason}')}", soft_wrap=True)
+    if failed:
+        more = f", {len(failed) - LISTED} more in {store.FAILURES}/" * (len(failed) > LISTED)
+        console.print(
+            f"{len(failed)} cases failed{more}; try them again with --retry failed", soft_wrap=True
+        )
+    console.print(f"Written to [bold]{folder}[/] in {in_words(seconds)}.", soft_wrap=True)
+
+
+def dask_executor(address: str) -> tuple[Executor, int]:
+    """Return the executor of a running Dask cluster, and how many tasks to hand it at a time.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, such as ``tcp://127.0.0.1:8786``.
+
+    Raises
+    ------
+    ConfigError
+        If the package is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigError(
+            f"dask = {address}: no scheduler answers there; start one with `dask scheduler` and "
+            "workers with `dask worker`"
+        ) from error
+    threads = sum(client.nthreads().values())
+    if not threads:
+        raise ConfigError(f"dask = {address} has no workers; start some with `dask worker`")
+    return client.get_executor(), 2 * threads
