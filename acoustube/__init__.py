@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from acoustube.chain import simulate
     from acoustube.config import Config, load_config
+    from acoustube.opening import open_dataset
 
 __version__ = "0.1.0"
 
-__all__ = ["Config", "__version__", "load_config", "simulate"]
+__all__ = ["Config", "__version__", "load_config", "open_dataset", "simulate"]
 
 _HOME = {
     "Config": "acoustube.config",
     "load_config": "acoustube.config",
+    "open_dataset": "acoustube.opening",
     "simulate": "acoustube.chain",
 }
 

@@ -200,6 +200,67 @@ def sweep(
     return 0 if complete else 1
 
 
+@app.command
+def dataset(
+    *sweep: Path,
+    cycles: float = 50,
+    tubes: float = 1,
+    sessions: float = 1,
+    seed: float = 0,
+    rangefinder: Path | None = None,
+    out: Path,
+    workers: float | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Record labelled cycles of a rangefinder for each case of a sweep, for training.
+
+    Parameters
+    ----------
+    sweep : Path
+        Folders that ``acoustube sweep`` wrote.
+    cycles : int
+        Of each case, in each session.
+    tubes : int
+        Specimens of each tube, each with irregularities of its own.
+    sessions : int
+        Of each specimen, each with drift and errors of temperature of its own.
+    seed : int
+        Of all random numbers; each cycle has its own, whatever the number of workers.
+    rangefinder : Path
+        A TOML file with its parameters; the paper's, at the case's carrier, if not given.
+    out : Path
+        The folder to write, or to go on with.
+    workers : int
+        Processes; as many as there are cores if not given.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    if not sweep:
+        raise ConfigError("dataset needs the folder of a sweep; name one or more")
+    numbers = {"cycles": cycles, "tubes": tubes, "sessions": sessions}
+    counts = {
+        name: int(Number(1, 1_000_000, "", "how many", whole=True).check(name, value))
+        for name, value in numbers.items()
+    }
+    seeds = Number(0, 2**63 - 1, "", "seed", whole=True)
+    seed = int(seeds.check("seed", seed))
+    if workers is not None:
+        Number(1, 1024, "", "processes", whole=True).check("workers", workers)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.datasets import read_rangefinder, run_dataset
+        from acoustube.sweep.cycles import Recipe
+
+    recipe = Recipe(
+        n_cycles=counts["cycles"], n_tubes=counts["tubes"], n_sessions=counts["sessions"],
+        seed=seed, rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
+    )  # fmt: skip
+    processes = None if workers is None else int(workers)
+    run_dataset(sweep, out, recipe, Console(quiet=quiet), workers=processes)
+
+
 def _share(shard: str | None) -> tuple[int, int]:
     """Return number and count of a share such as 3/40."""
     if shard is None:

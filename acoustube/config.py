@@ -8,7 +8,6 @@ imports nothing heavy: wrong settings are refused at once.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 import tomllib
@@ -20,7 +19,7 @@ from typing import Any, Literal, TypeVar
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
 from acoustube.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
-from acoustube.rules import Choice, File, Number, Section, filled, setting, short
+from acoustube.rules import Choice, File, Number, Section, filled, nearest, setting, short
 
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
@@ -490,7 +489,7 @@ def section_of(name: str) -> str:
         If there is no such setting.
     """
     if name not in _SECTION_OF:
-        raise ConfigError(f"{name} is not a setting{_nearest(name, _SECTION_OF)}")
+        raise ConfigError(f"{name} is not a setting{nearest(name, _SECTION_OF)}")
     return _SECTION_OF[name]
 
 
@@ -552,25 +551,17 @@ def _check_names(path: Path, section: str, values: Any) -> None:
         )
     if not isinstance(values, dict):
         home = f" under [{_SECTION_OF[section]}]" if section in _SECTION_OF else ""
-        advice = f"; put it{home}" if home else _nearest(section, _SECTION_OF)
+        advice = f"; put it{home}" if home else nearest(section, _SECTION_OF)
         raise ConfigError(f"{path}: {section} stands outside a section{advice}")
     if section not in _SECTIONS:
-        raise ConfigError(f"{path}: [{section}] is not a section{_nearest(section, _SECTIONS)}")
+        raise ConfigError(f"{path}: [{section}] is not a section{nearest(section, _SECTIONS)}")
     known = [field.name for field in dataclasses.fields(_SECTIONS[section])]
     for name in values:
         if name not in known:
-            advice = _nearest(name, known)
+            advice = nearest(name, known)
             if name in _SECTION_OF:
                 advice = f"; it belongs under [{_SECTION_OF[name]}]"
             raise ConfigError(f"{path}: [{section}] {name} is not a setting{advice}")
-
-
-def _nearest(name: str, known: Any) -> str:
-    """Return advice that names the nearest known word, or all of them when none is near."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if near:
-        return f"; did you mean {near[0]}?"
-    return f"; known are {', '.join(known)}"
 
 
 def describe(name: str, default: Any = None) -> str:

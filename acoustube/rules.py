@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -154,3 +155,11 @@ def filled(value: float | None) -> float:
     """Return a setting that :class:`~acoustube.config.Config` has filled in."""
     assert value is not None
     return value
+
+
+def nearest(name: str, known: Any) -> str:
+    """Return advice that names the nearest known word, or all of them when none is near."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean {near[0]}?"
+    return f"; known are {', '.join(known)}"

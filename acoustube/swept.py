@@ -21,7 +21,7 @@ from acoustube.errors import ConfigError
 from acoustube.io import partial_file
 from acoustube.run import heard_interrupts
 from acoustube.sweep import store
-from acoustube.sweep.board import progress_board
+from acoustube.sweep.board import progress_board, totals_of
 from acoustube.sweep.costs import (
     GIGABYTES,
     hear_cost,
@@ -32,7 +32,7 @@ from acoustube.sweep.costs import (
     size_of,
 )
 from acoustube.sweep.execution import cores, process_pool, run_tasks
-from acoustube.sweep.graph import Case, Descent, kept, shard, structured
+from acoustube.sweep.graph import OF_MATRIX, OWN, Case, Descent, kept, shard, structured
 from acoustube.sweep.plan import Plan, case_name, to_toml
 from acoustube.sweep.runner import Runner
 
@@ -129,7 +129,10 @@ def run_sweep(
     done = Counter[str]()
     if work.todo:
         make_pool, at_once = _pool(executor, width, pool_size)
-        with heard_interrupts() as check, progress_board(work.todo, console) as board:
+        with (
+            heard_interrupts() as check,
+            progress_board(totals_of(work.todo), at_once, console) as board,
+        ):
             runner = Runner(folder, board, dict(work.failed), done)
 
             def tick() -> None:

@@ -21,12 +21,19 @@ from acoustube.sweep.graph import Descent
 
 INTERVAL = 60.0
 """Seconds between two lines of progress where there is no terminal."""
+TRUSTED = 60.0
+"""Seconds of work after which what was measured counts as much as what was expected."""
+
+
+Totals = dict[str, tuple[int, float]]
+"""Number and cost in seconds of the tasks of each stage."""
 
 
 class Board:
     """How far a sweep is, stage by stage, and how long it will take."""
 
-    def __init__(self, totals: dict[str, tuple[int, float]], console: Console) -> None:
+    def __init__(self, totals: Totals, workers: int, console: Console) -> None:
+        self.workers = workers
         self.totals = totals
         self.done = dict.fromkeys(totals, 0)
         self.left = sum(cost for _, cost in totals.values())
@@ -47,25 +54,24 @@ class Board:
         """Print a line now and then where there is no terminal."""
         now = time.perf_counter()
         if self.bars is not None:
-            self.bars.update(self.rows["cases"], left=self._left(now))
+            self.bars.update(list(self.rows.values())[-1], left=self._left(now))
         elif now - self.last > INTERVAL:
             self.last = now
             stages = [f"{s} {self.done[s]} of {n}" for s, (n, _) in self.totals.items() if n]
             self.console.print(f"{', '.join(stages)}; {self._left(now)}", soft_wrap=True)
 
     def _left(self, now: float) -> str:
-        if self.spent <= 0:
-            return ""
-        return f"{in_words(max(self.left, 0.0) * (now - self.started) / self.spent)} left"
+        """Return the time left: what was expected, and how far that was off so far."""
+        off = (now - self.started + TRUSTED) / (self.spent / self.workers + TRUSTED)
+        return f"{in_words(max(self.left, 0.0) / self.workers * off)} left"
 
 
-@contextmanager
-def progress_board(paths: Sequence[Descent], console: Console) -> Iterator[Board]:
-    """Yield the board of a sweep, with a bar for each stage on a terminal."""
+def totals_of(paths: Sequence[Descent]) -> Totals:
+    """Return how many tasks each stage of a sweep has, and their cost in seconds."""
     groups = [group for path in paths for group in path.groups]
     pressed = [path for path in paths if path.depths]
     matrices = [group for group in groups if group.band is not None]
-    totals = {
+    return {
         "path": (len(pressed), sum(map(path_cost, pressed))),
         "scattering": (len(matrices), sum(map(matrix_cost, matrices))),
         "cases": (
@@ -73,7 +79,12 @@ def progress_board(paths: Sequence[Descent], console: Console) -> Iterator[Board
             sum(hear_cost(group.cases) for group in groups),
         ),
     }
-    board = Board(totals, console)
+
+
+@contextmanager
+def progress_board(totals: Totals, workers: int, console: Console) -> Iterator[Board]:
+    """Yield the board of a run, with a bar for each stage on a terminal."""
+    board = Board(totals, workers, console)
     if not console.is_terminal:
         yield board
         return

@@ -91,10 +91,15 @@ def contents(folder: Path) -> Contents:
 
 def _names(path: Path) -> list[str] | None:
     """Return the cases of a file of results, or None if it is not what was written."""
+    data = intact(path)
+    return None if data is None else [str(name) for name in data["press"].values]
+
+
+def intact(path: Path) -> xr.Dataset | None:
+    """Return what is in a file, or None if that is not what was written."""
     try:
         data, matrix = read(path)
-        good = data.attrs["content"] == _content(data, matrix)
-        return [str(name) for name in data["press"].values] if good else None
+        return data if data.attrs["content"] == _content(data, matrix) else None
     except Exception:  # a damaged file fails in many ways, and all mean the same
         return None
 
@@ -130,20 +135,46 @@ def write(folder: Path, data: xr.Dataset, matrix: xr.Dataset | None) -> Path:
     SimulationError
         If the disk is full.
     """
+    path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
+    write_file(path, data, matrix)
+    return path
+
+
+def write_file(
+    path: Path,
+    data: xr.Dataset,
+    matrix: xr.Dataset | None = None,
+    *,
+    chunks: Mapping[str, int] | None = None,
+) -> None:
+    """Write a dataset, compressed and with the hash of its content, in one step.
+
+    Parameters
+    ----------
+    path : Path
+    data : xarray.Dataset
+    matrix : xarray.Dataset or None
+        A scattering that goes with it.
+    chunks : mapping of str to int, optional
+        How many entries of the first dimension are kept together, by variable.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be written, as on a full disk.
+    """
     data = data.assign_attrs(scattering="no" if matrix is None else "yes")
     data.attrs["content"] = _content(data, matrix)
-    path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
     try:
         with partial_file(path) as partial:
-            data.to_netcdf(partial, engine="h5netcdf", encoding=_packed(data))
+            data.to_netcdf(partial, engine="h5netcdf", encoding=_packed(data, chunks))
             if matrix is not None:
                 matrix.to_netcdf(
                     partial, mode="a", group=SCATTERING, engine="h5netcdf",
                     encoding=_packed(matrix),
                 )  # fmt: skip
     except (OSError, RuntimeError) as error:  # HDF5 tells of a full disk in its own words
-        raise unwritable(folder, error) from error
-    return path
+        raise unwritable(path.parent, error) from error
 
 
 def unwritable(folder: Path, error: Exception) -> Exception:
@@ -158,9 +189,16 @@ def unwritable(folder: Path, error: Exception) -> Exception:
     return SimulationError(f"{folder} cannot be written ({getattr(error, 'strerror', words)})")
 
 
-def _packed(data: xr.Dataset) -> dict[Any, dict[str, Any]]:
+def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
+    """Return how each variable is compressed and cut into chunks."""
     large = [name for name, v in data.variables.items() if v.size > 1000 and v.dtype.kind in "fiu"]
-    return {name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large}
+    packed: dict[Any, dict[str, Any]] = {
+        name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large
+    }
+    for name, first in (chunks or {}).items():
+        shape = data[name].shape
+        packed.setdefault(name, {})["chunksizes"] = (min(first, shape[0]), *shape[1:])
+    return packed
 
 
 def _content(data: xr.Dataset, matrix: xr.Dataset | None) -> str:

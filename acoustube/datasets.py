@@ -1,0 +1,306 @@
+"""The command ``acoustube dataset``: labelled cycles of a rangefinder for each case of a sweep."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+
+from acoustube import __version__
+from acoustube.config import read_document
+from acoustube.errors import ConfigError, SimulationError
+from acoustube.io import check_out, partial_file
+from acoustube.opening import open_dataset
+from acoustube.ranging import Burst, Rangefinder
+from acoustube.rules import nearest
+from acoustube.run import heard_interrupts
+from acoustube.sweep import store
+from acoustube.sweep.board import Board, progress_board
+from acoustube.sweep.costs import in_words
+from acoustube.sweep.cycles import Recipe, record_cases
+from acoustube.sweep.execution import Task, cores, process_pool, run_tasks
+from acoustube.sweep.plan import digest
+
+RECIPE, CARD = "dataset.json", "README.md"
+CYCLES_PER_FILE = 5000
+SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
+"""Measured on one quiet core, for the estimates."""
+RANGES = {
+    "true_distance": ("place", 1e2, "cm"), "depth": ("depth", 1e3, "mm"),
+    "force": ("force", 1.0, "N"), "diameter": ("indenter", 1e3, "mm"),
+    "lumen_area": ("lumen area", 1e6, "mm2"), "air_temperature": ("air", 1.0, "degC"),
+    "inner_diameter": ("bore", 1e3, "mm"), "wall_thickness": ("wall", 1e3, "mm"),
+    "shear_modulus": ("shear modulus", 1e-6, "MPa"), "tube_length": ("tube length", 1e2, "cm"),
+    "carrier_frequency": ("carrier", 1e-3, "kHz"),
+}  # fmt: skip
+"""Labels whose range a dataset card tells, in human units."""
+
+
+def run_dataset(
+    sweep: Sequence[Path],
+    out: Path,
+    recipe: Recipe,
+    console: Console,
+    *,
+    workers: int | None = None,
+) -> Path:
+    """Record cycles of all cases of a sweep, with their labels, and describe them on a card.
+
+    Parameters
+    ----------
+    sweep : sequence of Path
+        Folders of sweeps.
+    out : Path
+        The folder to write, or to go on with.
+    recipe : Recipe
+    console : rich.console.Console
+        Where to print.
+    workers : int, optional
+        Processes; as many as there are cores by default.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ConfigError
+        If there is no sweep, or the folder holds something else.
+    SimulationError
+        If a case cannot be recorded.
+    """
+    started = time.perf_counter()
+    parts = _parts(sweep, recipe)
+    folder = _prepared(out, set(parts), recipe)
+    there = {name for name in parts if store.intact(folder / name) is not None}
+    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
+    n_cases = sum(map(len, parts.values()))
+    console.print(f"[bold]acoustube {__version__}[/]: a dataset", highlight=False)
+    _print_plan(n_cases, per_case, len(parts), len(there), workers or cores(), console)
+    todo = {name: cases for name, cases in parts.items() if name not in there}
+    if todo:
+        _record(todo, folder, recipe, workers or cores(), console)
+    data = open_dataset(folder)
+    with partial_file(folder / CARD) as part:
+        part.write_text(card(data, recipe), encoding="utf-8")
+    elapsed = in_words(time.perf_counter() - started)
+    console.print(
+        f"{data.sizes['cycle']} cycles written to [bold]{folder}[/] in {elapsed}.", soft_wrap=True
+    )
+    return folder
+
+
+def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, Path]]]:
+    """Return the cases of each file of the dataset, with the sweep's file that holds each.
+
+    The order is that of :func:`acoustube.open_dataset`, whatever files a sweep has.
+    """
+    found: dict[str, Path] = {}
+    for folder in sweep:
+        if not (folder / store.PLAN).is_file():
+            raise ConfigError(
+                f"{folder} is not the folder of a sweep; make one with acoustube sweep"
+            )
+        contents = store.contents(folder)
+        if contents.damaged:
+            raise ConfigError(
+                f"{contents.damaged[0]} is damaged; repeat the command acoustube sweep to mend it"
+            )
+        found |= contents.finished
+    if not found:
+        raise ConfigError(f"{sweep[0]} holds no finished case; let acoustube sweep finish some")
+    cases = [(str(name), found[str(name)]) for name in open_dataset(sweep)["press"].values]
+    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
+    size = max(1, CYCLES_PER_FILE // per_case)
+    parts = {}
+    for i in range(0, len(cases), size):
+        some = cases[i : i + size]
+        hashed = digest([recipe.name, *(name for name, _ in some)])[:16]
+        parts[f"cycles-{i // size:05d}-{hashed}.nc"] = some
+    return parts
+
+
+def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
+    """Return the folder of the dataset, which holds nothing else."""
+    folder = out.expanduser().resolve()
+    if (folder / RECIPE).is_file():
+        others = sorted(path.name for path in folder.glob("cycles-*.nc") if path.name not in names)
+        if others:
+            raise ConfigError(
+                f"out = {out} holds cycles of another sweep, recipe or version ({others[0]}); name "
+                "a new folder"
+            )
+    else:
+        folder = check_out(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    with partial_file(folder / RECIPE) as part:
+        words = dataclasses.asdict(recipe) | {"rangefinder": None}
+        if recipe.rangefinder is not None:
+            words["rangefinder"] = json.loads(recipe.rangefinder.to_json())
+        words |= {"acoustube_version": __version__}
+        part.write_text(json.dumps(words, indent=1) + "\n", encoding="utf-8")
+    return folder
+
+
+def _print_plan(
+    n_cases: int, per_case: int, n_files: int, n_there: int, workers: int, console: Console
+) -> None:
+    n_cycles = n_cases * per_case
+    left = 1 - n_there / n_files
+    seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) * left / workers
+    console.print(
+        f"{n_cases} cases, {per_case} cycles of each, {n_cycles} in all; {n_there} of {n_files} "
+        f"files are there; about {in_words(seconds)} on {workers} workers, "
+        f"{n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB",
+        soft_wrap=True,
+    )
+
+
+def _record(
+    todo: dict[str, list[tuple[str, Path]]],
+    folder: Path,
+    recipe: Recipe,
+    workers: int,
+    console: Console,
+) -> None:
+    """Write the files that are missing."""
+    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
+    costs = {
+        name: len(cases) * (SECONDS_PER_CASE + per_case * SECONDS_PER_CYCLE)
+        for name, cases in todo.items()
+    }
+    failed: list[str] = []
+    totals = {"files": (len(todo), sum(costs.values()))}
+    with heard_interrupts() as check, progress_board(totals, workers, console) as board:
+
+        def tick() -> None:
+            check()
+            board.tick()
+
+        tasks = [
+            _task(name, cases, folder, recipe, costs[name], board, failed)
+            for name, cases in todo.items()
+        ]
+        try:
+            run_tasks(tasks, partial(process_pool, workers), workers, tick)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                "interrupted; complete files are kept, run the same command again to go on"
+            ) from None
+    if failed:
+        raise SimulationError(f"{len(failed)} of {len(todo)} files failed, the first: {failed[0]}")
+
+
+def _task(
+    name: str,
+    cases: Sequence[tuple[str, Path]],
+    folder: Path,
+    recipe: Recipe,
+    cost: float,
+    board: Board,
+    failed: list[str],
+) -> Task:
+    def then(_: int) -> list[Task]:
+        board.count("files", cost)
+        return []
+
+    return Task("files", record_cases, (cases, folder / name, recipe), then, failed.append, cost)
+
+
+def read_rangefinder(path: Path) -> Rangefinder:
+    """Return the rangefinder that a TOML file describes.
+
+    Parameters
+    ----------
+    path : Path
+        With the parameters of :class:`acoustube.ranging.Rangefinder`; those of its drive in a table
+        ``[drive]``.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a name or a value is wrong.
+    """
+    given = read_document(path)
+    drive = given.pop("drive", None)
+    for names, kind in ((given, Rangefinder), (drive or {}, Burst)):
+        known = [field.name for field in dataclasses.fields(kind)]
+        for name in names:
+            if name not in known:
+                raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")
+    try:
+        return Rangefinder(**given, **({} if drive is None else {"drive": Burst(**drive)}))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def card(data: xr.Dataset, recipe: Recipe) -> str:
+    """Return what a dataset is, how it was made and what it covers, in Markdown.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`acoustube.open_dataset`.
+    recipe : Recipe
+
+    Returns
+    -------
+    str
+    """
+    n_tubes, n_sessions = (len(np.unique(data[name].values)) for name in ("tube", "session"))
+    shapes = ", ".join(np.unique(data["shape"].values))
+    rangefinder: dict[str, Any] = json.loads(data.attrs.get("rangefinder", "{}"))
+    untouched = int((data["depth"].values == 0).sum())
+    lines = [
+        "# Cycles of a rangefinder on a soft acoustic waveguide",
+        "",
+        f"{data.sizes['cycle']} simulated cycles of {data.sizes['time']} samples at "
+        f"{1e-3 * data.attrs['sampling_rate']:g} kHz, of {len(np.unique(data['press'].values))} "
+        f"presses ({shapes}), {n_tubes} tubes and {n_sessions} sessions; {untouched} cycles are "
+        "without contact.",
+        "",
+        "## How it was made",
+        "",
+        f"acoustube {__version__}: each press by finite elements, its scattering of sound by finite "
+        "differences, the tube's sound from both with wall losses, and the rangefinder's burst, "
+        "ring-down, amplifier, noise and ADC. Cycles of a case differ by noise, drift and reported "
+        f"temperature; seed {recipe.seed}. Parameters of the rangefinder and the settings of each "
+        "case are in the files.",
+        "",
+        "## Ranges",
+        "",
+        "| label | from | to | unit |",
+        "|---|---|---|---|",
+        *(_range_row(data, name) for name in RANGES),
+        "",
+        "## How to use it",
+        "",
+        "`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds "
+        "counts of the ADC (cycle, time). Split by `tube` or `session`, not by cycle: cycles of one "
+        "case are alike but for noise. Labels are exact; `temperature` is what the board reports, "
+        "`air_temperature` the truth.",
+        "",
+        "## What it is not",
+        "",
+        "Simulated: no fabric, no bends, no scatter between specimens but that of `clutter`"
+        + (f" ({rangefinder['clutter']:g} 1/m)" if "clutter" in rangefinder else "")
+        + ". See the documentation for what the simulator leaves out.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _range_row(data: xr.Dataset, name: str) -> str:
+    words, scale, unit = RANGES[name]
+    values = scale * data[name].values
+    if not np.isfinite(values).any():
+        return f"| {words} | none | none | {unit} |"
+    return f"| {words} | {np.nanmin(values):.4g} | {np.nanmax(values):.4g} | {unit} |"
