@@ -263,18 +263,22 @@ def card(data: xr.Dataset, recipe: Recipe) -> str:
     lines = [
         "# Cycles of a rangefinder on a soft acoustic waveguide",
         "",
-        f"{data.sizes['cycle']} simulated cycles of {data.sizes['time']} samples at "
-        f"{1e-3 * data.attrs['sampling_rate']:g} kHz, of {len(np.unique(data['press'].values))} "
-        f"presses ({shapes}), {n_tubes} tubes and {n_sessions} sessions; {untouched} cycles are "
-        "without contact.",
+        (
+            f"{data.sizes['cycle']} simulated cycles of {data.sizes['time']} samples at "
+            f"{1e-3 * data.attrs['sampling_rate']:g} kHz, of {len(np.unique(data['press'].values))} "
+            f"presses ({shapes}), {n_tubes} tubes and {n_sessions} sessions; {untouched} cycles are "
+            "without contact."
+        ),
         "",
         "## How it was made",
         "",
-        f"acoustube {__version__}: each press by finite elements, its scattering of sound by finite "
-        "differences, the tube's sound from both with wall losses, and the rangefinder's burst, "
-        "ring-down, amplifier, noise and ADC. Cycles of a case differ by noise, drift and reported "
-        f"temperature; seed {recipe.seed}. Parameters of the rangefinder and the settings of each "
-        "case are in the files.",
+        (
+            f"acoustube {__version__}: each press by finite elements, its scattering of sound by finite "
+            "differences, the tube's sound from both with wall losses, and the rangefinder's burst, "
+            "ring-down, amplifier, noise and ADC. Cycles of a case differ by noise, drift and reported "
+            f"temperature; seed {recipe.seed}. Parameters of the rangefinder and the settings of each "
+            "case are in the files."
+        ),
         "",
         "## Ranges",
         "",
@@ -284,10 +288,12 @@ def card(data: xr.Dataset, recipe: Recipe) -> str:
         "",
         "## How to use it",
         "",
-        "`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds "
-        "counts of the ADC (cycle, time). Split by `tube` or `session`, not by cycle: cycles of one "
-        "case are alike but for noise. Labels are exact; `temperature` is what the board reports, "
-        "`air_temperature` the truth.",
+        (
+            "`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds "
+            "counts of the ADC (cycle, time). Split by `tube` or `session`, not by cycle: cycles of one "
+            "case are alike but for noise. Labels are exact; `temperature` is what the board reports, "
+            "`air_temperature` the truth."
+        ),
         "",
         "## What it is not",
         "",
