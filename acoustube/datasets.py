@@ -42,6 +42,39 @@ RANGES = {
     "carrier_frequency": ("carrier", 1e-3, "kHz"),
 }  # fmt: skip
 """Labels whose range a dataset card tells, in human units."""
+CARD_TEXT = """\
+# Cycles of a rangefinder on a soft acoustic waveguide
+
+{n_cycles} simulated cycles of {n_samples} samples at {rate:g} kHz.
+
+* presses: {n_presses} ({shapes})
+* tubes: {n_tubes}
+* sessions: {n_sessions}
+* cycles without contact: {n_untouched}
+
+## How it was made
+
+acoustube {version}: each press by finite elements, its scattering of sound by finite differences,
+the tube's sound from both with wall losses, and the rangefinder's burst, ring-down, amplifier,
+noise and ADC. Cycles of a case differ by noise, drift and reported temperature; the seed is {seed}.
+Parameters of the rangefinder are in the files, the settings of each case in the sweep.
+
+## Ranges
+
+| label | from | to | unit |
+|---|---|---|---|
+{ranges}
+
+## How to use it
+
+`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds counts of
+the ADC (cycle, time). Split by `tube` or `session`, not by cycle: those of one case are alike but
+for noise. Labels are exact; `temperature` is what the board reports, `air_temperature` the truth.
+
+## What it is not
+
+Simulated: no fabric, no bends, no scatter between specimens but that of `clutter`{clutter}.
+"""
 
 
 def run_dataset(
@@ -107,9 +140,7 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
     found: dict[str, Path] = {}
     for folder in sweep:
         if not (folder / store.PLAN).is_file():
-            raise ConfigError(
-                f"{folder} is not the folder of a sweep; make one with acoustube sweep"
-            )
+            raise ConfigError(f"{folder} holds no sweep; make one with acoustube sweep")
         contents = store.contents(folder)
         if contents.damaged:
             raise ConfigError(
@@ -238,7 +269,8 @@ def read_rangefinder(path: Path) -> Rangefinder:
             if name not in known:
                 raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")
     try:
-        return Rangefinder(**given, **({} if drive is None else {"drive": Burst(**drive)}))
+        parts: dict[str, Any] = {} if drive is None else {"drive": Burst(**drive)}
+        return Rangefinder(**given, **parts)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -256,52 +288,18 @@ def card(data: xr.Dataset, recipe: Recipe) -> str:
     -------
     str
     """
-    n_tubes, n_sessions = (len(np.unique(data[name].values)) for name in ("tube", "session"))
-    shapes = ", ".join(np.unique(data["shape"].values))
+    n_presses, n_tubes, n_sessions = (
+        len(np.unique(data[name].values)) for name in ("press", "tube", "session")
+    )
     rangefinder: dict[str, Any] = json.loads(data.attrs.get("rangefinder", "{}"))
-    untouched = int((data["depth"].values == 0).sum())
-    lines = [
-        "# Cycles of a rangefinder on a soft acoustic waveguide",
-        "",
-        (
-            f"{data.sizes['cycle']} simulated cycles of {data.sizes['time']} samples at "
-            f"{1e-3 * data.attrs['sampling_rate']:g} kHz, of {len(np.unique(data['press'].values))} "
-            f"presses ({shapes}), {n_tubes} tubes and {n_sessions} sessions; {untouched} cycles are "
-            "without contact."
-        ),
-        "",
-        "## How it was made",
-        "",
-        (
-            f"acoustube {__version__}: each press by finite elements, its scattering of sound by finite "
-            "differences, the tube's sound from both with wall losses, and the rangefinder's burst, "
-            "ring-down, amplifier, noise and ADC. Cycles of a case differ by noise, drift and reported "
-            f"temperature; seed {recipe.seed}. Parameters of the rangefinder and the settings of each "
-            "case are in the files."
-        ),
-        "",
-        "## Ranges",
-        "",
-        "| label | from | to | unit |",
-        "|---|---|---|---|",
-        *(_range_row(data, name) for name in RANGES),
-        "",
-        "## How to use it",
-        "",
-        (
-            "`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds "
-            "counts of the ADC (cycle, time). Split by `tube` or `session`, not by cycle: cycles of one "
-            "case are alike but for noise. Labels are exact; `temperature` is what the board reports, "
-            "`air_temperature` the truth."
-        ),
-        "",
-        "## What it is not",
-        "",
-        "Simulated: no fabric, no bends, no scatter between specimens but that of `clutter`"
-        + (f" ({rangefinder['clutter']:g} 1/m)" if "clutter" in rangefinder else "")
-        + ". See the documentation for what the simulator leaves out.",
-    ]
-    return "\n".join(lines) + "\n"
+    return CARD_TEXT.format(
+        n_cycles=data.sizes["cycle"], n_samples=data.sizes["time"],
+        rate=1e-3 * data.attrs["sampling_rate"], shapes=", ".join(np.unique(data["shape"].values)),
+        n_presses=n_presses, n_tubes=n_tubes, n_sessions=n_sessions,
+        n_untouched=int((data["depth"].values == 0).sum()), version=__version__, seed=recipe.seed,
+        ranges="\n".join(_range_row(data, name) for name in RANGES),
+        clutter=f" ({rangefinder['clutter']:g} 1/m)" if "clutter" in rangefinder else "",
+    )  # fmt: skip
 
 
 def _range_row(data: xr.Dataset, name: str) -> str:

@@ -82,7 +82,7 @@ def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:
     given: Sequence[Any] = [where] if isinstance(where, str | Path) else list(where)
     found: list[Path] = []
     for one in given:
-        named = [Path(one)] if Path(one).exists() else [Path(p) for p in glob(str(one))]
+        named = [Path(one)] if Path(one).exists() else [Path(p) for p in glob(str(one))]  # noqa: PTH207
         for path in sorted(named):
             inside = [p for pattern in PATTERNS.values() for p in sorted(path.glob(pattern))]
             found += [path] if path.is_file() and path.suffix == ".nc" else inside
