@@ -261,6 +261,65 @@ def dataset(
     run_dataset(sweep, out, recipe, Console(quiet=quiet), workers=processes)
 
 
+@app.command
+def show(
+    results: Path,
+    /,
+    *,
+    out: Path,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Draw the results of a sweep: force, echo and error over depth, and the echoes.
+
+    Parameters
+    ----------
+    results : Path
+        A folder that ``acoustube sweep`` wrote.
+    out : Path
+        The picture to write (PNG, PDF or SVG), which must be new.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    check_new_file(out)
+    _check_picture(out)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.shown import run_show
+
+    run_show(results, out, Console(quiet=quiet))
+
+
+@app.command
+def export(
+    results: Path,
+    /,
+    *,
+    out: Path,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Write a dataset of cycles as WAV files and a Parquet table of their labels.
+
+    Parameters
+    ----------
+    results : Path
+        A folder that ``acoustube dataset`` wrote.
+    out : Path
+        The folder to write, which must be new or empty.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    check_out(out)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.exported import run_export
+
+    run_export(results, out, Console(quiet=quiet))
+
+
 def _share(shard: str | None) -> tuple[int, int]:
     """Return number and count of a share such as 3/40."""
     if shard is None:

@@ -1,0 +1,43 @@
+"""The command ``acoustube show``: a picture of results that are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from acoustube import plot
+from acoustube.errors import ConfigError
+from acoustube.opening import open_dataset
+
+
+def run_show(where: Path, out: Path, console: Console) -> Path:
+    """Draw the results of a sweep.
+
+    Parameters
+    ----------
+    where : Path
+        Its folder.
+    out : Path
+        The picture to write.
+    console : rich.console.Console
+        Where to print.
+
+    Returns
+    -------
+    Path
+        The picture.
+
+    Raises
+    ------
+    ConfigError
+        If there is no sweep.
+    """
+    from acoustube import plot_sweep
+
+    cases = open_dataset(where)
+    if "press" not in cases.dims:
+        raise ConfigError(f"{where} is a dataset of cycles; name the folder of a sweep")
+    plot.save(plot_sweep.figure(cases.load()), out)
+    console.print(f"{cases.sizes['press']} cases drawn in [bold]{out}[/].", soft_wrap=True)
+    return out
