@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -45,7 +46,8 @@ def figure(cases: xr.Dataset) -> Figure:
     tools = list(by_tool(cases))
     columns = max(3, min(len(tools), MOST_TOOLS))
     sheet = Figure(figsize=(4.2 * columns, 8.5), layout="constrained")
-    above, below = np.ravel(sheet.subfigures(2, 1, height_ratios=[1, 1.1]))
+    rows: Any = sheet.subfigures(2, 1, height_ratios=[1, 1.1])
+    above, below = rows
     for axes, name, scale, label in zip(
         above.subplots(1, 3), ("force", "amplitude", "error"), (1.0, CM, CM),
         ("force (N)", "highest echo (% of the send pulse)", "error of the distance (cm)"),

@@ -55,7 +55,7 @@ def test_name_depends_on_everything_given_and_on_the_code(monkeypatch):
     assert name == cache.key("press", {"tube": {"wall": 2}, "depth": 1.0})
     assert name != cache.key("press", {"tube": {"wall": 3}, "depth": 1.0})
     assert name != cache.key("scattering", {"depth": 1.0, "tube": {"wall": 2}})
-    monkeypatch.setattr(cache, "_code", lambda kind: "changed")
+    monkeypatch.setattr(cache, "_code", lambda _: "changed")
     assert name != cache.key("press", {"depth": 1.0, "tube": {"wall": 2}})
 
 

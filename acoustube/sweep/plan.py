@@ -33,6 +33,8 @@ SAMPLERS = ("sobol", "latin")
 COUNT = Number(1, MOST_CASES, "", "cases of a random plan", whole=True)
 SEED = Number(0, 2**63 - 1, "", "seed of a random plan", whole=True)
 SAMPLER = Choice(SAMPLERS, "how a random plan fills the ranges")
+RANDOM: dict[str, Number | Choice] = {"count": COUNT, "sampler": SAMPLER, "seed": SEED}
+"""Settings of a random plan, with their rules."""
 
 Values = tuple[Any, ...]
 
@@ -304,13 +306,9 @@ def load_plan(
         If the file cannot be read, or a name or a value is wrong.
     """
     document = read_document(Path(path)) if path is not None else {}
-    sweep = document.pop("sweep", {})
+    sweep = _checked_section(path, document.pop("sweep", {}))
     document.pop("acoustube_version", None)
     shared = given_in(Path(path), document) if path is not None else {}
-    known = ("over", "case", "count", "sampler", "seed")
-    if not isinstance(sweep, dict) or (unknown := [name for name in sweep if name not in known]):
-        what = f"[sweep] {unknown[0]} is not known" if isinstance(sweep, dict) else "sweep = ..."
-        raise ConfigError(f"{path}: {what}; a sweep has {', '.join(known)}")
     axes = {name: _axis(path, name, values) for name, values in sweep.get("over", {}).items()}
     cases = tuple(sweep.get("case", ()))
     for name, words in (over or {}).items():
@@ -320,8 +318,9 @@ def load_plan(
             shared.setdefault(section_of(name), {})[name] = values[0]
         else:
             axes[name] = values
-    numbers = {name: sweep[name] for name in ("count", "sampler", "seed") if name in sweep}
+    numbers = {name: sweep[name] for name in RANDOM if name in sweep}
     numbers |= {name: value for name, value in given.items() if value is not None}
+    numbers = {name: RANDOM[name].check(name, value) for name, value in numbers.items()}
     for section, defaults in DEFAULTS.items():
         shared[section] = defaults | shared.get(section, {})
     varied = set(axes) | {name for case in cases for name in case}
@@ -330,6 +329,23 @@ def load_plan(
     if numbers.get("count") and not axes:
         raise ConfigError("a random plan needs a range; give one such as --depth 1:8")
     return Plan(given=shared, over=axes, cases=cases, **numbers)
+
+
+def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
+    """Return the section [sweep] of a file, once it is what a plan has."""
+    known = ("over", "case", *RANDOM)
+    if not isinstance(sweep, dict):
+        raise ConfigError(f"{path}: sweep must be a section, written [sweep] or [sweep.over]")
+    for name, value in sweep.items():
+        if name not in known:
+            raise ConfigError(f"{path}: [sweep] {name} is not known; it has {', '.join(known)}")
+        if name == "over" and not isinstance(value, dict):
+            raise ConfigError(f"{path}: over must be a section, written [sweep.over]")
+        if name == "case" and not (
+            isinstance(value, list) and all(isinstance(case, dict) for case in value)
+        ):
+            raise ConfigError(f"{path}: case must be a list of sections, written [[sweep.case]]")
+    return sweep
 
 
 def _axis(path: Any, name: str, values: Any) -> Values | Interval:
