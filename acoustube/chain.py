@@ -43,7 +43,7 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 BAND_EDGE = -20.0
 """Level in dB under the pulse's spectral peak down to which a mode's cut-on is warned of."""
 
-HEARD = -60.0
+HEARD = -70.0
 """Level in dB under the pulse's spectral peak down to which its sound is followed."""
 LOWEST = 0.1
 """Lowest frequency that is followed of a short pulse, whose band reaches to zero, in carriers."""

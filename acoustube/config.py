@@ -24,8 +24,8 @@ from acoustube.rules import Choice, File, Number, Section, filled, nearest, sett
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
 
-BAND_WIDTH = 3.55
-"""Half the pulse's band down to -60 dB, in carriers times cycles."""
+BAND_WIDTH = 3.83
+"""Half the pulse's band down to -70 dB, in carriers times cycles."""
 MOST_CELLS = 50_000_000
 """Largest grid of the wave stage, which then takes some 15 GB of memory."""
 

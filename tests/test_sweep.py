@@ -1,0 +1,368 @@
+"""Sweeps: the same results however they are computed, and nothing lost."""
+
+import dataclasses
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import xarray as xr
+from rich.console import Console
+
+import acoustube
+from acoustube import cache, chain
+from acoustube.air import air_at
+from acoustube.cli import main
+from acoustube.config import configured
+from acoustube.errors import ConfigError
+from acoustube.lumen import pressed_part
+from acoustube.mechanics import pressed
+from acoustube.sweep import pieces, store
+from acoustube.sweep.graph import Case, structured
+from acoustube.sweep.plan import load_plan
+from acoustube.swept import run_sweep
+from acoustube.waves import Placed, cut_cells, scatter
+from acoustube.waves.cascade import rescaled
+from tests.wave_lumens import BORE, pinched_tube
+
+# Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
+SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
+SMALL += ["--resolution", "8"]
+OVER = {
+    "depth_mm": ["0", "0.3", "0.6"], "position_cm": ["15", "25"], "frequency_khz": ["20"],
+    "resolution": ["8"],
+}  # fmt: skip
+QUIET = Console(quiet=True)
+
+
+def small_sweep(folder, over=None, **options):
+    options.setdefault("executor", ThreadPoolExecutor(1))
+    return run_sweep(load_plan(None, over or OVER), folder, QUIET, **options)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep") / "small"
+    assert small_sweep(folder)
+    return folder
+
+
+def assert_same(one, other):
+    """The same cases with the same bits."""
+    a, b = (acoustube.open_dataset(folder).load() for folder in (one, other))
+    xr.testing.assert_identical(a, b)
+
+
+@pytest.mark.slow
+def test_cases_are_what_simulate_computes(finished):
+    """The same to float32 from the same scattering; `simulate` cuts the pulse's band off sooner.
+
+    What it leaves out is at -70 dB of the spectrum's peak and under 2e-3 of the pulse.
+    """
+    data = acoustube.open_dataset(finished)
+    for case in (data.isel(press=i) for i in (4, 5)):
+        config = configured(json.loads(str(case["configuration"].values)))
+        press = pressed(config, [0.3e-3, 0.6e-3])
+        row = press.rows_at([float(case["depth"])])[0]
+        part = pressed_part(press, row)
+        (group,) = structured([Case("a", config)])[0].groups
+        matrix, _ = chain.scattering_of(
+            part, chain.air_of(config), (group.band.low, group.band.high),
+            bore=7.9e-3, resolution=8, lossy=True,
+        )  # fmt: skip
+        position = 1e-2 * config.indentation.position_cm
+        same = chain.joined(config, [Placed(matrix, position)])
+        alone, _ = chain.listen_by_parts(config, part)
+        for end in chain.SOURCE_ENDS:
+            found = case["pressure"].sel(source_end=end).values
+            assert np.abs(found - same[end].pressure[0]).max() < 1e-6
+            assert np.abs(found - alone[end].pressure[0]).max() < 2e-3
+        assert float(case["force"]) == pytest.approx(float(press.contact_force[row]))
+
+
+@pytest.mark.slow
+def test_labels_are_those_of_the_settings_and_the_press(finished):
+    data = acoustube.open_dataset(finished)
+    assert data.sizes["press"] == 6
+    assert list(data["depth"].values) == [0.0, 0.3e-3, 0.6e-3] * 2
+    assert list(data["true_distance"].values) == [0.15] * 3 + [0.25] * 3
+    assert np.all(np.diff(data["force"].values[:3]) > 0.1)
+    assert data["force"].values[0] == 0
+    assert np.all(np.diff(data["lumen_area"].values[:3]) < 0)
+    np.testing.assert_allclose(data["lumen_area"].values[0], np.pi * 3.95e-3**2, rtol=1e-12)
+    # An untouched tube sends nothing back, a press the more the deeper it is.
+    late = data["pressure"].sel(source_end="absorbing").isel(time=data["time"] > 0.8e-3)
+    highest = np.abs(late).max("time").values[:3]
+    assert highest[0] < 1e-6 < 10 * highest[1] < highest[2] * 10
+    for name, variable in data.variables.items():
+        if name != "press":
+            assert variable.attrs["units"], name
+            assert variable.attrs["long_name"], name
+
+
+@pytest.mark.slow
+def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
+    before = {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")}
+    monkeypatch.setattr(pieces, "press", None)
+    monkeypatch.setattr(pieces, "hear", None)
+    assert main(["sweep", *SMALL, "--out", str(finished)]) == 0
+    assert "nothing to compute" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")} == before
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("finished")
+def test_pieces_are_computed_once_ever(tmp_path, capsys):
+    """Other places, temperatures and a longer tube: only what is heard is new."""
+    words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
+    words += ["--position", "30:60:5", "--length", "80", "--temperature", "20"]
+    assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
+    out = capsys.readouterr().out
+    assert "paths of presses     1, 1 remembered" in out
+    assert "scattering matrices  2, 2 remembered" in out
+    assert "paths: 0 computed, 1 reused; scattering: 0 computed, 2 reused; cases: 14 comp" in out
+
+
+@pytest.mark.slow
+def test_workers_shares_and_order_do_not_matter(finished, tmp_path, monkeypatch):
+    """Each way computes all pieces anew."""
+    ways = {
+        "one": [[*SMALL, "--workers", "1"]],
+        "two": [[*SMALL, "--workers", "2"]],
+        "shares": [[*SMALL, "--workers", "1", "--shard", f"{i}/2"] for i in (2, 1)],
+    }
+    for name, commands in ways.items():
+        monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / f"cache of {name}"))
+        for words in commands:
+            assert main(["sweep", *words, "--quiet", "--out", name]) == 0
+        assert_same(finished, tmp_path / name)
+
+
+@pytest.mark.slow
+def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
+    """Scheduler and workers are processes of their own; one of two workers is killed."""
+    environment = os.environ | {
+        "ACOUSTUBE_CACHE": str(tmp_path / "cluster's"),
+        "OMP_NUM_THREADS": "1",
+    }
+    start = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    address = "tcp://127.0.0.1:18786"
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "18786", "--no-dashboard"], **start
+    )
+    worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+    workers = [subprocess.Popen(worker, **start) for _ in range(2)]
+    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--out", "cluster"]
+    try:
+        _await_workers(address, 2)
+        sweep = subprocess.Popen([*command, "--dask", address], env=environment)
+        time.sleep(8)
+        workers[0].kill()
+        assert sweep.wait(timeout=300) == 0
+    finally:
+        for process in (scheduler, *workers):
+            process.kill()
+    assert_same(finished, tmp_path / "cluster")
+
+
+def _await_workers(address, count):
+    from distributed import Client
+
+    with Client(address, timeout=60) as client:
+        client.wait_for_workers(count, timeout=60)
+
+
+def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
+    import distributed
+
+    real = distributed.Client
+    monkeypatch.setattr(distributed, "Client", lambda address, **_: real(address, timeout=1))
+    assert main(["sweep", *SMALL, "--out", "new", "--dask", "tcp://127.0.0.1:9"]) == 2
+    assert "no scheduler answers there" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_sweep_that_is_killed_goes_on_to_the_same_results(finished, tmp_path):
+    """Killed with all its workers at random moments; what is written is never half."""
+    moments = random.Random(5)
+    environment = os.environ | {"ACOUSTUBE_CACHE": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--out", "killed"]
+    for _ in range(3):
+        sweep = subprocess.Popen([*command, "--quiet"], env=environment, start_new_session=True)
+        time.sleep(moments.uniform(4, 20))
+        os.killpg(sweep.pid, signal.SIGKILL)
+        sweep.wait()
+        if (tmp_path / "killed").is_dir():
+            assert not store.contents(tmp_path / "killed").damaged
+    subprocess.run([*command, "--quiet"], env=environment, check=True, timeout=300)
+    assert_same(finished, tmp_path / "killed")
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_killed_sweep(tmp_path):
+    environment = os.environ | {"ACOUSTUBE_CACHE": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--workers", "1", "--quiet"]
+    sweep = subprocess.Popen([*command, "--out", "killed"], env=environment)
+    deadline = time.monotonic() + 60
+    while not (children := _children(sweep.pid)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    time.sleep(3)
+    children = _children(sweep.pid)
+    sweep.kill()
+    sweep.wait()
+    deadline = time.monotonic() + 20
+    while any(map(_alive, children)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert children
+    assert not any(map(_alive, children))
+
+
+def _children(pid):
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True)
+    return [int(word) for word in found.stdout.split()]
+
+
+def _alive(pid):
+    found = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return bool(found.stdout.strip()) and not found.stdout.startswith("Z")
+
+
+@pytest.mark.slow
+def test_a_failed_case_is_recorded_and_stops_no_other(finished, tmp_path, monkeypatch, capsys):
+    real = chain.locate
+
+    def refuse(config, recording):
+        if config.indentation.position_cm == 25 and config.indentation.depth_mm == 0.3:
+            raise ConfigError("this one does not work")
+        return real(config, recording)
+
+    monkeypatch.setattr(chain, "locate", refuse)
+    folder = tmp_path / "failing"
+    assert not small_sweep(folder)
+    (name,) = store.failures(folder)
+    assert len(store.contents(folder).finished) == 5
+    record = json.loads((folder / "failed" / f"{name}.json").read_text())
+    assert record["reason"] == "this one does not work"
+    assert record["configuration"]["indentation"]["position_cm"] == 25
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    # Not tried again unless asked to.
+    assert main(["sweep", *SMALL, "--out", str(folder)]) == 1
+    out = capsys.readouterr().out
+    assert f"{name}: this one does not work" in " ".join(out.split())
+    assert "--retry failed" in out
+    assert small_sweep(folder, retry=True)
+    assert store.failures(folder) == {}
+    assert_same(finished, folder)
+
+
+@pytest.mark.slow
+def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
+    real = pieces.press
+
+    def stop(config, depths):
+        done = real(config, depths)
+        at = {depth: value for depth, value in done.result.at.items() if depth < 0.5e-3}
+        return done._replace(result=pieces.PressPath(at, "cannot go beyond 0.5 mm"))
+
+    monkeypatch.setattr(pieces, "press", stop)
+    folder = tmp_path / "stopped"
+    assert not small_sweep(folder)
+    assert set(store.failures(folder).values()) == {"cannot go beyond 0.5 mm"}
+    depths = acoustube.open_dataset(folder)["depth"].values
+    assert sorted(depths) == [0.0, 0.0, 0.3e-3, 0.3e-3]
+
+
+@pytest.mark.slow
+def test_a_damaged_file_is_computed_again_and_kept(finished, tmp_path, capsys):
+    folder = tmp_path / "damaged"
+    assert small_sweep(folder)
+    path = sorted(folder.glob("cases-*.nc"))[0]
+    path.write_bytes(path.read_bytes()[:5000])
+    (folder / "notes.txt").write_text("mine")
+    assert main(["sweep", *SMALL, "--out", str(folder), "--workers", "1"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"{path.name} is damaged; it is computed again" in out
+    assert "notes.txt" in out
+    assert (folder / f"{path.name}.damaged").stat().st_size == 5000
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert_same(finished, folder)
+
+
+@pytest.mark.slow
+def test_a_changed_plan_is_told_and_keeps_what_is_there(finished, tmp_path, capsys):
+    folder = tmp_path / "grown"
+    assert small_sweep(folder, OVER | {"position_cm": ["15"]})
+    assert main(["sweep", *SMALL, "--out", str(folder), "--workers", "1"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "the plan has changed since grown was begun; 3 of its 6 cases are there already" in out
+    assert_same(finished, folder)
+
+
+@pytest.mark.slow
+def test_two_sweeps_may_write_to_one_folder(finished, tmp_path):
+    with ThreadPoolExecutor(2) as both:
+        done = [both.submit(small_sweep, tmp_path / "shared") for _ in range(2)]
+        assert all(sweep.result() for sweep in done)
+    assert_same(finished, tmp_path / "shared")
+
+
+def test_folders_of_others_are_refused(tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    for out, words in (("mine", "is not empty"), ("/proc/none", "cannot be written")):
+        assert main(["sweep", *SMALL, "--out", out]) == 2
+        assert words in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+
+
+def test_nothing_to_open_is_told(tmp_path):
+    with pytest.raises(ConfigError, match="holds no results of acoustube sweep or dataset"):
+        acoustube.open_dataset(tmp_path)
+
+
+def test_scattering_of_another_air_is_that_of_the_same_wavelengths():
+    """Exact without losses, on the grid too: the march itself scales with the speed of sound."""
+    tube = pinched_tube(0.03, depth=0.5)
+    cells = cut_cells(tube, 2 * BORE / 10)
+    cold, warm = air_at(20.0), air_at(38.0)
+    ratio = warm.sound_speed / cold.sound_speed
+    frequency = np.arange(10e3, 24e3, 500.0)
+    for lossy, tolerance in ((False, 2e-6), (True, 2e-3)):
+        found = scatter(cells, cold, frequency, lossy=lossy, symmetric_only=True)
+        direct = scatter(cells, warm, ratio * frequency, lossy=lossy, symmetric_only=True)
+        moved = rescaled(found, warm.sound_speed)
+        np.testing.assert_allclose(moved.frequency, direct.frequency)
+        assert np.abs(moved.s - direct.s).max() < tolerance
+    # And it is not as good to leave the frequencies as they are.
+    assert np.abs(found.s - scatter(cells, warm, frequency, symmetric_only=True).s).max() > 0.01
+
+
+def test_scattering_is_remembered_under_all_that_it_depends_on():
+    (config,) = load_plan(None, {"depth_mm": ["2"]}).configs()
+    band = pieces.Band(30e3, 50e3, 20.0)
+
+    def name(config=config, depths=(1e-3, 2e-3), depth=2e-3, band=band):
+        return pieces.scattering_name(config, depths, depth, band)
+
+    def varied(section, **values):
+        part = dataclasses.replace(getattr(config, section), **values)
+        return name(dataclasses.replace(config, **{section: part}))
+
+    others = [
+        name(depths=(2e-3,)), name(depth=1e-3), name(band=band._replace(high=51e3)),
+        varied("waves", losses="off"), varied("waves", resolution=20),
+        varied("waves", humidity_percent=40.0), varied("tube", wall_mm=1.7),
+        varied("indentation", support="free"),
+    ]  # fmt: skip
+    assert len({name(), *others}) == len(others) + 1
+    assert name() == varied("indentation", position_cm=15.0) == varied("waves", frequency_khz=40.0)
+    assert name() == varied("tube", length_cm=100.0)
+    assert not cache.holds(name())

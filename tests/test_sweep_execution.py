@@ -1,0 +1,218 @@
+"""Tasks on workers that fail, die or go away; files that are damaged; a disk that is full."""
+
+import errno
+import os
+import signal
+import time
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from acoustube.errors import SimulationError
+from acoustube.sweep import store
+from acoustube.sweep.execution import ATTEMPTS, Task, process_pool, run_tasks
+
+
+def square(x):
+    return x * x
+
+
+def refuse(x):
+    raise ValueError(f"cannot square {x}")
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def die_once(x, flag):
+    """Kill the worker at the first call, and work at the second."""
+    if not flag.exists():
+        flag.touch()
+        die(x)
+    return x * x
+
+
+class Record:
+    """What became of tasks."""
+
+    def __init__(self):
+        self.results, self.failures = {}, {}
+
+    def task(self, name, work, *arguments, follow=()):
+        def then(result):
+            self.results[name] = result
+            return [self.task(*more) for more in follow]
+
+        def failed(reason):
+            self.failures[name] = reason
+
+        return Task("test", work, arguments, then, failed, 1.0)
+
+
+def threads():
+    return ThreadPoolExecutor(2)
+
+
+def test_tasks_and_what_follows_from_them_are_all_run():
+    record, ticks = Record(), []
+    tasks = [record.task("a", square, 2, follow=[("b", square, 3), ("c", square, 4)])]
+    run_tasks(tasks, threads, 2, lambda: ticks.append(1))
+    assert record.results == {"a": 4, "b": 9, "c": 16}
+    assert ticks
+
+
+def test_a_failed_task_is_told_and_the_others_go_on():
+    record = Record()
+    tasks = [record.task(i, refuse if i == 3 else square, i) for i in range(8)]
+    run_tasks(tasks, threads, 2, lambda: None)
+    assert record.failures == {3: "cannot square 3"}
+    assert record.results == {i: i * i for i in range(8) if i != 3}
+
+
+def test_no_more_tasks_are_handed_over_than_asked_for():
+    at_once, most = [], []
+
+    def work(x):
+        at_once.append(x)
+        most.append(len(at_once))
+        time.sleep(0.01)
+        at_once.remove(x)
+        return x
+
+    record = Record()
+    run_tasks([record.task(i, work, i) for i in range(20)], partial(ThreadPoolExecutor, 8), 3, int)
+    assert len(record.results) == 20
+    assert max(most) <= 3
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_nothing_but_time(tmp_path):
+    record = Record()
+    tasks = [record.task(i, die_once, i, tmp_path / "died") for i in range(6)]
+    run_tasks(tasks, partial(process_pool, 2), 2, lambda: None)
+    assert record.results == {i: i * i for i in range(6)}
+    assert record.failures == {}
+
+
+@pytest.mark.slow
+def test_a_task_that_always_kills_its_worker_fails_alone():
+    record = Record()
+    tasks = [record.task(i, die if i == 2 else square, i) for i in range(6)]
+    run_tasks(tasks, partial(process_pool, 2), 2, lambda: None)
+    assert list(record.failures) == [2]
+    assert f"killed {ATTEMPTS} times" in record.failures[2]
+    assert record.results == {i: i * i for i in range(6) if i != 2}
+
+
+def test_an_interrupt_ends_the_run():
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_tasks([Record().task("a", square, 2)], threads, 1, interrupt)
+
+
+class GoneExecutor(ThreadPoolExecutor):
+    """One whose scheduler has gone, as a Dask cluster's may."""
+
+    def submit(self, *_):
+        future = Future()
+        future.set_exception(CancelledError())
+        return future
+
+
+def test_a_lost_scheduler_ends_the_run_with_a_word():
+    with pytest.raises(SimulationError, match=r"scheduler is gone; run the same command again"):
+        run_tasks([Record().task("a", square, 2)], GoneExecutor, 1, lambda: None)
+
+
+def results(*names):
+    rng = np.random.default_rng(0)
+    pressure = rng.normal(size=(len(names), 2, 900)).astype(np.float32)
+    return xr.Dataset(
+        {"pressure": (("press", "source_end", "time"), pressure)}, {"press": list(names)}
+    )
+
+
+def test_results_come_back_as_they_were_written(tmp_path):
+    matrix = xr.Dataset({"s": ("frequency", np.arange(4.0))})
+    path = store.write(tmp_path, results("a", "b"), matrix)
+    data, again = store.read(path)
+    assert list(data["press"].values) == ["a", "b"]
+    np.testing.assert_array_equal(data["pressure"], results("a", "b")["pressure"])
+    np.testing.assert_array_equal(again["s"], matrix["s"])
+    assert store.contents(tmp_path).finished == {"a": path, "b": path}
+    assert store.write(tmp_path, results("b", "a"), None) == path
+
+
+@pytest.mark.parametrize("place", np.linspace(0.02, 0.98, 25))
+def test_a_changed_byte_or_a_cut_is_noticed(tmp_path, place):
+    path = store.write(tmp_path, results("a"), None)
+    good = path.read_bytes()
+    at = int(place * len(good))
+    path.write_bytes(good[:at] + bytes([good[at] ^ 0x55]) + good[at + 1 :])
+    data = store.intact(path)
+    # A byte of HDF5's own free space may not matter; then the content is what it was.
+    if data is not None:
+        np.testing.assert_array_equal(data["pressure"], results("a")["pressure"])
+    else:
+        assert store.contents(tmp_path).damaged == [path]
+    path.write_bytes(good[:at])
+    assert store.intact(path) is None
+    aside = store.set_aside(path)
+    assert store.contents(tmp_path) == store.Contents({}, [], [])
+    assert aside.name == f"{path.name}.damaged"
+
+
+def test_damage_of_the_samples_is_noticed(tmp_path):
+    """The bytes in the middle of a large file are compressed samples."""
+    path = store.write(tmp_path, results(*"abcdefgh"), None)
+    good = path.read_bytes()
+    at = len(good) // 2
+    path.write_bytes(good[:at] + bytes([good[at] ^ 0x55]) + good[at + 1 :])
+    assert store.intact(path) is None
+
+
+def test_foreign_files_are_told_and_left(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "cases-mine.nc").write_text("mine")
+    path = store.write(tmp_path, results("a"), None)
+    found = store.contents(tmp_path)
+    assert [p.name for p in found.foreign] == ["cases-mine.nc", "notes.txt"]
+    assert found.finished == {"a": path}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.ENOSPC, "No space left on device"),
+        RuntimeError("Unable to write (file write failed: errno = 28, No space left on device)"),
+    ],
+)
+def test_a_full_disk_leaves_the_folder_intact(tmp_path, monkeypatch, error):
+    good = store.write(tmp_path, results("a"), None)
+
+    def full(*_args, **_kwargs):
+        raise error
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    with pytest.raises(SimulationError, match=r"the disk is full; everything in it is intact"):
+        store.write(tmp_path, results("b"), None)
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == [good]
+    assert store.contents(tmp_path).finished == {"a": good}
+
+
+def test_failures_are_recorded_with_their_reason_and_forgotten(tmp_path):
+    store.record_failure(tmp_path, "a", "did not converge", {"tube": {}})
+    store.record_failure(tmp_path, "b", "no", {})
+    (tmp_path / store.FAILURES / "c.json").write_text("{")
+    assert store.failures(tmp_path) == {"a": "did not converge", "b": "no"}
+    store.forget_failures(tmp_path, ["a", "c", "never"])
+    assert store.failures(tmp_path) == {"b": "no"}
+    store.forget_failures(tmp_path, ["b"])
+    assert list(tmp_path.iterdir()) == []
