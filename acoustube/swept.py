@@ -300,6 +300,13 @@ def _print_end(
         )
     else:
         console.print("nothing to compute")
+    _print_failures(failed)
+    console.print(f"Written to [bold]{folder}[/] in {in_words(seconds)}.", soft_wrap=True)
+
+
+def _print_failures(failed: dict[str, str]) -> None:
+    """Print failed cases, also where all else is silent."""
+    console = Console(stderr=True)
     for name, reason in list(failed.items())[:LISTED]:
         console.print(f"[red]failed:[/] {escape(f'{name}: {reason}')}", soft_wrap=True)
     if failed:
@@ -307,7 +314,6 @@ def _print_end(
         console.print(
             f"{len(failed)} cases failed{more}; try them again with --retry failed", soft_wrap=True
         )
-    console.print(f"Written to [bold]{folder}[/] in {in_words(seconds)}.", soft_wrap=True)
 
 
 def dask_executor(address: str) -> tuple[Executor, int]:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import numba
 import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
@@ -164,6 +166,18 @@ def scattering_name(config: Config, depths: Sequence[float], depth: float, band:
     )
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread: workers share the cores, and sums do not depend on their number."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        numba.set_num_threads(before)
+
+
 def scattering(config: Config, name: str, band: Band, part: Lumen, label: str) -> Done[Scattering]:
     """Return the scattering of a pressed part.
 
@@ -190,10 +204,11 @@ def scattering(config: Config, name: str, band: Band, part: Lumen, label: str) -
     air = air_at(
         band.temperature, humidity=waves.humidity_percent, pressure=1e3 * waves.pressure_kpa
     )
-    found, _ = chain.scattering_of(
-        part, air, (band.low, band.high), bore=1e-3 * config.tube.inner_diameter_mm,
-        resolution=waves.resolution, lossy=waves.losses == "on",
-    )  # fmt: skip
+    with one_thread():
+        found, _ = chain.scattering_of(
+            part, air, (band.low, band.high), bore=1e-3 * config.tube.inner_diameter_mm,
+            resolution=waves.resolution, lossy=waves.losses == "on",
+        )  # fmt: skip
     content = np.frombuffer(bytes(to_dataset(found).to_netcdf(engine="h5netcdf")), np.uint8)
     cache.store(name, {"netcdf": content}, label)
     return Done(found, False, time.perf_counter() - started)
@@ -240,7 +255,7 @@ def hear(cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | Non
     """
     started = time.perf_counter()
     rows, failed = {}, {}
-    with threadpool_limits(1, user_api="blas"):  # the same sums whatever the number of cores
+    with one_thread():
         for name, config in cases.items():
             try:
                 rows[name] = _one(config, pressed, matrix)
