@@ -16,7 +16,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from numba import config
+from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from acoustube.waves.absorber import Absorber
@@ -134,8 +134,11 @@ class CompiledMarcher:
 
 
 def default_threads() -> int:
-    """Return how many threads march: NUMBA_NUM_THREADS, or else one a core, up to a few."""
-    return min(config.NUMBA_NUM_THREADS, MOST_THREADS)
+    """Return how many threads march: numba's own number, up to a few.
+
+    That is ``NUMBA_NUM_THREADS`` or one a core, unless ``numba.set_num_threads`` lowered it.
+    """
+    return min(get_num_threads(), MOST_THREADS)
 
 
 def _copy(values: ArrayLike, dtype: Any) -> Array:
