@@ -1,0 +1,121 @@
+"""Which cycles train and which test: by cycle, by session or by tube, the same for one seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from acoustube.errors import ConfigError
+
+Index = NDArray[np.intp]
+
+KINDS = ("cycle", "session", "tube")
+"""What a split may keep together."""
+
+
+def groups(cycles: xr.Dataset, by: str) -> Index:
+    """Return the number of the group that each cycle belongs to.
+
+    Parameters
+    ----------
+    cycles : xarray.Dataset
+        With ``session`` or ``tube`` (cycle), names or numbers, if the split is by them.
+    by : str
+        ``cycle``: each is a group of its own. ``session`` or ``tube``: a session of one tube is
+        not that of another.
+
+    Returns
+    -------
+    array of int of shape (cycle,)
+        From 0.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such label.
+    """
+    if by == "cycle":
+        return np.arange(cycles.sizes["cycle"])
+    if by not in KINDS:
+        raise ConfigError(f"by = {by} is not known; use {', '.join(KINDS)}")
+    if by not in cycles:
+        raise ConfigError(f"the cycles have no label {by}; add it, or split by cycle")
+    names = [name for name in ("tube", by) if name in cycles]
+    columns = [np.unique(cycles[name].values, return_inverse=True)[1] for name in names]
+    return np.asarray(np.unique(np.stack(columns), axis=1, return_inverse=True)[1].ravel())
+
+
+def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
+    """Part groups into folds of about as many rows each.
+
+    Parameters
+    ----------
+    groups : array of int of shape (n,)
+        Rows of one group come into one fold.
+    count : int
+        Of folds, 2 or more.
+    seed : int
+
+    Returns
+    -------
+    array of int of shape (n,)
+        Fold of each row, from 0 to count - 1; none is empty.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer groups than folds.
+
+    Notes
+    -----
+    The groups are shuffled, then taken from the largest to the smallest, each into the fold that
+    has the fewest rows: groups of one row make folds that differ by one row at most.
+    """
+    _, member, sizes = np.unique(groups, return_inverse=True, return_counts=True)
+    if not 2 <= count <= len(sizes):
+        raise ConfigError(
+            f"{count} folds cannot be made of {len(sizes)} groups of cycles; use 2 to {len(sizes)} "
+            "folds, or record more"
+        )
+    shuffled = np.random.default_rng(seed).permutation(len(sizes))
+    fold = np.empty(len(sizes), np.intp)
+    if sizes.max() == 1:
+        fold[shuffled] = np.arange(len(sizes)) % count
+        return np.asarray(fold[member])
+    rows = np.zeros(count)
+    for group in shuffled[np.argsort(-sizes[shuffled], kind="stable")]:
+        fold[group] = np.argmin(rows)
+        rows[fold[group]] += sizes[group]
+    return np.asarray(fold[member])
+
+
+def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, Index]:
+    """Part rows into those to train with and those to test with, whole groups each.
+
+    Parameters
+    ----------
+    groups : array of int of shape (n,)
+    share : float
+        Of the groups that test: at least one, and one trains.
+    seed : int
+
+    Returns
+    -------
+    train, test : array of int
+        Rising indices of rows.
+
+    Raises
+    ------
+    ConfigError
+        If the share is not between 0 and 1, or there is one group only.
+    """
+    different, member = np.unique(groups, return_inverse=True)
+    if not 0 < share < 1:
+        raise ConfigError(f"share = {share:g} must lie between 0 and 1")
+    if len(different) < 2:
+        raise ConfigError("one group of cycles cannot be split; split by cycle, or record more")
+    count = int(np.clip(round(share * len(different)), 1, len(different) - 1))
+    chosen = np.random.default_rng(seed).permutation(len(different))[:count]
+    tests = np.isin(member, chosen)
+    return np.flatnonzero(~tests), np.flatnonzero(tests)
