@@ -1,0 +1,154 @@
+"""The paper's force network: peak amplitude and estimated distance in, force out (section II-B)."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator, RegressorMixin
+
+from acoustube.errors import ConfigError
+from acoustube.estimation import network, uncertainty
+from acoustube.estimation.checks import checked, checked_inputs
+from acoustube.estimation.splits import folds
+from acoustube.signals.steps import Array
+
+
+class ForceNetwork(RegressorMixin, BaseEstimator):
+    """Fully connected 64-64-1 networks, one per fold, weighted by their validation losses.
+
+    Leaky ReLU, He's initialisation, inputs and outputs standardised on each fold's training rows,
+    Adam, mean squared error: as published.
+
+    Parameters
+    ----------
+    n_folds : int
+        Networks, each of which holds out one fold of the rows.
+    epochs, batch_size : int
+    learning_rate, weight_decay : float
+        Of Adam; the decay is L2 in the gradient, see
+        :func:`acoustube.estimation.network.optimiser`.
+    seed : int
+        Of folds, initial weights and the order of the rows.
+
+    Attributes
+    ----------
+    networks_ : acoustube.estimation.network.Fitted
+        With the losses (fold, epoch) of training and validation.
+    weights_ : array of shape (fold,)
+        Normalised inverse validation losses after the last epoch.
+    scale_ : tuple of array
+        How held-out residuals grow with the estimate, in the target's unit.
+    quantiles_ : array of shape (level, 1)
+        See :mod:`acoustube.estimation.uncertainty`.
+    """
+
+    def __init__(
+        self,
+        *,
+        n_folds: int = 10,
+        epochs: int = 100,
+        batch_size: int = 32,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-5,
+        seed: int = 0,
+    ):
+        self.n_folds = n_folds
+        self.epochs = epochs
+        self.batch_size = batch_size
+        self.learning_rate = learning_rate
+        self.weight_decay = weight_decay
+        self.seed = seed
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        progress: network.Progress | None = None,
+    ) -> Self:
+        """Train the networks.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+            The paper's inputs are amplitude and distance.
+        y : array of shape (row,)
+            The paper's target is the force in N.
+        groups : array of int of shape (row,), optional
+            Rows of one group are held out together; each row on its own by default, as published.
+        progress : callable, optional
+            See :data:`acoustube.estimation.network.Progress`.
+
+        Returns
+        -------
+        ForceNetwork
+
+        Raises
+        ------
+        ConfigError
+            If rows are too few or not finite, or the target is constant.
+        """
+        x, targets = checked(X, y)
+        if targets.shape[1] != 1:
+            raise ConfigError(
+                f"the force network has one target, not {targets.shape[1]}; train one for each"
+            )
+        fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
+        self.networks_ = network.train(
+            x, targets, fold, epochs=self.epochs, batch_size=self.batch_size,
+            learning_rate=self.learning_rate, weight_decay=self.weight_decay, seed=self.seed,
+            progress=progress,
+        )  # fmt: skip
+        self.weights_ = network.weights(self.networks_.validation)
+        self.n_features_in_ = x.shape[1]
+        every = self._every(x)
+        own = every[fold, np.arange(len(x))]
+        residual = targets[:, 0] - own
+        self.scale_ = uncertainty.residual_scale(own, residual)
+        spread = self._deviation(own, every)
+        self.quantiles_ = uncertainty.conformal_quantiles(residual[:, None], spread[:, None])
+        return self
+
+    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
+        """Return estimates.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        return_std : bool
+            Whether to return their deviations, too.
+
+        Returns
+        -------
+        estimate : array of shape (row,)
+        deviation : array of shape (row,)
+            Half an interval that holds 68 % of the truths, where they are like the held-out rows.
+            Its scale is the spread between the folds and the residuals of held-out rows with such
+            an estimate, added in squares.
+        """
+        estimate, scale = self._estimated(X)
+        if not return_std:
+            return estimate
+        return estimate, scale * uncertainty.factor(self.quantiles_)[0]
+
+    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
+        """Return half the intervals (row,) around the estimates that hold a share of the truths."""
+        return np.asarray(self._estimated(X)[1] * uncertainty.factor(self.quantiles_, coverage)[0])
+
+    def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
+        every = self._every(checked_inputs(X, self.n_features_in_))
+        estimate = self.weights_ @ every
+        return estimate, self._deviation(estimate, every)
+
+    def _every(self, x: Array) -> Array:
+        """Return the estimates of all networks, (fold, row)."""
+        scales = self.networks_.standards
+        out = network.predict(self.networks_, x)[..., 0]
+        return np.asarray(scales.y_mean + scales.y_deviation * out)
+
+    def _deviation(self, estimate: Array, every: Array) -> Array:
+        mean = self.weights_ @ every
+        between = np.sqrt(self.weights_ @ (every - mean) ** 2)
+        return np.hypot(between, np.interp(estimate, *self.scale_))

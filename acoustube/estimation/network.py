@@ -1,0 +1,307 @@
+"""Small fully connected networks, one for each fold, trained all at once.
+
+Plain functions on parameters whose first axis is the fold. The rows are shared: a batch is gathered
+by index, so that the folds differ in their indices alone and one compiled step trains them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from numpy.typing import NDArray
+
+Layers = list[tuple[Any, Any]]
+"""Weights (fan_in, fan_out) and biases (fan_out,) of each layer."""
+Loss = Literal["squared", "laplace"]
+Progress = Callable[[int, float, float], None]
+"""Called after each epoch with its number from 1, and the losses of training and validation."""
+
+SLOPE = 0.01
+"""Of the Leaky ReLU for negative inputs, PyTorch's."""
+ROWS_AT_ONCE = 8192
+"""Rows that are predicted together, which bounds the memory."""
+WIDEST = 6.0
+"""Largest size of the logarithm of a scale: a factor of 400 from the target's own deviation."""
+
+
+class Standards(NamedTuple):
+    """Means and deviations of inputs (fold, input) and targets (fold, target)."""
+
+    x_mean: Any
+    x_deviation: Any
+    y_mean: Any
+    y_deviation: Any
+
+
+class Fitted(NamedTuple):
+    """Networks after training.
+
+    Attributes
+    ----------
+    layers : list
+        Weights (fold, fan_in, fan_out) and biases (fold, fan_out) of each layer, float32.
+    standards : Standards
+        Of each fold's training rows.
+    training, validation : array of shape (fold, epoch)
+        Losses: the mean over the batches of an epoch, and that of the held-out rows after it.
+    """
+
+    layers: Layers
+    standards: Standards
+    training: NDArray[np.float32]
+    validation: NDArray[np.float32]
+
+
+def initial(key: Any, widths: tuple[int, ...]) -> Layers:
+    """Return He's initial layers: normal weights of variance 2 / fan_in [1]_, biases zero.
+
+    Parameters
+    ----------
+    key : jax.Array
+        Of random numbers.
+    widths : tuple of int
+        Inputs, hidden layers, outputs.
+
+    References
+    ----------
+    .. [1] K. He et al., Delving deep into rectifiers, ICCV 2015. doi:10.1109/ICCV.2015.123
+    """
+    pairs = list(pairwise(widths))
+    keys = jax.random.split(key, len(pairs))
+    return [
+        (np.sqrt(2 / a).astype(np.float32) * jax.random.normal(k, (a, b), jnp.float32),
+         jnp.zeros(b, jnp.float32))
+        for k, (a, b) in zip(keys, pairs, strict=True)
+    ]  # fmt: skip
+
+
+def outputs(layers: Layers, x: Any) -> Any:
+    """Return the outputs (row, output) of one network for standardised inputs (row, input)."""
+    for weights, bias in layers[:-1]:
+        x = x @ weights + bias[None, :]
+        x = jnp.where(x > 0, x, SLOPE * x)
+    weights, bias = layers[-1]
+    return x @ weights + bias[None, :]
+
+
+def squared_loss(out: Any, y: Any) -> Any:
+    """Return the mean squared error of outputs (row, target)."""
+    return jnp.mean((out - y) ** 2)
+
+
+def laplace_loss(out: Any, y: Any) -> Any:
+    """Return the mean negative log likelihood, up to a constant, of Laplace distributed targets.
+
+    Outputs (row, 2 target): medians, then the logarithms of the scales before :func:`bounded`.
+    """
+    median, log_scale = jnp.split(out, 2, axis=1)
+    log_scale = bounded(log_scale)
+    return jnp.mean(jnp.abs(y - median) * jnp.exp(-log_scale) + log_scale)
+
+
+def bounded(raw: Any) -> Any:
+    """Return the logarithm of a scale, of a size of :data:`WIDEST` at most."""
+    return WIDEST * jnp.tanh(raw / WIDEST)
+
+
+LOSSES = {"squared": squared_loss, "laplace": laplace_loss}
+
+
+def optimiser(learning_rate: float, weight_decay: float) -> optax.GradientTransformation:
+    """Return Adam with the weight decay as L2 in the gradient.
+
+    That is what ``weight_decay`` of PyTorch's Adam means: decay times the parameter, biases too,
+    is added to the gradient before its moments. AdamW, which shrinks parameters beside Adam's step,
+    is another.
+    """
+    return optax.chain(optax.add_decayed_weights(weight_decay), optax.adam(learning_rate))
+
+
+def standards(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: int) -> Standards:
+    """Return each fold's means and deviations over the rows that it trains with.
+
+    A constant column gets the deviation 1, so that it becomes zero.
+    """
+    parts = [
+        (data[fold != k].mean(axis=0), data[fold != k].std(axis=0))
+        for data in (x, y)
+        for k in range(count)
+    ]
+    mean = np.array([m for m, _ in parts[:count]]), np.array([m for m, _ in parts[count:]])
+    spread = [np.array([s for _, s in half]) for half in (parts[:count], parts[count:])]
+    wide = [
+        np.where(s > 1e-6 * np.maximum(np.abs(m), 1e-30), s, 1.0)
+        for s, m in zip(spread, mean, strict=True)
+    ]
+    return Standards(mean[0], wide[0], mean[1], wide[1])
+
+
+def batches(
+    rng: np.random.Generator, fold: NDArray[np.intp], count: int, size: int
+) -> NDArray[np.int32]:
+    """Return the rows of each batch of an epoch, shuffled anew: (step, fold, row).
+
+    Every row of a fold's training set comes once; the last batch is filled up with the first ones.
+    Folds with fewer rows than the largest begin again, so that all take as many steps.
+    """
+    most = len(fold) - int(np.bincount(fold, minlength=count).min())
+    steps = -(-most // size)
+    rows = np.empty((count, steps * size), np.int32)
+    for k in range(count):
+        rows[k] = np.resize(rng.permutation(np.flatnonzero(fold != k)), steps * size)
+    return rows.reshape(count, steps, size).swapaxes(0, 1)
+
+
+def train(
+    x: NDArray[Any],
+    y: NDArray[Any],
+    fold: NDArray[np.intp],
+    *,
+    hidden: tuple[int, ...] = (64, 64),
+    loss: Loss = "squared",
+    epochs: int = 100,
+    batch_size: int = 32,
+    learning_rate: float = 1e-3,
+    weight_decay: float = 1e-5,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Fitted:
+    """Train one network per fold on the rows of the others, all at once.
+
+    Parameters
+    ----------
+    x, y : array of shape (row, input), (row, target)
+        As they are; each fold standardises them by its own training rows.
+    fold : array of int of shape (row,)
+        In which fold each row is held out, from 0; no fold is empty.
+    hidden : tuple of int
+        Widths of the hidden layers.
+    loss : str
+        ``squared``: an output per target. ``laplace``: a median and the logarithm of a
+        scale per target.
+    epochs, batch_size : int
+    learning_rate, weight_decay : float
+        See :func:`optimiser`.
+    seed : int
+        Of the initial weights and the order of the rows.
+    progress : callable, optional
+
+    Returns
+    -------
+    Fitted
+    """
+    count = int(fold.max()) + 1
+    scales = standards(x, y, fold, count)
+    n_out = y.shape[1] * (2 if loss == "laplace" else 1)
+    widths = (x.shape[1], *hidden, n_out)
+    keys = jax.random.split(jax.random.key(seed), count)
+    layers = jax.vmap(partial(initial, widths=widths))(keys)
+    step = optimiser(learning_rate, weight_decay)
+    state = jax.vmap(step.init)(layers)
+    # Differences of large values would be lost in single precision: shift before rounding.
+    shift = Standards(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
+    near = Standards(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
+    rows = tuple(
+        jnp.asarray((data - mean).astype(np.float32))
+        for data, mean in ((x, shift.x_mean), (y, shift.y_mean))
+    )
+    held_out = _held_out(fold, count)
+    rng = np.random.default_rng(seed)
+    curves = np.empty((2, count, epochs), np.float32)
+    for epoch in range(epochs):
+        order = jnp.asarray(batches(rng, fold, count, batch_size))
+        layers, state, curves[0, :, epoch] = _epoch(
+            layers, state, order, *rows, near, loss, learning_rate, weight_decay
+        )
+        curves[1, :, epoch] = _validation(layers, *held_out, *rows, near, loss)
+        if progress is not None:
+            progress(epoch + 1, *(float(np.mean(c[:, epoch])) for c in curves))
+    plain = [(np.asarray(w), np.asarray(b)) for w, b in layers]
+    return Fitted(plain, scales, *curves)
+
+
+@partial(jax.jit, static_argnames=("loss", "learning_rate", "weight_decay"), donate_argnums=(0, 1))
+def _epoch(
+    layers: Any, state: Any, order: Any, x: Any, y: Any, scales: Standards,
+    loss: Loss, learning_rate: float, weight_decay: float,
+) -> Any:  # fmt: skip
+    """Take one step per batch, in all folds; return layers, state and mean loss (fold,)."""
+    optimise = optimiser(learning_rate, weight_decay)
+
+    def one(layers: Any, state: Any, rows: Any, scales: Standards) -> Any:
+        a, b = _standardised(x[rows], y[rows], scales)
+        value, gradient = jax.value_and_grad(lambda p: LOSSES[loss](outputs(p, a), b))(layers)
+        change, state = optimise.update(gradient, state, layers)
+        return optax.apply_updates(layers, change), state, value
+
+    def step(carried: Any, rows: Any) -> Any:
+        layers, state = carried
+        layers, state, value = jax.vmap(one)(layers, state, rows, scales)
+        return (layers, state), value
+
+    (layers, state), values = jax.lax.scan(step, (layers, state), order)
+    return layers, state, values.mean(axis=0)
+
+
+def _standardised(x: Any, y: Any, scales: Standards) -> tuple[Any, Any]:
+    x = (x - scales.x_mean[None, :]) / scales.x_deviation[None, :]
+    return x, (y - scales.y_mean[None, :]) / scales.y_deviation[None, :]
+
+
+def _held_out(fold: NDArray[np.intp], count: int) -> tuple[Any, Any]:
+    """Return the held-out rows of each fold (fold, row), filled up, and which of them count."""
+    members = [np.flatnonzero(fold == k) for k in range(count)]
+    most = max(len(rows) for rows in members)
+    index = np.array([np.resize(rows, most) for rows in members], np.int32)
+    counts = np.arange(most)[None, :] < np.array([len(rows) for rows in members])[:, None]
+    return jnp.asarray(index), jnp.asarray(counts)
+
+
+@partial(jax.jit, static_argnames=("loss",))
+def _validation(
+    layers: Any, rows: Any, counts: Any, x: Any, y: Any, scales: Standards, loss: Loss
+) -> Any:
+    """Return the loss of each fold's held-out rows, (fold,)."""
+
+    def one(layers: Any, rows: Any, counts: Any, scales: Standards) -> Any:
+        a, b = _standardised(x[rows], y[rows], scales)
+        each = jax.vmap(lambda o, t: LOSSES[loss](o[None], t[None]))(outputs(layers, a), b)
+        return jnp.sum(jnp.where(counts, each, 0.0)) / jnp.sum(counts).astype(each.dtype)
+
+    return jax.vmap(one)(layers, rows, counts, scales)
+
+
+def predict(fitted: Fitted, x: NDArray[Any]) -> NDArray[np.float64]:
+    """Return every network's outputs in standard units, (fold, row, output)."""
+    scales, parts = fitted.standards, []
+    for start in range(0, len(x), ROWS_AT_ONCE):
+        part = x[start : start + ROWS_AT_ONCE]
+        # A power of two, so that few shapes are compiled.
+        full = np.resize(part, (1 << (len(part) - 1).bit_length(), x.shape[1]))
+        inputs = (full[None] - scales.x_mean[:, None]) / scales.x_deviation[:, None]
+        parts.append(_all_outputs(fitted.layers, inputs.astype(np.float32))[:, : len(part)])
+    return np.concatenate(parts, axis=1, dtype=float)
+
+
+_all_outputs = jax.jit(jax.vmap(outputs))
+
+
+def own_outputs(fitted: Fitted, x: NDArray[Any], fold: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the outputs (row, output) of the network that did not train with each row."""
+    return np.asarray(predict(fitted, x)[fold, np.arange(len(fold))])
+
+
+def weights(validation: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the folds' normalised inverse validation losses (fold,), of losses (fold, epoch).
+
+    Those of the last epoch.
+    """
+    inverse = 1 / np.maximum(np.asarray(validation[:, -1], float), 1e-12)
+    return np.asarray(inverse / inverse.sum())
