@@ -1,0 +1,177 @@
+"""A classical baseline: gradient boosting on the features of the echo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.ensemble import HistGradientBoostingRegressor
+
+from acoustube.estimation import uncertainty
+from acoustube.estimation.checks import added, checked, checked_inputs
+from acoustube.estimation.splits import folds
+from acoustube.estimation.trees import exported, summed
+from acoustube.signals.steps import Array
+
+NARROWEST = 0.05
+"""Smallest stated scale, as a share of the median size of the held-out residuals."""
+
+
+class Boosting(RegressorMixin, BaseEstimator):
+    """Gradient boosting of regression trees, one model per fold and target.
+
+    Parameters
+    ----------
+    n_folds : int
+        Models, each of which holds out one fold of the rows.
+    iterations : int
+        Trees of a model.
+    learning_rate : float
+    leaves : int
+        Of a tree, at most.
+    added_to : tuple of int or None
+        For each target the column of X that it is learned as an addition to, if any.
+    seed : int
+
+    Attributes
+    ----------
+    means_, scales_ : acoustube.estimation.trees.Trees
+        Models of the target, and of the size of its held-out residual, fold by fold within target
+        by target.
+    quantiles_ : array of shape (level, target)
+        See :mod:`acoustube.estimation.uncertainty`.
+
+    Notes
+    -----
+    scikit-learn's ``HistGradientBoostingRegressor``. A second model of the same folds learns how
+    large the residuals of held-out rows are, from the features, and is itself asked on held-out
+    rows only [1]_.
+
+    References
+    ----------
+    .. [1] J. Lei et al., Distribution-free predictive inference for regression, Journal of the
+       American Statistical Association 113 (2018), 1094-1111, section 5.2.
+       doi:10.1080/01621459.2017.1307116
+    """
+
+    def __init__(
+        self,
+        *,
+        n_folds: int = 5,
+        iterations: int = 150,
+        learning_rate: float = 0.1,
+        leaves: int = 31,
+        added_to: tuple[int | None, ...] | None = None,
+        seed: int = 0,
+    ):
+        self.n_folds = n_folds
+        self.iterations = iterations
+        self.learning_rate = learning_rate
+        self.leaves = leaves
+        self.added_to = added_to
+        self.seed = seed
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Self:
+        """Grow the trees.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        y : array of shape (row, target)
+        groups : array of int of shape (row,), optional
+            Rows of one group are held out together; each row on its own by default.
+        progress : callable, optional
+            Called with the finished fraction.
+
+        Returns
+        -------
+        Boosting
+
+        Raises
+        ------
+        ConfigError
+            If rows are too few or not finite, or a target is constant.
+        """
+        x, targets = checked(X, y)
+        self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
+        fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
+
+        def report(part: float, share: float) -> None:
+            if progress is not None:
+                progress((part + share) / 2)
+
+        rest = targets - added(x, self.added_to, self.n_targets_)
+        means = self._grown(x, rest, fold, lambda share: report(0, share))
+        self.means_ = exported(means)
+        residual = rest - self._own(self.means_, x, fold)
+        scales = self._grown(x, np.abs(residual), fold, lambda share: report(1, share))
+        self.scales_ = exported(scales)
+        self.narrowest_ = NARROWEST * np.median(np.abs(residual), axis=0) + np.finfo(float).tiny
+        scale = np.maximum(self._own(self.scales_, x, fold), self.narrowest_)
+        self.quantiles_ = uncertainty.conformal_quantiles(residual, scale)
+        return self
+
+    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
+        """Return estimates.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        return_std : bool
+            Whether to return their deviations, too.
+
+        Returns
+        -------
+        estimate, deviation : array of shape (row, target)
+            The deviation is half an interval that holds 68 % of the truths, where they are like the
+            held-out rows.
+        """
+        x = checked_inputs(X, self.n_features_in_)
+        base = added(x, self.added_to, self.n_targets_)
+        estimate = base + self._mean(self.means_, x)
+        if not return_std:
+            return estimate
+        return estimate, self._scale(x) * uncertainty.factor(self.quantiles_)
+
+    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
+        """Return half the intervals (row, target) around the estimates that hold a share."""
+        x = checked_inputs(X, self.n_features_in_)
+        return np.asarray(self._scale(x) * uncertainty.factor(self.quantiles_, coverage))
+
+    def _grown(
+        self, x: Array, targets: Array, fold: NDArray[np.intp], report: Callable[[float], None]
+    ) -> list[Any]:
+        """Return one model per target and fold, which has not seen that fold."""
+        models: list[Any] = []
+        for target in targets.T:
+            for k in range(self.n_folds):
+                model = HistGradientBoostingRegressor(
+                    max_iter=self.iterations, learning_rate=self.learning_rate,
+                    max_leaf_nodes=self.leaves, early_stopping=False, random_state=self.seed,
+                )  # fmt: skip
+                models.append(model.fit(x[fold != k], target[fold != k]))
+                report(len(models) / (targets.shape[1] * self.n_folds))
+        return models
+
+    def _by_fold(self, trees: Any, x: Array) -> Array:
+        """Return what all models make of rows, (fold, row, target)."""
+        every = summed(trees, x).reshape(self.n_targets_, self.n_folds, len(x))
+        return np.asarray(every.transpose(1, 2, 0))
+
+    def _own(self, trees: Any, x: Array, fold: NDArray[np.intp]) -> Array:
+        return np.asarray(self._by_fold(trees, x)[fold, np.arange(len(x))])
+
+    def _mean(self, trees: Any, x: Array) -> Array:
+        return np.asarray(self._by_fold(trees, x).mean(axis=0))
+
+    def _scale(self, x: Array) -> Array:
+        return np.maximum(self._mean(self.scales_, x), self.narrowest_)

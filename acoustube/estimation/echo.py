@@ -1,0 +1,160 @@
+"""An estimator of position, depth and force that uses the whole echo."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator, RegressorMixin
+
+from acoustube.estimation import network, uncertainty
+from acoustube.estimation.checks import added, checked, checked_inputs
+from acoustube.estimation.splits import folds
+from acoustube.signals.steps import Array
+
+
+class EchoEnsemble(RegressorMixin, BaseEstimator):
+    """Networks that state a distribution for each target, one network per fold.
+
+    Made for :func:`acoustube.estimation.features.echo_features`, which hold what the press sent
+    back: its spectrum and its course, freed of the way. Position is learned as what must be added
+    to the distance of the highest peak.
+
+    Parameters
+    ----------
+    n_folds : int
+        Networks, each of which holds out one fold of the rows.
+    epochs, batch_size : int
+    learning_rate, weight_decay : float
+        See :func:`acoustube.estimation.network.optimiser`.
+    hidden : tuple of int
+        Widths of the hidden layers.
+    added_to : tuple of int or None
+        For each target the column of X that it is learned as an addition to, if any. These columns
+        are no inputs of the networks.
+    seed : int
+
+    Attributes
+    ----------
+    networks_ : acoustube.estimation.network.Fitted
+    quantiles_ : array of shape (level, target)
+        See :mod:`acoustube.estimation.uncertainty`.
+
+    Notes
+    -----
+    A deep ensemble [1]_ of Laplace distributions in place of normal ones, since some highest peaks
+    are not the press: where one is off by a metre its weight in the loss must not be squared. The
+    estimate is the mean of the networks' medians. Its scale adds the mean of their variances and
+    the variance of their medians, and is multiplied by what held-out rows ask for.
+
+    References
+    ----------
+    .. [1] B. Lakshminarayanan et al., Simple and scalable predictive uncertainty estimation using
+       deep ensembles, NeurIPS 2017. arXiv:1612.01474
+    """
+
+    def __init__(
+        self,
+        *,
+        n_folds: int = 10,
+        epochs: int = 25,
+        batch_size: int = 64,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-4,
+        hidden: tuple[int, ...] = (64, 64),
+        added_to: tuple[int | None, ...] | None = None,
+        seed: int = 0,
+    ):
+        self.n_folds = n_folds
+        self.epochs = epochs
+        self.batch_size = batch_size
+        self.learning_rate = learning_rate
+        self.weight_decay = weight_decay
+        self.hidden = hidden
+        self.added_to = added_to
+        self.seed = seed
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        progress: network.Progress | None = None,
+    ) -> Self:
+        """Train the networks.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        y : array of shape (row, target)
+        groups : array of int of shape (row,), optional
+            Rows of one group are held out together; each row on its own by default.
+        progress : callable, optional
+            See :data:`acoustube.estimation.network.Progress`.
+
+        Returns
+        -------
+        EchoEnsemble
+
+        Raises
+        ------
+        ConfigError
+            If rows are too few or not finite, or a target is constant.
+        """
+        x, targets = checked(X, y)
+        self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
+        fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
+        rest = targets - added(x, self.added_to, self.n_targets_)
+        self.networks_ = network.train(
+            self._inputs(x), rest, fold, hidden=tuple(self.hidden), loss="laplace",
+            epochs=self.epochs, batch_size=self.batch_size, learning_rate=self.learning_rate,
+            weight_decay=self.weight_decay, seed=self.seed, progress=progress,
+        )  # fmt: skip
+        median, deviation = self._every(x)
+        rows = np.arange(len(x))
+        scale = np.hypot(deviation[fold, rows], median.std(axis=0))
+        self.quantiles_ = uncertainty.conformal_quantiles(rest - median[fold, rows], scale)
+        return self
+
+    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
+        """Return estimates.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        return_std : bool
+            Whether to return their deviations, too.
+
+        Returns
+        -------
+        estimate, deviation : array of shape (row, target)
+            The deviation is half an interval that holds 68 % of the truths, where they are like the
+            held-out rows.
+        """
+        estimate, scale = self._estimated(X)
+        if not return_std:
+            return estimate
+        return estimate, scale * uncertainty.factor(self.quantiles_)
+
+    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
+        """Return half the intervals (row, target) around the estimates that hold a share."""
+        return np.asarray(self._estimated(X)[1] * uncertainty.factor(self.quantiles_, coverage))
+
+    def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
+        x = checked_inputs(X, self.n_features_in_)
+        median, deviation = self._every(x)
+        scale = np.sqrt(np.mean(deviation**2, axis=0) + np.var(median, axis=0))
+        return added(x, self.added_to, self.n_targets_) + median.mean(axis=0), scale
+
+    def _every(self, x: Array) -> tuple[Array, Array]:
+        """Return medians and deviations of all networks, (fold, row, target)."""
+        scales = self.networks_.standards
+        out, log_scale = np.split(network.predict(self.networks_, self._inputs(x)), 2, axis=-1)
+        unit = scales.y_deviation[:, None]
+        # A Laplace distribution of scale b has the deviation sqrt(2) b.
+        width = np.sqrt(2) * np.exp(np.asarray(network.bounded(log_scale)))
+        return scales.y_mean[:, None] + unit * out, unit * width
+
+    def _inputs(self, x: Array) -> Array:
+        return np.delete(x, sorted({c for c in self.added_to or () if c is not None}), axis=1)

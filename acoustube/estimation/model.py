@@ -1,0 +1,207 @@
+"""A trained estimator with all that it needs to tell a press from cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.errors import ConfigError
+from acoustube.estimation import splits
+from acoustube.estimation.boosting import Boosting
+from acoustube.estimation.checks import FEWEST_ROWS
+from acoustube.estimation.echo import EchoEnsemble
+from acoustube.estimation.features import Describing
+from acoustube.estimation.force_network import ForceNetwork
+
+Estimator = ForceNetwork | EchoEnsemble | Boosting
+
+ESTIMATORS: dict[str, type[Estimator]] = {
+    "network": ForceNetwork,
+    "echo": EchoEnsemble,
+    "boosting": Boosting,
+}
+TARGETS = {"true_distance": "distance", "depth": "depth", "force": "force"}
+"""Labels that are estimated, and what their estimates are called."""
+UNITS = {"true_distance": "m", "depth": "m", "force": "N"}
+WIDE = 0.9
+"""Coverage of the second interval that is stated, beside that of one deviation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """An estimator, what it is told and what it tells.
+
+    Attributes
+    ----------
+    name : str
+        ``network``, ``echo`` or ``boosting``.
+    estimator : ForceNetwork, EchoEnsemble or Boosting
+    targets : tuple of str
+        Labels that it estimates, of :data:`TARGETS`.
+    describing : Describing
+        How cycles become its inputs.
+    sampling_rate : float
+        Of the cycles that it knows, in Hz.
+    origin : dict
+        How it was trained.
+    """
+
+    name: str
+    estimator: Any
+    targets: tuple[str, ...]
+    describing: Describing
+    sampling_rate: float
+    origin: Mapping[str, Any] = field(default_factory=dict)
+
+
+def kind_of_features(name: str) -> str:
+    """Return which features an estimator takes; see :class:`Describing`."""
+    return "paper" if name == "network" else "echo"
+
+
+def targets_of(name: str, table: xr.Dataset) -> tuple[str, ...]:
+    """Return which labels an estimator can be trained on.
+
+    Raises
+    ------
+    ConfigError
+        If there are none.
+    """
+    wanted = ("force",) if name == "network" else tuple(TARGETS)
+    known = tuple(t for t in wanted if t in table and np.isfinite(table[t]).any())
+    if not known:
+        raise ConfigError(
+            f"the cycles have no label {' or '.join(wanted)}, of which {name} learns; give it in "
+            "the files or in a sidecar"
+        )
+    return known
+
+
+def usable(table: xr.Dataset, targets: tuple[str, ...]) -> Any:
+    """Return which cycles can be trained on: with an echo and all labels; bool (cycle,)."""
+    used = np.isfinite(table["features"].values).all(axis=1)
+    for target in targets:
+        used &= np.isfinite(table[target].values)
+    return used
+
+
+def train(
+    table: xr.Dataset,
+    name: str,
+    describing: Describing,
+    *,
+    by: str = "cycle",
+    seed: int = 0,
+    progress: Callable[..., None] | None = None,
+    **settings: Any,
+) -> Model:
+    """Train an estimator.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+        From :func:`acoustube.estimation.features.described`; cycles without an echo or a label are
+        left out.
+    name : str
+        ``network``, ``echo`` or ``boosting``.
+    describing : Describing
+        How the features were made.
+    by : str
+        What is held out together; see :func:`acoustube.estimation.splits.groups`.
+    seed : int
+    progress : callable, optional
+        As the estimator's ``fit`` takes it.
+    **settings
+        Of the estimator.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ConfigError
+        If labels are missing, or the cycles are too few or all alike.
+    """
+    targets = targets_of(name, table)
+    used = usable(table, targets)
+    if used.sum() < FEWEST_ROWS:
+        raise ConfigError(
+            f"{used.sum()} of {used.size} cycles have an echo and the labels {', '.join(targets)}, "
+            f"too few to train with; record {FEWEST_ROWS} or more, or lower the prominence"
+        )
+    rows = table.isel(cycle=used)
+    y = np.stack([rows[target].values.astype(float) for target in targets], axis=-1)
+    for target, values in zip(targets, y.T, strict=True):
+        if np.ptp(values) <= 1e-9 * np.max(np.abs(values)):
+            raise ConfigError(
+                f"{target} is {values[0]:g} {UNITS[target]} in all cycles, and nothing can be "
+                "learned of it; record different presses"
+            )
+    if name != "network":
+        distance = int(np.flatnonzero(rows["feature"].values == "distance")[0])
+        settings["added_to"] = tuple(distance if t == "true_distance" else None for t in targets)
+    estimator = ESTIMATORS[name](seed=seed, **settings)
+    labels = y[:, 0] if name == "network" else y
+    estimator.fit(rows["features"].values, labels, splits.groups(rows, by), progress)
+    return Model(
+        name=name,
+        estimator=estimator,
+        targets=targets,
+        describing=describing,
+        sampling_rate=float(table.attrs["sampling_rate"]),
+        origin={"cycles": int(used.size), "trained": int(used.sum()), "by": by},
+    )
+
+
+def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
+    """Tell the presses of cycles.
+
+    Parameters
+    ----------
+    model : Model
+    table : xarray.Dataset
+        From :func:`acoustube.estimation.features.described`, as the model's ``describing`` has it.
+
+    Returns
+    -------
+    xarray.Dataset
+        For each target its estimate (cycle), by the names of :data:`TARGETS`, with
+        ``_deviation`` and ``_half_width``: half the intervals that hold 68 % and 90 % of the
+        truths. nan for a cycle without an echo.
+
+    Raises
+    ------
+    ConfigError
+        If the cycles have another sampling rate than those that it was trained with.
+    """
+    rate = float(table.attrs["sampling_rate"])
+    if abs(rate / model.sampling_rate - 1) > 1e-3:
+        raise ConfigError(
+            f"the cycles have {rate:g} samples per second, and the model was trained with "
+            f"{model.sampling_rate:g}; train one with cycles like these"
+        )
+    features = table["features"].values
+    seen = np.isfinite(features).all(axis=1)
+    found = np.full((3, len(features), len(model.targets)), np.nan)
+    if seen.any():
+        rows = features[seen]
+        middle, deviation = model.estimator.predict(rows, return_std=True)
+        wide = model.estimator.half_width(rows, WIDE)
+        shape = (len(rows), len(model.targets))
+        found[:, seen] = np.stack([a.reshape(shape) for a in (middle, deviation, wide)])
+    variables = {}
+    for column, target in enumerate(model.targets):
+        name, unit = TARGETS[target], UNITS[target]
+        for suffix, values, words in zip(
+            ("", "_deviation", "_half_width"), found[..., column],
+            ("estimated {}", "half the interval of 68 % of the {}",
+             f"half the interval of {100 * WIDE:g} % of the {{}}"), strict=True,
+        ):  # fmt: skip
+            attributes = {"units": unit, "long_name": words.format(name)}
+            variables[name + suffix] = ("cycle", values, attributes)
+    return xr.Dataset(variables)
