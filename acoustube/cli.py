@@ -670,6 +670,123 @@ def calibrate(
     )
 
 
+@app.command
+def train(
+    *data: Path,
+    estimator: Literal["network", "echo", "boosting"],
+    out: Path,
+    by: Literal["cycle", "session", "tube"] = "cycle",
+    calibration: str | None = None,
+    prominence: float | None = None,
+    # Floats, as in `simulate`.
+    epochs: float | None = None,
+    folds: float | None = None,
+    seed: float = 0,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Train an estimator of presses on labelled cycles.
+
+    Parameters
+    ----------
+    data : Path
+        Files with cycles and the labels ``true_distance``, ``depth`` and ``force``, as far as
+        known, or folders of these.
+    estimator : str
+        The paper's force network; networks that use the whole echo to tell distance, depth and
+        force; or gradient boosting of the same.
+    out : Path
+        The model to write, which must be new.
+    by : str
+        What is held out together, to weight the folds and to state uncertainties: single cycles, as
+        in the paper, sessions (files, where they do not tell), or tubes.
+    calibration : str
+        A file that ``calibrate`` wrote, or the name of a calibration.
+    prominence : float
+        Least prominence of an echo, as a share of the send pulse, in place of the calibration's.
+    epochs : int
+        Of the networks, 100 for ``network`` and 25 for ``echo`` if not given; the trees of
+        ``boosting``, 150.
+    folds : int
+        10, or 5 for ``boosting``, if not given.
+    seed : int
+        Of folds, initial weights and order.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    if not data:
+        raise ConfigError("train needs a file or a folder; name one or more")
+    if prominence is not None:
+        Number(1e-6, 1, "", "share of the send pulse").check("prominence", prominence)
+    counts = {
+        "epochs": (epochs, Number(1, 100_000, "", "passes over the cycles", whole=True)),
+        "folds": (folds, Number(2, 100, "", "parts of the cycles", whole=True)),
+        "seed": (seed, Number(0, 2**32 - 1, "", "of random numbers", whole=True)),
+    }
+    whole = {
+        name: None if value is None else int(rule.check(name, value))
+        for name, (value, rule) in counts.items()
+    }
+    check_new_file(out)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.trained import run_train
+
+    run_train(
+        data,
+        out,
+        Console(quiet=quiet),
+        name=estimator,
+        by=by,
+        calibration=calibration,
+        prominence=prominence,
+        epochs=whole["epochs"],
+        folds=whole["folds"],
+        seed=whole["seed"] or 0,
+    )
+
+
+@app.command
+def evaluate(
+    model: Path,
+    *data: Path,
+    out: Path | None = None,
+    figure: Path | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Set an estimator's presses beside the labels of cycles: errors, and whether intervals hold.
+
+    Parameters
+    ----------
+    model : Path
+        A file that ``train`` wrote.
+    data : Path
+        Files with cycles and labels, or folders of these; not those that it was trained on.
+    out : Path
+        A table (CSV) of the errors, by depth and by distance too, which must be new.
+    figure : Path
+        A new picture (PNG, PDF or SVG) of estimates and errors.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    if not data:
+        raise ConfigError("evaluate needs a file or a folder; name one or more")
+    if not model.is_file():
+        raise ConfigError(f"{model} does not exist; give the name of a model: train writes one")
+    for path in (out, figure):
+        if path is not None:
+            check_new_file(path)
+    _check_picture(figure)
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.trained import run_evaluate
+
+    run_evaluate(model, data, Console(quiet=quiet), out=out, figure=figure)
+
+
 def _check_picture(figure: Path | None) -> None:
     """Refuse a picture of a kind that cannot be drawn, before anything is computed."""
     kinds = (".png", ".pdf", ".svg")
