@@ -350,23 +350,14 @@ def _print_errors(rows: list[Row], table: xr.Dataset, model: Model, console: Con
         soft_wrap=True,
     )
     shown = Table(box=None, pad_edge=False)
-    names = (
-        "absolute error",
-        "median",
-        "RMSE",
-        "IQR",
-        "median relative",
-        "within 68 %",
-        "within 90 %",
-    )
+    names = ("absolute error", "median", "RMSE", "IQR", "relative", "in 68 %", "in 90 %")
     for column in names:
         shown.add_column(column, justify="left" if column == names[0] else "right", no_wrap=True)
     for target, by, *_, found in rows:
         if by == "all":
             unit, scale = HUMAN[target]
-            sizes = [f"{scale * v:.3g} {unit}" for v in (found.median, found.rmse, found.iqr)]
-            shares = [f"{100 * v:.3g} %" for v in (
-                found.relative, found.covered, found.covered_wide
-            )]  # fmt: skip
-            shown.add_row(f"{TARGETS[target]}", *sizes, *shares)
+            sizes = [f"{scale * v:.3g}" for v in (found.median, found.rmse, found.iqr)]
+            shares = (found.relative, found.covered, found.covered_wide)
+            percent = [f"{100 * v:.3g} %" for v in shares]
+            shown.add_row(f"{TARGETS[target]}, {unit}", *sizes, *percent)
     console.print(shown)
