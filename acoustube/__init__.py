@@ -1,7 +1,7 @@
 """Simulate a silicone tube that carries ultrasound and is pressed by a cylinder.
 
 The modules follow the data: tube -> indentation -> lumen -> waves -> ranging -> signals ->
-distance. The names below are loaded when they are first used, so that importing the package costs
+estimation. The names below are loaded when they are first used, so that importing the package costs
 nothing.
 """
 

@@ -33,8 +33,8 @@ COLUMNS = (
     "target", "unit", "by", "from", "to", "cycles", "estimated", "median", "rmse", "iqr",
     "median_relative_percent", "bias", "within_68_percent", "within_90_percent",
 )  # fmt: skip
+# Target, by what its cycles are chosen, from where to where in SI, how many, and their errors.
 Row = tuple[str, str, float, float, int, estimation.Errors]
-"""Target, by what its cycles are chosen, from where to where in SI, how many, and their errors."""
 
 
 def read_cycles(paths: Sequence[Path]) -> Iterator[tuple[Path, xr.Dataset]]:
@@ -256,7 +256,7 @@ def run_evaluate(
     Returns
     -------
     list of tuple
-        See :data:`Row`.
+        See :func:`error_rows`.
 
     Raises
     ------
@@ -310,7 +310,8 @@ def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterat
     Yields
     ------
     tuple
-        See :data:`Row`; in SI units.
+        The target; by what its cycles are chosen, and from where to where; how many they are; and
+        their errors, in SI units.
     """
     for target in model.targets:
         if target not in table or not np.isfinite(table[target]).any():

@@ -13,7 +13,12 @@ release = acoustube.__version__
 
 extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
 exclude_patterns = ["_build"]
-autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_default_options = {
+    "members": True,
+    "member-order": "bysource",
+    # scikit-learn adds these to every estimator, with links into its own documentation.
+    "exclude-members": "set_fit_request, set_predict_request, set_score_request",
+}
 # The settings of a section are its attributes, documented by `configuration.md`.
 numpydoc_show_class_members = False
 

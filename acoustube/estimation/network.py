@@ -17,8 +17,8 @@ import numpy as np
 import optax
 from numpy.typing import NDArray
 
+# Weights (fan_in, fan_out) and biases (fan_out,) of each layer.
 Layers = list[tuple[Any, Any]]
-"""Weights (fan_in, fan_out) and biases (fan_out,) of each layer."""
 Loss = Literal["squared", "laplace"]
 Progress = Callable[[int, float, float], None]
 """Called after each epoch with its number from 1, and the losses of training and validation."""
