@@ -1,20 +1,23 @@
 """How far is the press from an independent solution, to a closed lumen, and what does it cost?
 
-The paper's tube on a free support, 25 mm rod, to 8 mm: on several meshes, with several distances at
-which the lumen's walls begin to feel each other, and with reduced integration. Errors against the
-CalculiX solution in ``tests/data/indentation_rod25.csv``, which ends at 7 mm, beside the time and
-the memory of a warm run: ``python benchmarks/indentation_work_precision.py``. Some fifteen minutes
-on two cores.
+The paper's tube on a free support, 25 mm rod. First, on the default mesh, every row of the CalculiX
+solution in ``tests/data/indentation_rod25.csv``, which ends at 7 mm, and the area along the tube at
+4 mm. Then to 8 mm, on several meshes, with several distances at which the lumen's walls begin to
+feel each other, and with reduced integration: errors beside the time and the memory of a warm run.
+``python benchmarks/indentation_work_precision.py`` takes some fifteen minutes on two cores; with
+``rows`` for an argument only the first part, in one.
 """
 
 from __future__ import annotations
 
 import resource
+import sys
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.indentation import Indentation, MeshSize, Press, indent
 from acoustube.indentation.mesh import Mesh, sweep
@@ -23,7 +26,7 @@ from acoustube.limits import pressed_reach
 from acoustube.lumen import measure
 from acoustube.tube import Tube
 
-REFERENCE = Path(__file__).parents[1] / "tests" / "data" / "indentation_rod25.csv"
+DATA = Path(__file__).parents[1] / "tests" / "data"
 DEPTHS_MM = (2.0, 4.0, 6.0, 7.0, 7.5, 8.0)
 MESHES = (
     MeshSize(through_wall=1, around=12, along=10),
@@ -36,12 +39,34 @@ REACH = pressed_reach(Tube().outer_diameter, 25e-3)
 CLOSING_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
 
 
-def reference() -> dict[float, float]:
-    """Return the force in N by depth in mm."""
+def table(name: str) -> NDArray[np.void]:
+    """Return the independent solution's table of this name; its columns are named with units."""
     # NumPy would take the names from the first line of the comment.
-    lines = [line for line in REFERENCE.read_text().splitlines() if not line.startswith("#")]
-    table = np.genfromtxt(lines, delimiter=",", names=True)
-    return {float(row["depth_mm"]): float(row["force_N"]) for row in table}
+    lines = (DATA / name).read_text().splitlines()
+    return np.genfromtxt([s for s in lines if not s.startswith("#")], delimiter=",", names=True)
+
+
+def rows() -> None:
+    """Print how far the default mesh is from every row of the independent solution."""
+    exact, along = table("indentation_rod25.csv"), table("indentation_rod25_area_at_4mm.csv")
+    depths = 1e-3 * exact["depth_mm"]
+    press = indent(Tube(), Press(diameter=25e-3), depth=depths, support="free")
+    print("| depth mm | force % | lumen height mm | lumen width mm | lumen area mm2 |")
+    print("|" + "---|" * 5)
+    for row, i in zip(exact, press.rows_at(depths), strict=True):
+        found = measure(press, i, np.zeros(1))
+        force = 100 * (press.contact_force[i] / row["force_N"] - 1)
+        height, width = 1e3 * found.height[0], 1e3 * found.width[0]
+        print(
+            f"| {row['depth_mm']:g} | {force:+.2f} | {height - row['lumen_height_mm']:+.3f} "
+            f"| {width - row['lumen_width_mm']:+.3f} "
+            f"| {1e6 * found.area[0] - row['lumen_area_mm2']:+.3f} |"
+        )
+    (deep,) = press.rows_at([4e-3])
+    inside = along["z_mm"] < 1e3 * REACH
+    area = 1e6 * measure(press, deep, 1e-3 * along["z_mm"][inside]).area
+    error = np.abs(area - along["area_mm2"][inside]).max()
+    print(f"\nArea along the tube at 4 mm: within {error:.3f} mm2 in {inside.sum()} planes\n")
 
 
 def pressed(size: Mesh | MeshSize, closing_distance_mm: float = 0.02) -> tuple[Indentation, float]:
@@ -81,7 +106,12 @@ def cells(press: Indentation, exact: dict[float, float]) -> str:
 
 
 if __name__ == "__main__":
-    exact = reference()
+    rows()
+    if "rows" in sys.argv[1:]:
+        sys.exit()
+    exact = {
+        float(row["depth_mm"]): float(row["force_N"]) for row in table("indentation_rod25.csv")
+    }
     depths = " | ".join(f"force at {depth:g} mm, N" for depth in DEPTHS_MM)
     tail = "area at 8 mm, mm2 | iterations in increments | time s |"
     pressed(MESHES[0])  # compiles

@@ -1,6 +1,7 @@
 """The lumen of pressed and unpressed tubes, against closed forms and the independent solution."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -25,6 +26,9 @@ from acoustube.tube import Tube
 TUBE = Tube(length=0.4)
 RADIUS = TUBE.inner_diameter / 2
 ROD = 25e-3
+AREA_AT_4_MM = np.loadtxt(
+    Path(__file__).parent / "data" / "indentation_rod25_area_at_4mm.csv", delimiter=",", skiprows=4
+)
 
 
 def fabricated(displacement=0.0):
@@ -151,18 +155,17 @@ def test_area_far_from_the_press_is_the_bores_although_the_tube_tilts(pressed_lu
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("z_mm", "area_mm2"), [(2.0, 36.67554), (4.0, 39.28374), (6.0, 42.86456), (7.0, 44.41203)]
-)
-def test_section_beside_a_deep_press_is_that_of_calculix(z_mm, area_mm2):
-    """4 mm deep, slices z = const of the tilted wall: the independent solution of tests/data.
+def test_area_along_a_deep_press_is_that_of_calculix():
+    """4 mm deep, slices z = const of the tilted wall, from the press to 54 mm beside it: 0.1 mm2.
 
-    Origin as in tests/data/indentation_rod25.csv; 0.013 mm2 between two codes.
+    Measured 0.015 mm2 at most; the file says where its numbers are from.
     """
     found = pressed(*DEEP)
     (increment,) = np.flatnonzero(found.depth == 4e-3)
-    section = measure(found, increment, np.array([1e-3 * z_mm]))
-    assert 1e6 * section.area[0] == pytest.approx(area_mm2, abs=0.1)
+    z, area = AREA_AT_4_MM[AREA_AT_4_MM[:, 0] < 55].T
+    assert len(z) > 25
+    section = measure(found, increment, 1e-3 * z)
+    assert 1e6 * section.area == pytest.approx(area, abs=0.1)
 
 
 def cone(n):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.sparse.linalg import splu
-from solids import neo_hookean_solid, nodal_forces
+from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces
 
 from acoustube.errors import ConfigError
 from acoustube.indentation import Press, element, indent, tetrahedra
@@ -394,9 +394,6 @@ def test_quality_of_a_regular_tetrahedron_is_one():
 
 # --- presses
 
-HEXAHEDRA = 2.1182
-"""Force in N on the default mesh of hexahedra; `test_indentation.py` holds it to the reference."""
-
 
 def pressed(surface, depth, support, size=None):
     tube = tube_of(surface, shear_modulus=507433.0, poisson_ratio=0.49)
@@ -420,7 +417,7 @@ def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
     size = TetrahedronSize(fine=1.0, coarse=2.0)
     tetrahedra = pressed(surface, 4e-3, "free", size).contact_force[-1]
     assert tetrahedra == pytest.approx(2.11272, rel=0.02)
-    assert tetrahedra == pytest.approx(HEXAHEDRA, rel=0.02)
+    assert tetrahedra == pytest.approx(HEXAHEDRA_AT_4_MM, rel=0.02)
 
 
 @pytest.mark.slow
