@@ -25,7 +25,6 @@ from acoustube.indentation.tetrahedra import (
     tube_of,
     walls,
 )
-from acoustube.limits import pressed_reach
 
 MU, K = 0.5e6, 25e6
 BORE, WALL, LENGTH = 7.9, 1.6, 160.0  # the paper's tube, in mm, cut shorter
@@ -394,16 +393,14 @@ def test_quality_of_a_regular_tetrahedron_is_one():
 
 # --- presses
 
+REACH = 40e-3
+"""Length in m that is meshed to one side; 40 to 100 mm give the reference's force to 0.01 %."""
+
 
 def pressed(surface, depth, support, size=None):
     tube = tube_of(surface, shear_modulus=507433.0, poisson_ratio=0.49)
     press = Press(diameter=25e-3)
-    mesh = tetrahedral_mesh(
-        surface,
-        reach=pressed_reach(tube.outer_diameter, press.diameter),
-        halved=press.halves,
-        size=size,
-    )
+    mesh = tetrahedral_mesh(surface, reach=REACH, halved=press.halves, size=size)
     assert mesh.halved == (True, True)
     return indent(tube, press, depth=depth, support=support, mesh=mesh)
 
@@ -412,7 +409,8 @@ def pressed(surface, depth, support, size=None):
 def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
     """Within 2 % at 4 mm of CalculiX's hexahedra (2.11272 N, sure to 0.5 %) and of acoustube's.
 
-    One element through the wall; the default's edges, two thirds as long, come within 0.6 %.
+    One element through the wall: measured 0.7 to 0.9 % over; the default's edges, two thirds as
+    long, come within 0.6 %.
     """
     size = TetrahedronSize(fine=1.0, coarse=2.0)
     tetrahedra = pressed(surface, 4e-3, "free", size).contact_force[-1]
