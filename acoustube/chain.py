@@ -90,10 +90,12 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     check_touched(config)
     report = report or _silent
     seconds: dict[str, float] = {}
+    notes: list[str] = []
     air = air_of(config)
 
     with stage("indentation", seconds, report) as progress:
-        indentation = pressed(config, [1e-3 * config.indentation.depth_mm], progress)
+        depth = 1e-3 * config.indentation.depth_mm
+        indentation = pressed(config, [depth], progress, notes.append)
     with stage("lumen", seconds, report):
         space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
     with stage("waves", seconds, report) as progress:
@@ -113,7 +115,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         sound_speed=air.sound_speed,
         seconds=seconds,
         budget=budget,
-        warnings=[*warnings_for(config), *_narrow(config, indentation)],
+        warnings=[*notes, *warnings_for(config), *_narrow(config, indentation)],
         device=jax.devices()[0].device_kind,
     )
 

@@ -69,6 +69,7 @@ def pressed(
     config: Config | Mechanics,
     depths: Sequence[float],
     progress: Callable[[float], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Indentation:
     """Press the tube that the settings describe, or recall that it has been pressed before.
 
@@ -79,6 +80,8 @@ def pressed(
         Rising depths in m, each of which is met exactly.
     progress : callable, optional
         Called with the finished fraction.
+    note : callable, optional
+        Called with a sentence where a remembered press is damaged and has to be computed again.
 
     Returns
     -------
@@ -95,6 +98,9 @@ def pressed(
     surface = config.tube.surface
     name = remembered_as(config, depths)
     known = cache.recall(name)
+    if note and known is None and cache.holds(name):
+        entry = cache.folder() / f"{name}.npz"
+        note(f"The remembered press {entry} is damaged: it was computed again, and replaced.")
     tube, mesh = (tube_from(config), None) if surface is None else _imported(config, press, known)
     if known is not None:
         return restored(tube, press, known, support=support, layer=layer, mesh=mesh)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import jax
 import numpy as np
 import xarray as xr
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     Progress,
@@ -124,6 +125,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
     started = time.perf_counter()
     press, stopped = config.indentation, None
+    notes: list[str] = []
     depths = [1e-3 * (press.depth_mm * i / press.steps) for i in range(1, press.steps + 1)]
     with heard_interrupts() as check:
         _print_press_header(config, console)
@@ -136,7 +138,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
                 progress(0.0)
                 try:
-                    indentation = pressed(config, depths, progress)
+                    indentation = pressed(config, depths, progress, notes.append)
                 except PressError as error:
                     indentation, stopped = error.indentation, error
             dataset = record.press_dataset(
@@ -144,7 +146,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
                 indentation,
                 depths,
                 seconds=time.perf_counter() - started,
-                warnings=[] if stopped is None else [str(stopped)],
+                warnings=notes if stopped is None else [*notes, str(stopped)],
                 device=jax.devices()[0].device_kind,
             )
             write_dataset(dataset, partial / "run.nc")
@@ -154,6 +156,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
             check()
             folder = publish(partial, folder)
     _print_press(dataset, console)
+    _print_notes(notes, console)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
     if stopped is not None:
@@ -271,8 +274,13 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
     console.print(table)
     console.print(f"accuracy: {dataset.attrs['accuracy']}", soft_wrap=True)
-    for warning in dataset.attrs["warnings"].splitlines():
-        console.print(f"[yellow]note:[/] {warning}", soft_wrap=True)
+    _print_notes(dataset.attrs["warnings"].splitlines(), console)
+
+
+def _print_notes(notes: Iterable[str], console: Console) -> None:
+    """Print what the reader of a result should know, a line each."""
+    for note in notes:
+        console.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
 
 
 def _estimate(case: xr.Dataset, prominence: float) -> str:

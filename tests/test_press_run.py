@@ -131,6 +131,29 @@ def test_second_run_is_recalled_and_the_same(finished, tmp_path):
         assert float(second["elapsed_time"]) < 0.5 * float(first["elapsed_time"])
 
 
+def test_remembered_press_that_was_cut_short_is_computed_again_and_said(tmp_path, monkeypatch):
+    """The note stands on the screen and in the file; the numbers are those of the first time."""
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
+    words = ["--depth", "0.05", "--steps", "1"]
+    for name in ("first", "second", "third"):
+        result = subprocess.run(
+            [COMMAND, "indent", *words, "--out", name], capture_output=True, text=True, check=True
+        )
+        (entry,) = (tmp_path / "cache").glob("*.npz")
+        whole = entry.read_bytes()
+        if name == "first":
+            entry.write_bytes(whole[: len(whole) // 2])
+        said = f"note: The remembered press {entry} is damaged: it was computed again"
+        assert (said in result.stdout) == (name == "second")
+    with (
+        xr.open_dataset("first/run.nc", engine="h5netcdf") as first,
+        xr.open_dataset("second/run.nc", engine="h5netcdf") as second,
+    ):
+        assert "is damaged" in second.attrs["warnings"]
+        assert first.attrs["warnings"] == ""
+        assert np.array_equal(first["node_displacement"], second["node_displacement"])
+
+
 def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch):
     """Newton's method fails beyond 0.35 mm: increments are halved towards it, and then given up."""
     minimise = press.minimise
