@@ -100,7 +100,7 @@ def pressed(
     known = cache.recall(name)
     if note and known is None and cache.holds(name):
         entry = cache.folder() / f"{name}.npz"
-        note(f"The remembered press {entry} is damaged: it was computed again, and replaced.")
+        note(f"The remembered press {entry} is damaged and was not used: it was computed again.")
     tube, mesh = (tube_from(config), None) if surface is None else _imported(config, press, known)
     if known is not None:
         return restored(tube, press, known, support=support, layer=layer, mesh=mesh)
