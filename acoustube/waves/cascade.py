@@ -29,7 +29,7 @@ from acoustube.waves.duct_modes import mode_numbers
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.pulse import check_duration
-from acoustube.waves.scattering import Complex, Scattering
+from acoustube.waves.scattering import Complex, ModalScattering
 
 Signal = Callable[[Array], ArrayLike]
 Reflection = complex | NDArray[Any]
@@ -52,17 +52,17 @@ FADED = 1e4
 
 @dataclass(frozen=True)
 class Placed:
-    """A press and where it is.
+    """A press, or a bend, and where it is.
 
     Attributes
     ----------
-    scattering : Scattering
+    scattering : ModalScattering
         With both reference planes at one place; that of a file is z = 0 of its surface.
     position : float
         Distance of that place from the source end in m.
     """
 
-    scattering: Scattering
+    scattering: ModalScattering
     position: float
 
 
@@ -270,12 +270,12 @@ def _at(ahead: float, left: float, waves: Complex, forward: Complex, beyond: Com
     return np.asarray((here + rest * (beyond @ (rest * here)))[:, :, 0])
 
 
-def continued(scattering: Scattering, frequency: NDArray[Any]) -> Complex:
+def continued(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
     """Return a scattering matrix at other frequencies, real or complex.
 
     Parameters
     ----------
-    scattering : Scattering
+    scattering : ModalScattering
         At evenly spaced frequencies.
     frequency : ndarray
         In Hz, (n,), their real parts within its band.

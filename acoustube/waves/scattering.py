@@ -49,8 +49,8 @@ CHECKS = 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scattering:
-    """Scattering of duct modes by a lumen between two straight ends.
+class ModalScattering:
+    """Scattering of duct modes between two straight ends of one round bore.
 
     Attributes
     ----------
@@ -65,14 +65,31 @@ class Scattering:
     propagates : ndarray of bool
         (n, n_modes).
     cut_ons : ndarray
-        Of the grid, in Hz, (n_modes,).
-    settled : ndarray of bool
-        Which coefficients changed by less than `SETTLED` over the last quarter of the runs; of the
-        shape of `s`.
+        In Hz, (n_modes,); of the grid where there is one.
     sound_speed : float
         In m/s.
     extent : tuple of float
-        From where to where the lumen is not straight, in m from the reference planes.
+        From where to where the tube is not straight, in m from the reference planes.
+    """
+
+    frequency: Array
+    modes: tuple[str, ...]
+    s: Complex
+    propagates: NDArray[np.bool_]
+    cut_ons: Array
+    sound_speed: float
+    extent: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scattering(ModalScattering):
+    """Scattering of duct modes by a lumen between two straight ends, from a grid.
+
+    Attributes
+    ----------
+    settled : ndarray of bool
+        Which coefficients changed by less than `SETTLED` over the last quarter of the runs; of the
+        shape of `s`.
     spacing : tuple of float
         Size of a grid cell in m.
     shape : tuple of int
@@ -83,14 +100,7 @@ class Scattering:
         In s.
     """
 
-    frequency: Array
-    modes: tuple[str, ...]
-    s: Complex
-    propagates: NDArray[np.bool_]
-    cut_ons: Array
     settled: NDArray[np.bool_]
-    sound_speed: float
-    extent: tuple[float, float]
     spacing: tuple[float, float, float]
     shape: tuple[int, int, int]
     steps: int

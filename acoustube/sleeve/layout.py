@@ -1,0 +1,305 @@
+"""A sleeve's layout: its tubes, how much of the skin they cover, and how finely they tell places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from acoustube.errors import ConfigError
+from acoustube.sleeve.fit import Arm
+from acoustube.sleeve.helix import Array, Helix, nearest
+
+DEAD_ZONE = 0.15
+"""Distance in m within which the send pulse drowns every echo: the start of the paper's window."""
+REACH = 2.5
+"""Farthest distance in m from which a press is heard: the paper's tube, and EchoTube's of 8 mm."""
+LEAD = 0.15
+"""Tube outside the sleeve in m, as in the paper: as long as the dead zone."""
+OUTER_DIAMETER = 11.1e-3
+"""The paper's tube, in m."""
+TUBES = 2
+WITHIN = 0.01
+"""Half width in m of the skin that a tube is said to cover: a 25 mm contact still presses it."""
+DEVIATION = 0.05
+"""Standard deviation of a distance in m: 5.23 cm is the paper's median error on the flat tube."""
+SKIN_GRID = 160, 120
+"""Heights and angles at which the skin is looked at."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """What a sleeve covers, and how finely.
+
+    Attributes
+    ----------
+    tube_lengths : ndarray
+        Lead and helix of each tube in m.
+    heard : ndarray
+        Of each tube, from where to where a press is heard, in m, (n_tubes, 2).
+    pitch : float
+        Advance of a tube along the axis per loop in m.
+    spacing : float
+        Between neighbouring tubes, across them, at the middle of the sleeve, in m.
+    skin_area : float
+        Of the sleeve in m2.
+    within : float
+        Half width of the covered skin beside a tube in m.
+    coverage : float
+        Share of the skin within that distance of a tube that hears.
+    blind : float
+        Share of the skin whose nearest tube lies, there, in its dead zone or beyond its reach.
+    deviation : float
+        Standard deviation of a distance in m.
+    patch_area : float
+        Skin in m2 to which a distance is told: two deviations along the tube times the spacing.
+    patches : float
+        How many such patches are on the skin that is heard.
+    """
+
+    tube_lengths: Array
+    heard: Array
+    pitch: float
+    spacing: float
+    skin_area: float
+    within: float
+    coverage: float
+    blind: float
+    deviation: float
+    patch_area: float
+    patches: float
+
+
+def wound(
+    arm: Arm,
+    loops: float,
+    *,
+    n_tubes: int = TUBES,
+    phase: float = 0.0,
+    hand: str = "right",
+    lead: float = LEAD,
+    length: float | None = None,
+) -> list[Helix]:
+    """Wind tubes around an arm that was fitted to markers.
+
+    Parameters
+    ----------
+    arm : Arm
+    loops : float
+        Turns of each tube over the length.
+    n_tubes : int
+        One or two start at the angles of the columns of markers; more are spaced evenly from the
+        first column on.
+    phase : float
+        Added to these angles, in rad.
+    hand : str
+        ``right`` or ``left``.
+    lead : float
+        Tube before the helix in m.
+    length : float, optional
+        Extent along the axis in m; that of the markers if not given.
+
+    Returns
+    -------
+    list of Helix
+    """
+    starts = [arm.angles[0] + 2 * pi * i / n_tubes for i in range(n_tubes)]
+    if n_tubes <= 2:
+        starts = list(arm.angles[:n_tubes])
+    lines = [arm.lines[i] if n_tubes == 2 else arm.lines[0] for i in range(n_tubes)]
+    return [
+        Helix(
+            radius=line.radius,
+            taper=line.taper,
+            length=length or arm.length,
+            loops=loops,
+            phase=start + phase,
+            hand=hand,
+            lead=lead,
+            frame=arm.frame,
+        )
+        for start, line in zip(starts, lines, strict=True)
+    ]
+
+
+def design(
+    length: float,
+    girths: tuple[float, float],
+    *,
+    loops: float | None = None,
+    pitch: float | None = None,
+    n_tubes: int = TUBES,
+    phase: float = 0.0,
+    hand: str = "right",
+    lead: float = LEAD,
+    outer_diameter: float = OUTER_DIAMETER,
+    reach: float = REACH,
+) -> list[Helix]:
+    """Wind tubes around a forearm of given sizes.
+
+    Parameters
+    ----------
+    length : float
+        Of the sleeve along the arm in m.
+    girths : tuple of float
+        Circumference of the arm at the end near the sensors, and at the other, in m.
+    loops, pitch : float
+        Turns over the length, or advance per turn in m: one of the two.
+    n_tubes : int
+        Wound side by side at even angles.
+    phase : float
+        Of the first tube in rad.
+    hand : str
+        ``right`` or ``left``.
+    lead : float
+        Tube before the helix in m.
+    outer_diameter : float
+        Of the tube in m; its centre line lies half of it over the skin.
+    reach : float
+        Farthest distance from which a press is heard, in m.
+
+    Returns
+    -------
+    list of Helix
+
+    Raises
+    ------
+    ConfigError
+        If a tube is longer than the reach, or the tubes do not fit side by side.
+    """
+    if (loops is None) == (pitch is None):
+        raise ConfigError("a layout needs loops or a pitch, one of the two; give --loops 9, say")
+    if pitch is not None:
+        if not 0 < pitch <= 4 * length:
+            raise ConfigError(
+                f"pitch = {100 * pitch:g} cm must be positive and at most {400 * length:g} cm, four "
+                "lengths of the sleeve"
+            )
+        loops = length / pitch
+    first, last = (girth / (2 * pi) + outer_diameter / 2 for girth in girths)
+    tubes = [
+        Helix(
+            radius=first,
+            taper=(last - first) / length,
+            length=length,
+            loops=loops or 0.0,
+            phase=phase + 2 * pi * i / n_tubes,
+            hand=hand,
+            lead=lead,
+        )
+        for i in range(n_tubes)
+    ]
+    check_reach(tubes, reach)
+    check_room(tubes, outer_diameter)
+    return tubes
+
+
+def check_reach(tubes: Sequence[Helix], reach: float) -> None:
+    """Refuse tubes that are longer than the sensor hears.
+
+    Raises
+    ------
+    ConfigError
+    """
+    longest = max(tubes, key=lambda tube: tube.tube_length)
+    if longest.tube_length > reach:
+        fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
+        advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
+        raise ConfigError(
+            f"loops = {longest.loops:.4g} needs a tube of {100 * longest.tube_length:.0f} cm, and the "
+            f"sensor hears {100 * reach:.0f} cm; {advice}, on more tubes, or set the reach"
+        )
+
+
+def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
+    """Refuse tubes that would lie on each other.
+
+    Raises
+    ------
+    ConfigError
+    """
+    room = spacing(tubes)
+    if room < outer_diameter:
+        raise ConfigError(
+            f"neighbouring tubes would be {1e3 * room:.1f} mm apart and are {1e3 * outer_diameter:g} "
+            "mm thick; use fewer loops, a larger pitch or fewer tubes"
+        )
+
+
+def spacing(tubes: Sequence[Helix]) -> float:
+    """Return the distance across the tubes from one to the next in m, at the sleeve's middle."""
+    tube = tubes[0]
+    along = float(np.hypot(1, tube.taper) / tube.density(tube.length / 2))
+    around = float(abs(tube.twist) * tube.radius_at(tube.length / 2)) * along
+    return tube.pitch / len(tubes) * around
+
+
+def layout(
+    tubes: Sequence[Helix],
+    *,
+    dead_zone: float = DEAD_ZONE,
+    reach: float = REACH,
+    within: float = WITHIN,
+    deviation: float = DEVIATION,
+) -> Layout:
+    """Return what a sleeve covers.
+
+    Parameters
+    ----------
+    tubes : sequence of Helix
+        All around one arm.
+    dead_zone, reach : float
+        From where to where along a tube a press is heard, in m.
+    within : float
+        Half width of the covered skin beside a tube in m.
+    deviation : float
+        Standard deviation of a distance in m.
+
+    Returns
+    -------
+    Layout
+
+    Notes
+    -----
+    The skin is the cone on which the centre lines lie, between the ends of the sleeve; distances
+    to a tube are straight ones. Areas are sums over a grid of heights and angles.
+    """
+    tube = tubes[0]
+    places, weights = _skin(tube)
+    found = nearest(tubes, tube.frame.outwards(places))
+    lengths = np.array([each.tube_length for each in tubes])
+    heard = np.array(
+        [[min(max(t.lead, dead_zone), n), min(n, reach)] for t, n in zip(tubes, lengths, strict=True)]
+    )
+    low, high = heard[found.tube].T
+    hears = (found.distance >= low) & (found.distance <= high)
+    area = float(weights.sum())
+    patch = 2 * deviation * spacing(tubes)
+    return Layout(
+        tube_lengths=lengths,
+        heard=heard,
+        pitch=tube.pitch,
+        spacing=spacing(tubes),
+        skin_area=area,
+        within=within,
+        coverage=float(weights[hears & (found.gap <= within)].sum() / area),
+        blind=float(weights[~hears].sum() / area),
+        deviation=deviation,
+        patch_area=patch,
+        patches=float(weights[hears].sum() / patch),
+    )
+
+
+def _skin(tube: Helix) -> tuple[Array, Array]:
+    """Return places on the skin, (n, 3) in the arm's coordinates, and the areas they stand for."""
+    n, m = SKIN_GRID
+    z, psi = np.meshgrid(
+        (np.arange(n) + 0.5) * tube.length / n, 2 * pi * (np.arange(m) + 0.5) / m, indexing="ij"
+    )
+    r = tube.radius_at(z)
+    weights = r * np.hypot(1, tube.taper) * (tube.length / n) * (2 * pi / m)
+    return np.stack([r * np.cos(psi), r * np.sin(psi), z], -1).reshape(-1, 3), weights.ravel()
+
+
