@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
+from math import radians
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -785,6 +786,136 @@ def evaluate(
         from acoustube.trained import run_evaluate
 
     run_evaluate(model, data, Console(quiet=quiet), out=out, figure=figure)
+
+
+@app.command
+def sleeve(
+    markers: Path | None = None,
+    /,
+    *,
+    forearm: tuple[float, float, float] | None = None,
+    loops: float | None = None,
+    pitch: float | None = None,
+    # Floats, as in `simulate`.
+    tubes: float = 2,
+    phase: float = 0.0,
+    hand: Literal["right", "left"] = "right",
+    lead: float = 15.0,
+    dead_zone: float = 15.0,
+    reach: float = 250.0,
+    tube_diameter: float = 11.1,
+    distance: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    deviation: float = 5.0,
+    within: float = 10.0,
+    step: float = 1.0,
+    axis: Literal["fitted", "z"] = "fitted",
+    unit: Literal["mm", "cm", "m"] | None = None,
+    columns: tuple[str, str] | None = None,
+    out: Path | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Lay out a sleeve: from a distance along a wrapped tube to a place on the arm.
+
+    Parameters
+    ----------
+    markers : Path
+        Two columns of markers along the arm: a table with the columns column, x_mm, y_mm, z_mm, or
+        a C3D file.
+    forearm : tuple
+        In place of markers: length of the sleeve, and girth of the arm at the end near the
+        sensors and at the other, in cm.
+    loops : float
+        Turns of each tube over the sleeve.
+    pitch : float
+        In place of loops: advance per turn in cm.
+    tubes : int
+        Side by side, 1 to 8.
+    phase : float
+        Angle at which the first tube starts, from the first column of markers, in degrees.
+    hand : str
+        Of the helix.
+    lead : float
+        Tube between sensor and sleeve, in cm.
+    dead_zone : float
+        Distance from the sensor within which nothing is heard, in cm.
+    reach : float
+        Farthest distance from the sensor that is heard, in cm.
+    tube_diameter : float
+        Outer diameter of the tube in mm.
+    distance : list
+        Contacts to mark, in cm from the sensor; 2:80 is on the second tube.
+    deviation : float
+        Standard deviation of a distance, in cm.
+    within : float
+        Half width of the skin that counts as covered by a tube, in mm.
+    step : float
+        Between two rows of the table, in cm.
+    axis : str
+        Of the arm: fitted midway between opposite columns, or the z of the markers.
+    unit : str
+        Of the markers, in place of the file's own; mm if nothing tells.
+    columns : tuple of str
+        Names of the two columns, where the file has more.
+    out : Path
+        The folder to write, which must be new or empty; sleeve-1, sleeve-2 and so on if not given.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    if (markers is None) == (forearm is None):
+        raise ConfigError("sleeve needs a file of markers, or --forearm 25 17 26; give one of them")
+    if (loops is None) == (pitch is None):
+        raise ConfigError("sleeve needs --loops 9, say, or --pitch in cm; give one of them")
+    for name, value, low, high, word in (
+        ("loops", loops, 0.25, 100, "turns of each tube"),
+        ("pitch", pitch, 0.5, 100, "cm, advance per turn"),
+        ("phase", phase, -360, 360, "degrees"),
+        ("lead", lead, 0, 1000, "cm, tube between sensor and sleeve"),
+        ("dead-zone", dead_zone, 0, 200, "cm, within which nothing is heard"),
+        ("reach", reach, 10, 2000, "cm, farthest distance that is heard"),
+        ("tube-diameter", tube_diameter, 1, 50, "mm, outer"),
+        ("deviation", deviation, 0.01, 100, "cm, of a distance"),
+        ("within", within, 1, 100, "mm of a tube"),
+        ("step", step, 0.05, 50, "cm between rows"),
+    ):
+        if value is not None:
+            Number(low, high, word.partition(",")[0], "").check(name, value)
+    for name, value, low, high in zip(
+        ("length", "first girth", "second girth"), forearm or (), (3, 8, 8), (150, 150, 150),
+        strict=False,
+    ):  # fmt: skip
+        Number(low, high, "cm", "").check(f"{name} of the forearm", value)
+    n_tubes = Number(1, 8, "", "side by side", whole=True)
+    n_tubes.check("tubes", tubes)
+    if markers is not None and not markers.is_file():
+        raise ConfigError(f"{markers} does not exist; give a table or C3D file of markers")
+    folder = check_out(out if out is not None else fresh_folder("sleeve"))
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.wrapped import Plan, contacts_of, run_sleeve
+
+    plan = Plan(
+        markers=markers,
+        forearm=None if forearm is None else (forearm[0] / 100, forearm[1] / 100, forearm[2] / 100),
+        loops=loops,
+        pitch=None if pitch is None else pitch / 100,
+        tubes=int(tubes),
+        phase=radians(phase),
+        hand=hand,
+        axis=axis,
+        lead=lead / 100,
+        dead_zone=dead_zone / 100,
+        reach=reach / 100,
+        outer_diameter=tube_diameter / 1000,
+        deviation=deviation / 100,
+        within=within / 1000,
+        step=step / 100,
+        contacts=contacts_of(distance or []),
+        unit=unit,
+        columns=columns,
+    )
+    run_sleeve(plan, folder, Console(quiet=quiet))
 
 
 def _check_picture(figure: Path | None) -> None:

@@ -307,6 +307,13 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
 
 def _check_units(columns: list[Array]) -> None:
     """Refuse columns of the size of no arm."""
+    for points in columns:
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if steps.max() > max(300 * np.median(steps), 2 * LENGTHS[1]):
+            raise ConfigError(
+                "some markers of a column are a thousand times farther out than others: m and mm "
+                "are mixed; use one unit"
+            )
     sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in columns]
     low, high = sorted(sizes)
     if high > 100 * low:
@@ -314,14 +321,7 @@ def _check_units(columns: list[Array]) -> None:
             f"the columns are {sizes[0]:.3g} m and {sizes[1]:.3g} m long: one is in m and the "
             "other in mm, or they are of different things; use one unit"
         )
-    for size, points in zip(sizes, columns, strict=True):
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        norms = np.linalg.norm(points, axis=1)
-        if norms.max() > 300 * max(np.median(norms), 1e-9) and steps.max() > LENGTHS[1]:
-            raise ConfigError(
-                "some markers of a column are a thousand times farther out than others: m and mm "
-                "are mixed; use one unit"
-            )
+    for size in sizes:
         if not LENGTHS[0] <= size <= 2 * LENGTHS[1]:
             factor = "mm read as m" if size > 2 * LENGTHS[1] else "m read as mm"
             raise ConfigError(

@@ -25,8 +25,9 @@ WITHIN = 0.01
 """Half width in m of the skin that a tube is said to cover: a 25 mm contact still presses it."""
 DEVIATION = 0.05
 """Standard deviation of a distance in m: 5.23 cm is the paper's median error on the flat tube."""
-SKIN_GRID = 160, 120
-"""Heights and angles at which the skin is looked at."""
+SKIN_PLACES = 16_000
+"""Places at which the skin is looked at."""
+GOLDEN = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,7 +265,7 @@ def layout(
     Notes
     -----
     The skin is the cone on which the centre lines lie, between the ends of the sleeve; distances
-    to a tube are straight ones. Areas are sums over a grid of heights and angles.
+    to a tube are straight ones. Areas are sums over places spread evenly.
     """
     tube = tubes[0]
     places, weights = _skin(tube)
@@ -294,12 +295,12 @@ def layout(
 
 def _skin(tube: Helix) -> tuple[Array, Array]:
     """Return places on the skin, (n, 3) in the arm's coordinates, and the areas they stand for."""
-    n, m = SKIN_GRID
-    z, psi = np.meshgrid(
-        (np.arange(n) + 0.5) * tube.length / n, 2 * pi * (np.arange(m) + 0.5) / m, indexing="ij"
-    )
+    n = SKIN_PLACES
+    z = (np.arange(n) + 0.5) * tube.length / n
+    # The golden angle: no row of places runs along a loop, as it might on a grid.
+    psi = 2 * pi * GOLDEN * np.arange(n)
     r = tube.radius_at(z)
-    weights = r * np.hypot(1, tube.taper) * (tube.length / n) * (2 * pi / m)
-    return np.stack([r * np.cos(psi), r * np.sin(psi), z], -1).reshape(-1, 3), weights.ravel()
+    weights = 2 * pi * r * np.hypot(1, tube.taper) * tube.length / n
+    return np.stack([r * np.cos(psi), r * np.sin(psi), z], axis=-1), weights
 
 

@@ -1,0 +1,33 @@
+"""The sleeve: from a distance along a wrapped tube to a place on the arm."""
+
+from acoustube.sleeve.fit import Arm, Line, fit_arm
+from acoustube.sleeve.helix import Frame, Helix, Nearest, nearest
+from acoustube.sleeve.layout import (
+    Layout,
+    check_reach,
+    check_room,
+    design,
+    layout,
+    spacing,
+    wound,
+)
+from acoustube.sleeve.markers import Markers, read_markers
+
+__all__ = [
+    "Arm",
+    "Frame",
+    "Helix",
+    "Layout",
+    "Line",
+    "Markers",
+    "Nearest",
+    "check_reach",
+    "check_room",
+    "design",
+    "fit_arm",
+    "layout",
+    "nearest",
+    "read_markers",
+    "spacing",
+    "wound",
+]
