@@ -101,7 +101,9 @@ def render(picture: Picture) -> Any:
         ends = np.clip(distance + picture.deviation * np.array([-1, 1]), near, far)
         _add(plotter, _along(each, *ends), 1.12 * thick, SPREAD)
         place = each.point(each.height(distance))
-        plotter.add_mesh(pyvista.Sphere(1.7 * thick, center=place), color=CONTACT, ambient=0.3)
+        plotter.add_mesh(
+            pyvista.Sphere(radius=1.7 * thick, center=place), color=CONTACT, ambient=0.3
+        )
         label = [f"{100 * distance:g} cm"]
         plotter.add_point_labels(
             [place + 4.5 * thick * np.cross(side, [0, 0, 1])], label,
@@ -114,7 +116,7 @@ def render(picture: Picture) -> Any:
     seen = picture.markers[np.all(np.isfinite(picture.markers), axis=-1)]
     if len(seen):
         dots = pyvista.PolyData(tube.frame.inwards(seen))
-        dots = dots.glyph(geom=pyvista.Sphere(0.5 * thick), scale=False, orient=False)
+        dots = dots.glyph(geom=pyvista.Sphere(radius=0.5 * thick), scale=False, orient=False)
         plotter.add_mesh(dots, color=MARKER)
         legend.append(["marker", MARKER])
     plotter.add_legend(legend, bcolor=None, face="rectangle", size=(0.2, 0.035 * len(legend)))

@@ -162,9 +162,7 @@ def _tubes(plan: Plan) -> tuple[list[Helix], list[str], Array]:
     arm = fit_arm(markers.first, markers.second, axis=plan.axis)
     loops = plan.loops if plan.pitch is None else arm.length / plan.pitch
     assert loops is not None
-    tubes = wound(
-        arm, loops, n_tubes=plan.tubes, phase=plan.phase, hand=plan.hand, lead=plan.lead
-    )
+    tubes = wound(arm, loops, n_tubes=plan.tubes, phase=plan.phase, hand=plan.hand, lead=plan.lead)
     check_reach(tubes, plan.reach)
     return tubes, _fit_in_words(plan, markers, arm), np.concatenate([markers.first, markers.second])
 
@@ -205,12 +203,12 @@ def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
     tube = tubes[0]
     lengths = " and ".join(f"{100 * length:.1f}" for length in found.tube_lengths)
     hand = f"{tube.hand}-handed"
-    words = [
-        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} cm, "
-        f"pitch {100 * found.pitch:.2f} cm; {lengths} cm long with a lead of "
-        f"{100 * tube.lead:g} cm",
-        f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube",
-    ]
+    first = (
+        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} "
+        f"cm, pitch {100 * found.pitch:.2f} cm; {lengths} cm long with a lead of "
+        f"{100 * tube.lead:g} cm"
+    )
+    words = [first, f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube"]
     for number, ((near, far), each) in enumerate(zip(found.heard, tubes, strict=True), start=1):
         words.append(
             f"tube {number}: presses are heard from {100 * near:.0f} to {100 * far:.0f} cm"
@@ -237,8 +235,8 @@ def _contact(plan: Plan, tubes: Sequence[Helix], found: Layout, contact: tuple[i
     number, distance = contact
     if number >= len(tubes):
         raise ConfigError(
-            f"distance = {number + 1}:{100 * distance:g} is on tube {number + 1} and the sleeve has "
-            f"{len(tubes)}; use 1 to {len(tubes)}"
+            f"distance = {number + 1}:{100 * distance:g} is on tube {number + 1} and the sleeve "
+            f"has {len(tubes)}; use 1 to {len(tubes)}"
         )
     tube = tubes[number]
     near, far = found.heard[number]
@@ -255,10 +253,10 @@ def _contact(plan: Plan, tubes: Sequence[Helix], found: Layout, contact: tuple[i
     return (
         f"contact at {100 * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
         f"{height:.1f} mm, {100 * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
-        f"degrees, loop {int(z / tube.pitch) + 1}; ± {1e3 * plan.deviation:g} mm along the tube is "
-        f"± {1e3 * along:.1f} mm along the arm and {around:.0f} degrees around it; the next loop, of tube {int(beside.next_tube) + 1}, is "
-        f"{1e3 * float(beside.next_gap):.0f} mm away, where it reads "
-        f"{100 * float(beside.next_distance):.0f} cm"
+        f"degrees, loop {int(z / tube.pitch) + 1}; ± {1e3 * plan.deviation:g} mm along the tube "
+        f"is ± {1e3 * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
+        f"loop, of tube {int(beside.next_tube) + 1}, is {1e3 * float(beside.next_gap):.0f} mm "
+        f"away, where it reads {100 * float(beside.next_distance):.0f} cm"
     )
 
 
@@ -287,9 +285,7 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
                 at, place, along, turned, turn = row
                 heard = int(near - 1e-9 <= at <= far + 1e-9)
                 cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
-                table.writerow(
-                    [number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, heard]
-                )
+                table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, heard])
 
 
 def contacts_of(words: Sequence[str]) -> tuple[tuple[int, float], ...]:
@@ -305,8 +301,8 @@ def contacts_of(words: Sequence[str]) -> tuple[tuple[int, float], ...]:
         match = re.fullmatch(r"(?:(\d+):)?(\d+(?:\.\d*)?|\.\d+)", word.strip())
         if match is None or match[1] == "0":
             raise ConfigError(
-                f"distance = {word} is not a distance; use cm, as in 80, with the tube before it as "
-                "in 2:80"
+                f"distance = {word} is not a distance; use cm, as in 80, with the tube before it "
+                "as in 2:80"
             )
         found.append((int(match[1] or 1) - 1, 1e-2 * float(match[2])))
     return tuple(found)

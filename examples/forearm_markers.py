@@ -16,10 +16,10 @@ random = np.random.default_rng(8)
 height = np.linspace(0.0, 250.0, 8)
 radius = np.interp(height, [0, 250], [170, 260]) / (2 * np.pi) + 5.55
 around = Rotation.from_euler("xyz", [70, 15, 30], degrees=True)
-rows = []
+origin, rows = np.array([412.0, -180.0, 930.0]), []
 for column, side in (("A", 1), ("B", -1)):
     arm = np.stack([side * radius, 0 * height, height], axis=1)
-    places = around.apply(arm + random.normal(0, 0.5, arm.shape)) + [412.0, -180.0, 930.0]
+    places = origin + around.apply(arm + random.normal(0, 0.5, arm.shape))
     if column == "A":
         places[4] += around.apply([0.0, 30.0, 0.0])
     for number, place in enumerate(places, start=1):

@@ -74,6 +74,7 @@ def test_help_names_every_option_with_its_unit():
         ["simulate", "--depth", "12"],
         ["indent", "--depth", "12"],
         ["cache", "list"],
+        ["sleeve", "--loops", "9"],
     ],
 )
 def test_help_and_refusals_import_nothing_heavy(words):

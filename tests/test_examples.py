@@ -50,3 +50,22 @@ def test_second_azimuthal_mode_is_locked_in_beside_a_deep_press(run_example):
     assert abs(variables["third_khz"][0] / 42.24 - 1) < 2.5e-3
     assert variables["lowest"] < 39
     assert variables["under_the_rod"] > 55
+
+
+@pytest.mark.slow
+def test_wrap_converts_a_fifth_of_the_sound_at_the_carrier_and_gives_it_back(run_example):
+    # Coupled-mode theory: the beat of two modes with kz = 769 and 609 1/m is 3.9 cm, and shorter
+    # where the coupling adds to their difference.
+    variables = run_example("sleeve_how_much_sound_does_a_wrap_convert")
+    assert 0.15 < variables["most"][42.0] < 0.2
+    assert 0.03 < variables["beat"] < 0.0393
+    assert variables["most"][20.0] == 0
+    assert max(variables["reflected_db"].values()) < -30
+
+
+def test_forearm_markers_are_those_beside_the_script(tmp_path):
+    script = tmp_path / "forearm_markers.py"
+    script.write_text((EXAMPLES / "forearm_markers.py").read_text(encoding="utf-8"))
+    runpy.run_path(str(script))
+    written = (tmp_path / "forearm_markers.csv").read_text()
+    assert written == (EXAMPLES / "forearm_markers.csv").read_text()

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
+from scipy.special import jv, jvp
 
 from acoustube.errors import ConfigError
 from acoustube.sleeve import Frame, Helix, design, layout, nearest, spacing
+from acoustube.sleeve.ovalisation import cut_on_shift, ovality
+from acoustube.tube import Tube
+from acoustube.waves.bend import bore_modes
 
 FOREARM = {"radius": 0.0326, "taper": 0.057, "length": 0.25, "loops": 9, "lead": 0.15}
 ASKEW = Frame(
@@ -50,9 +55,7 @@ def test_arc_length_converges_with_second_order():
 
 @pytest.mark.parametrize("hand", ["right", "left"])
 def test_distance_to_place_and_back_is_the_same_to_a_hundredth_of_a_millimetre(hand):
-    tubes = [
-        Helix(**FOREARM, phase=phase, hand=hand, frame=ASKEW) for phase in (0.3, 0.3 + np.pi)
-    ]
+    tubes = [Helix(**FOREARM, phase=phase, hand=hand, frame=ASKEW) for phase in (0.3, 0.3 + np.pi)]
     distance = np.linspace(0.15, tubes[0].tube_length, 4001)
     for number, tube in enumerate(tubes):
         found = nearest(tubes, tube.place(distance))
@@ -172,3 +175,38 @@ def test_places_of_another_shape_and_no_tube_are_refused():
         nearest([Helix(**FOREARM)], np.zeros((5, 2)))
     with pytest.raises(ConfigError, match="no tube"):
         nearest([], np.zeros(3))
+
+
+def test_flattened_bore_moves_the_cut_ons_as_its_own_eigenvalues_do():
+    """By Ritz's method in the ellipse, with the circle's modes stretched to it."""
+    zeta = 0.02
+    shift = cut_on_shift(1, 1, zeta)
+    a, b = 1 - zeta, 1 + zeta
+    bore = bore_modes(30.0)
+    r, w = np.polynomial.legendre.leggauss(60)
+    r, w = 0.5 * (r + 1)[:, None], 0.5 * w[:, None] * 0.5 * (r + 1)[:, None]
+    phi = 2 * np.pi * np.arange(64) / 64
+    names = [n for n in bore.names if n.endswith("c") and int(n[:-2]) % 2]
+    rows = []
+    for name in names:
+        m, zero = int(name[:-2]), bore.zeros[bore.names.index(name)]
+        d_r = zero * jvp(m, zero * r) * np.cos(m * phi)
+        d_phi = -m * jv(m, zero * r) * np.sin(m * phi) / r
+        psi = jv(m, zero * r) * np.cos(m * phi)
+        d_x = d_r * np.cos(phi) - d_phi * np.sin(phi)
+        d_y = d_r * np.sin(phi) + d_phi * np.cos(phi)
+        rows.append((psi, d_x / a, d_y / b))
+    psi, d_x, d_y = (np.array([row[i] for row in rows]) for i in range(3))
+    mass = np.einsum("irp,rp,jrp->ij", psi, w + 0 * phi, psi)
+    stiff = sum(np.einsum("irp,rp,jrp->ij", d, w + 0 * phi, d) for d in (d_x, d_y))
+    lowest = np.sqrt(eigh(stiff, mass, eigvals_only=True)[0])
+    assert lowest / bore.zeros[1] - 1 == pytest.approx(shift, rel=0.05)
+
+
+def test_brazier_ovality_of_a_thin_tube_is_that_of_its_formula_and_kinks_are_refused():
+    thin = Tube(inner_diameter=0.0199, wall_thickness=1e-4, poisson_ratio=0.3)
+    mean = 0.01
+    expected = 0.91 * (0.3 * mean**2 / 1e-4) ** 2 * mean / 0.00995
+    assert ovality(thin, 0.3) == pytest.approx(expected)
+    with pytest.raises(ConfigError, match="it kinks"):
+        ovality(thin, 0.6)

@@ -245,7 +245,7 @@ def _radius_line(points: Array) -> Line:
             f"a column extends {100 * np.ptp(z):.2g} cm along z; the arm must lie along z, or else "
             'use axis = "fitted"'
         )
-    values = np.linalg.lstsq(design, r, rcond=None)[0]
+    values = np.asarray(np.linalg.lstsq(design, r, rcond=None)[0], float)
     return _line(values, design, r - design @ values)
 
 
@@ -253,7 +253,7 @@ def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
     """Return the last two of fitted values as a line, with their covariance."""
     freedom = len(residuals) - len(values)
     variance = float(residuals @ residuals) / freedom
-    covariance = variance * np.linalg.inv(jacobian.T @ jacobian)
+    covariance = np.asarray(variance * np.linalg.inv(jacobian.T @ jacobian), float)
     return Line(
         radius=float(values[-2]),
         taper=float(values[-1]),
@@ -270,7 +270,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
     # Both middles at one height, for the columns need not begin side by side.
     across = middles[0] - middles[1]
     across = across - (across @ direction) * direction
-    size = np.linalg.norm(across)
+    size = float(np.linalg.norm(across))
     if size < 2 * RADII[0]:
         raise ConfigError(
             f"the two columns are {1e3 * size:.2g} mm apart and must lie on opposite sides of the "
@@ -336,8 +336,8 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
     if between < 2 * RADII[0] and abs(u @ v) > 0.95:
         raise ConfigError(
-            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which tells no radius; "
-            "give columns on opposite sides of the arm"
+            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which tells no "
+            "radius; give columns on opposite sides of the arm"
         )
     for i, (points, (_, _, _, kept)) in enumerate(zip(columns, lines, strict=True)):
         middle, direction, deviation, _ = lines[1 - i]
@@ -358,8 +358,8 @@ def _check_along(own: list[Array], length: float) -> None:
         if np.ptp(points[:, 2]) < 0.5 * length:
             raise ConfigError(
                 f"the {name} column extends {100 * np.ptp(points[:, 2]):.3g} cm along the axis and "
-                f"both together {100 * length:.3g} cm; both must run along the sleeve: are x, y and "
-                "z in this order?"
+                f"both together {100 * length:.3g} cm; both must run along the sleeve: are x, y "
+                "and z in this order?"
             )
 
 

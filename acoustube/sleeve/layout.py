@@ -1,4 +1,4 @@
-"""A sleeve's layout: its tubes, how much of the skin they cover, and how finely they tell places."""
+"""A sleeve's layout: its tubes, what of the skin they cover, and how finely they tell places."""
 
 from __future__ import annotations
 
@@ -175,8 +175,8 @@ def design(
     if pitch is not None:
         if not 0 < pitch <= 4 * length:
             raise ConfigError(
-                f"pitch = {100 * pitch:g} cm must be positive and at most {400 * length:g} cm, four "
-                "lengths of the sleeve"
+                f"pitch = {100 * pitch:g} cm must be positive and at most {400 * length:g} cm, "
+                "four lengths of the sleeve"
             )
         loops = length / pitch
     first, last = (girth / (2 * pi) + outer_diameter / 2 for girth in girths)
@@ -209,8 +209,8 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
         fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
         advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
         raise ConfigError(
-            f"loops = {longest.loops:.4g} needs a tube of {100 * longest.tube_length:.0f} cm, and the "
-            f"sensor hears {100 * reach:.0f} cm; {advice}, on more tubes, or set the reach"
+            f"loops = {longest.loops:.4g} needs a tube of {100 * longest.tube_length:.0f} cm, and "
+            f"the sensor hears {100 * reach:.0f} cm; {advice}, on more tubes, or set the reach"
         )
 
 
@@ -224,8 +224,8 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     room = spacing(tubes)
     if room < outer_diameter:
         raise ConfigError(
-            f"neighbouring tubes would be {1e3 * room:.1f} mm apart and are {1e3 * outer_diameter:g} "
-            "mm thick; use fewer loops, a larger pitch or fewer tubes"
+            f"neighbouring tubes would be {1e3 * room:.1f} mm apart and are "
+            f"{1e3 * outer_diameter:g} mm thick; use fewer loops, a larger pitch or fewer tubes"
         )
 
 
@@ -272,7 +272,10 @@ def layout(
     found = nearest(tubes, tube.frame.outwards(places))
     lengths = np.array([each.tube_length for each in tubes])
     heard = np.array(
-        [[min(max(t.lead, dead_zone), n), min(n, reach)] for t, n in zip(tubes, lengths, strict=True)]
+        [
+            [min(max(t.lead, dead_zone), n), min(n, reach)]
+            for t, n in zip(tubes, lengths, strict=True)
+        ]
     )
     low, high = heard[found.tube].T
     hears = (found.distance >= low) & (found.distance <= high)
@@ -302,5 +305,3 @@ def _skin(tube: Helix) -> tuple[Array, Array]:
     r = tube.radius_at(z)
     weights = 2 * pi * r * np.hypot(1, tube.taper) * tube.length / n
     return np.stack([r * np.cos(psi), r * np.sin(psi), z], axis=-1), weights
-
-

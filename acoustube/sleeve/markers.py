@@ -182,7 +182,8 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
         import ezc3d
     except ImportError:
         raise ConfigError(
-            f"{path} needs the package ezc3d; pip install acoustube[c3d], or save the markers as CSV"
+            f"{path} needs the package ezc3d; pip install acoustube[c3d], or save the markers as "
+            "CSV"
         ) from None
     content = ezc3d.c3d(str(path))
     point = content["parameters"]["POINT"]
@@ -191,7 +192,9 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
     if unit is not None and unit not in UNITS:
         raise ConfigError(f"{path} is in {unit}; say --unit mm, cm or m")
     rows: Rows = {}
-    for label, places in zip(labels, np.moveaxis(content["data"]["points"][:3], 0, -1), strict=True):
+    for label, places in zip(
+        labels, np.moveaxis(content["data"]["points"][:3], 0, -1), strict=True
+    ):
         # Vicon puts the subject before the label, as in arm:A1.
         name = label.strip().rpartition(":")[2]
         rows.setdefault(name.rstrip("0123456789 _-"), {})[name] = list(places)

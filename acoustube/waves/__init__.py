@@ -1,5 +1,6 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
+from acoustube.waves.bend import bend
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells
@@ -33,6 +34,7 @@ __all__ = [
     "SourceEnd",
     "attenuation",
     "axial_wavenumber",
+    "bend",
     "cut_cells",
     "cut_on_frequency",
     "cut_ons_in_band",

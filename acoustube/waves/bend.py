@@ -318,7 +318,10 @@ def _joined(first: Complex, second: Complex) -> Complex:
     echo = np.linalg.solve(np.eye(m) - a22 @ b11, np.concatenate([a21, a22 @ b12], axis=2))
     onward, returned = echo[:, :, :m], echo[:, :, m:]
     return np.block(
-        [[a11 + a12 @ b11 @ onward, a12 @ (b12 + b11 @ returned)], [b21 @ onward, b22 + b21 @ returned]]
+        [
+            [a11 + a12 @ b11 @ onward, a12 @ (b12 + b11 @ returned)],
+            [b21 @ onward, b22 + b21 @ returned],
+        ]
     )
 
 

@@ -101,8 +101,9 @@ def scattered(n, n_ring, n_along):
     for end in (0, 1):
         rows = []
         for m, n_ in MODES:
+
             def load(q, w, m=m, n_=n_, end=end):
-                # At the far end the local y axis is the global -z ... turned by 90 degrees.
+                # After a quarter of a turn, what was y is z.
                 y = w.x[1] if end == 0 else w.x[2] - BEND_RADIUS
                 return mode(m, n_, w.x[0], y)[0] * q
 
@@ -118,7 +119,9 @@ def scattered(n, n_ring, n_along):
         for w in weights:
             w = csc_matrix(w)
             A = A + w.T @ csc_matrix(np.diag(1j * kz / area)) @ w
-        p = splu(csc_matrix(A)).solve(2j * kz[0] * weights[0][0].astype(complex))
+        options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
+        factors = splu(csc_matrix(A), **options, options={"SymmetricMode": True})
+        p = factors.solve(2j * kz[0] * weights[0][0].astype(complex))
         back, on = (w @ p / area for w in weights)
         back[0] -= 1
         travels = kz.real > 0

@@ -1,0 +1,74 @@
+"""How much a tube flattens when it is wrapped, and what that does to its cut-ons.
+
+References
+----------
+Brazier, L. G. (1927). On the flexure of thin cylindrical shells and other "thin" sections.
+Proceedings of the Royal Society A 116, 104-114. doi:10.1098/rspa.1927.0125
+"""
+
+from __future__ import annotations
+
+from acoustube.errors import ConfigError
+from acoustube.tube import Tube
+from acoustube.waves.modes import bessel_zero
+
+COLLAPSE = 2 / 9
+"""Ovality at which a long thin tube kinks, by the same reference."""
+
+
+def ovality(tube: Tube, curvature: float) -> float:
+    """Return by which share the bore's radius shrinks in the plane of a bend.
+
+    Parameters
+    ----------
+    tube : Tube
+    curvature : float
+        Of its centre line in 1/m.
+
+    Returns
+    -------
+    float
+        The radius grows as much across the bend.
+
+    Raises
+    ------
+    ConfigError
+        If the tube would kink.
+
+    Notes
+    -----
+    The wall of a thin tube that is bent freely moves by zeta R, zeta = (1 - nu^2) kappa^2 R^4 / t^2
+    with R the mean radius. A wall as thick as a third of its radius is stiffer than that, and a
+    pocket or the arm holds it besides: an upper estimate.
+    """
+    mean = tube.inner_diameter / 2 + tube.wall_thickness / 2
+    found = (1 - tube.poisson_ratio**2) * (curvature * mean**2 / tube.wall_thickness) ** 2
+    if found > COLLAPSE:
+        raise ConfigError(
+            f"curvature = {curvature:.4g} 1/m flattens the tube by {100 * found:.0f} %, and from "
+            f"{100 * COLLAPSE:.0f} % on it kinks; wrap it less tightly, or take a thicker wall"
+        )
+    return found * mean / (tube.inner_diameter / 2)
+
+
+def cut_on_shift(m: int, n: int, ovality: float) -> float:
+    """Return by which share the cut-on of a mode (m, n) changes in a flattened bore.
+
+    Parameters
+    ----------
+    m, n : int
+        Mode. Of a pair (1, n), that which varies in the plane of the bend, ``c`` along an arm; the
+        other's shift is the negative. All other modes shift by the ovality squared only: 0 here.
+    ovality : float
+        zeta of the bore, as :func:`ovality` returns it.
+
+    Notes
+    -----
+    Hadamard's formula for a rigid wall moved outwards by w, d(k^2) = -integral of w (k^2 psi^2 -
+    |grad psi|^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
+    phi: d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2).
+    """
+    if m != 1:
+        return 0.0
+    inverse = bessel_zero(m, n) ** -2
+    return 0.5 * ovality * (1 + inverse) / (1 - inverse)

@@ -1,0 +1,187 @@
+"""Bends: against finite elements in three dimensions, closed forms and what is conserved."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acoustube.air import air_at
+from acoustube.errors import ConfigError
+from acoustube.waves import Placed, axial_wavenumber, bend, transfer
+
+AIR = air_at(20.0)
+RADIUS = 3.95e-3
+BAND = np.array([8e3, 24e3, 30e3, 40e3, 42e3, 42.5e3, 50e3])
+WRAP = {"bend_radius": 0.04, "angle": 2 * np.pi, "torsion": 3.4}
+
+
+def reference():
+    """By frequency and mode, R and T of the plane mode (bend_reference.py wrote them)."""
+    with (Path(__file__).parent / "data" / "bend.csv").open() as file:
+        return [
+            (
+                float(row["frequency_hz"]),
+                row["mode"],
+                float(row["r_real"]) + 1j * float(row["r_imag"]),
+                float(row["t_real"]) + 1j * float(row["t_imag"]),
+            )
+            for row in csv.DictReader(file)
+        ]
+
+
+def test_sharp_bend_of_90_degrees_scatters_as_in_three_dimensional_finite_elements():
+    rows = reference()
+    frequency = np.unique([row[0] for row in rows])
+    c = AIR.sound_speed / 343.2
+    found = bend(
+        AIR,
+        c * frequency,
+        radius=RADIUS,
+        bend_radius=0.01,
+        angle=np.pi / 2,
+        lossy=False,
+        highest=14,
+    )
+    for f, mode, r, t in rows:
+        i, k = np.searchsorted(frequency, f), found.modes.index(mode)
+        # The amplitudes of the reference are at the ends, 7.9 mm to either side of the middle.
+        turned = sum(
+            axial_wavenumber(m, n, c * f, RADIUS, AIR, lossy=False) * 0.01 * np.pi / 4
+            for m, n in ((0, 0), (int(mode[0]), int(mode[1])))
+        )
+        assert found.s[i, 0, k, 0, 0] * np.exp(-1j * turned) == pytest.approx(r, abs=1e-3)
+        assert found.s[i, 1, k, 0, 0] * np.exp(-1j * turned) == pytest.approx(t, abs=1e-3)
+
+
+@pytest.mark.parametrize("torsion", [0.0, 3.4, -40.0])
+def test_power_is_conserved_and_both_ways_are_alike(torsion):
+    found = bend(AIR, BAND, radius=RADIUS, **WRAP | {"torsion": torsion}, lossy=False)
+    n = len(found.modes)
+    for s, travels in zip(found.s, found.propagates, strict=True):
+        matrix = s.reshape(2 * n, 2 * n)[np.ix_(np.tile(travels, 2), np.tile(travels, 2))]
+        assert matrix.conj().T @ matrix == pytest.approx(np.eye(len(matrix)), abs=1e-10)
+        assert matrix == pytest.approx(matrix.T, abs=1e-10)
+    assert np.all(found.s[~found.propagates.any(axis=1)] == 0)
+
+
+@pytest.mark.parametrize("lossy", [True, False])
+def test_straight_limit_is_the_straight_bore(lossy):
+    found = bend(
+        AIR, BAND, radius=RADIUS, bend_radius=1e5, angle=0.1 / 1e5, torsion=0.0, lossy=lossy
+    )
+    straight = np.where(found.propagates[:, :, None], np.eye(len(found.modes)), 0)
+    assert found.s[:, 0, :, 0] == pytest.approx(0 * straight, abs=1e-4)
+    # Referred to the middle, a straight piece is nothing at all.
+    assert found.s[:, 1, :, 0] == pytest.approx(straight, abs=1e-4)
+
+
+def test_curvature_that_fades_couples_in_proportion():
+    weak, strong = (
+        bend(AIR, [42e3], radius=RADIUS, bend_radius=r, angle=0.02 / r, lossy=False).s[
+            0, 1, 1, 0, 0
+        ]
+        for r in (2.0, 0.2)
+    )
+    assert abs(strong / weak) == pytest.approx(10, rel=0.01)
+
+
+def test_twisted_straight_bore_turns_its_modes_by_the_torsion():
+    turn = 0.6
+    found = bend(
+        AIR, [42e3], radius=RADIUS, bend_radius=1e6, angle=0.05e-6, torsion=turn / 0.05, lossy=False
+    )
+    c, s = found.modes.index("11c"), found.modes.index("11s")
+    # A pattern that keeps its direction falls back behind axes that turn on.
+    assert found.s[0, 1, [c, s], 0, c] == pytest.approx([np.cos(turn), -np.sin(turn)], abs=1e-4)
+
+
+def test_long_waves_travel_faster_by_the_square_root_of_the_lighter_air():
+    """Steady flow turns as a vortex, u = 1 / h: its inertia is less by the mean of 1 / h.
+
+    That is 2 (1 - sqrt(1 - b^2)) / b^2 with b the bore's radius over the bend's; the compliance is
+    that of the straight bore (Keefe and Benade, J. Acoust. Soc. Am. 74, 320, 1983). The ends' share
+    goes with the difference of two bends.
+    """
+    b, f = 0.4, np.array([20.0])
+    k = 2 * np.pi * f[0] / AIR.sound_speed
+    phase = [
+        np.angle(
+            bend(
+                AIR, f, radius=RADIUS, bend_radius=RADIUS / b, angle=angle, lossy=False, highest=20
+            ).s[0, 1, 0, 0, 0]
+        )
+        for angle in (4.0, 8.0)
+    ]
+    # T of a short piece turns by the mean of what inertia and compliance do.
+    length = 4.0 * RADIUS / b
+    lighter = 2 * (1 - np.sqrt(1 - b**2)) / b**2
+    assert (phase[1] - phase[0]) / (k * length) == pytest.approx(0.5 * (1 - 1 / lighter), rel=0.02)
+
+
+def test_two_halves_of_a_bend_make_the_whole_in_a_cascade():
+    """At 20 kHz only the plane mode travels, and a cascade leaves out the near fields of two ends.
+
+    Those of the halves cancel each other in the whole; each is of the size of what an end of this
+    bend reflects, 2e-3.
+    """
+    f = np.arange(18e3, 22e3, 100.0)
+    sizes = {"radius": RADIUS, "bend_radius": 0.04, "lossy": False}
+    half = bend(AIR, f, angle=np.pi / 2, **sizes)
+    whole = bend(AIR, f, angle=np.pi, **sizes)
+    step = 0.04 * np.pi / 4
+    heard = [
+        transfer(
+            placed,
+            AIR,
+            f[5:-5],
+            radius=RADIUS,
+            length=0.4,
+            probes=(0.39,),
+            source_reflection=0.0,
+            lossy=False,
+        )
+        for placed in (
+            [Placed(half, 0.2 - step), Placed(half, 0.2 + step * (1 + 1e-12))],
+            [Placed(whole, 0.2)],
+        )
+    ]
+    assert heard[0] == pytest.approx(heard[1], abs=4e-3)
+
+
+def test_more_modes_change_a_wrapped_tube_by_less_than_a_ten_thousandth():
+    few, many = (
+        bend(AIR, BAND, radius=RADIUS, **WRAP, lossy=False, highest=highest).s
+        for highest in (10.0, 14.0)
+    )
+    assert np.abs(few - many).max() < 1e-3
+    assert np.abs(np.abs(few) ** 2 - np.abs(many) ** 2).max() < 2e-4
+
+
+def test_modes_of_a_press_can_be_asked_for():
+    found = bend(AIR, BAND, radius=RADIUS, **WRAP, modes=("00", "11c", "21c"))
+    every = bend(AIR, BAND, radius=RADIUS, **WRAP)
+    assert found.modes == ("00", "11c", "21c")
+    assert found.s[:, 1, 1, 0, 0] == pytest.approx(every.s[:, 1, 1, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"bend_radius": 0.004}, ["bend_radius = 4 mm is too sharp", "4.158 mm or more"]),
+        ({"angle": 0}, ["angle = 0 must be positive"]),
+        ({"radius": -1}, ["radius = -1"]),
+        ({"highest": 4.0}, ["frequency = 50000 Hz", "raise highest"]),
+        ({"modes": ("00", "99c")}, ["modes = 99c", "raise highest"]),
+    ],
+)
+def test_bends_that_cannot_be_are_refused(changes, words):
+    with pytest.raises(ConfigError) as refusal:
+        bend(AIR, BAND, **{"radius": RADIUS, **WRAP, **changes})
+    for word in words:
+        assert word in str(refusal.value)
+
+
+def test_frequencies_that_fall_are_refused():
+    with pytest.raises(ConfigError, match="frequency must rise"):
+        bend(AIR, BAND[::-1], radius=RADIUS, **WRAP)

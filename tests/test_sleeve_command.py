@@ -1,0 +1,109 @@
+"""The command `acoustube sleeve`: what it writes, says and refuses."""
+
+import csv
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acoustube import cli, scene_sleeve
+from acoustube.sleeve import fit_arm, read_markers, wound
+
+MARKERS = Path(__file__).parents[1] / "examples" / "forearm_markers.csv"
+FOREARM = ["--forearm", "25", "17", "26"]
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """A machine on which VTK ends the process."""
+
+    def dies(command, **_):
+        raise subprocess.CalledProcessError(-11, command)
+
+    monkeypatch.setattr(scene_sleeve.subprocess, "run", dies)
+
+
+@pytest.mark.slow
+def test_markers_become_a_table_figures_in_words_and_a_picture(tmp_path, capsys):
+    words = ["sleeve", str(MARKERS), "--loops", "9", "--distance", "80", "2:140"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    for part in (
+        "1 left out as outliers", "1 gap", "9 loops each", "contact at 80 cm on tube 1",
+        "contact at 140 cm on tube 2", "the next loop, of tube 2",
+    ):  # fmt: skip
+        assert part in said
+    assert (tmp_path / "out" / "layout.txt").read_text() in said
+    # A picture is drawn where VTK can, and where it cannot the command says so.
+    drawn = (tmp_path / "out" / "figure.png").is_file()
+    assert drawn != ("VTK cannot draw" in said)
+    markers = read_markers(MARKERS)
+    tubes = wound(fit_arm(markers.first, markers.second), 9)
+    with (tmp_path / "out" / "sleeve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows[5], rows[-2]:
+        place = 1e3 * tubes[int(row["tube"]) - 1].place(1e-2 * float(row["distance_cm"]))
+        assert [float(row[f"{axis}_mm"]) for axis in "xyz"] == pytest.approx(place, abs=0.3)
+    assert {row["loop"] for row in rows} == {str(n) for n in range(1, 10)}
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_sleeve_is_written_where_nothing_can_be_drawn(tmp_path, capsys):
+    words = ["sleeve", *FOREARM, "--pitch", "4", "--tubes", "1", "--lead", "5"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "VTK cannot draw on this machine" in said
+    assert "its first 10 cm on the arm are in the dead zone" in said
+    with (tmp_path / "out" / "sleeve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["heard"] for row in rows[:12]] == ["0"] * 10 + ["1"] * 2
+    assert not (tmp_path / "out" / "figure.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        ([*FOREARM, "--loops", "0"], ["loops = 0", "0.25 to 100"]),
+        (FOREARM, ["--loops 9", "--pitch"]),
+        (["--loops", "9"], ["a file of markers, or --forearm"]),
+        ([*FOREARM, "--loops", "12"], ["a tube of", "hears 250 cm", "or fewer"]),
+        ([*FOREARM, "--loops", "9", "--distance", "0.8"], ["distance = 0.8 cm", "15 to 241"]),
+        ([*FOREARM, "--loops", "9", "--distance", "3:80"], ["3:80", "use 1 to 2"]),
+        ([*FOREARM, "--loops", "9", "--distance", "near"], ["near is not a distance", "2:80"]),
+        ([*FOREARM, "--loops", "9", "--tubes", "1.5"], ["tubes = 1.5 is not a whole number"]),
+        (["--forearm", "250", "17", "26", "--loops", "9"], ["length of the forearm = 250"]),
+        (["none.csv", "--loops", "9"], ["none.csv does not exist"]),
+        ([str(MARKERS), "--loops", "9", "--unit", "m"], ["mm read as m"]),
+        ([str(MARKERS), "--loops", "9", "--columns", "A", "C"], ["named A, B"]),
+    ],
+)
+def test_sleeves_that_cannot_be_are_refused_in_a_line(words, parts, tmp_path, capsys):
+    assert cli.main(["sleeve", *words, "--out", str(tmp_path / "out"), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for part in parts:
+        assert part in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_picture_shows_every_part():
+    pytest.importorskip("pyvista")
+    from acoustube.sleeve import design, layout
+
+    tubes = design(0.25, (0.17, 0.26), loops=6, lead=0.05)
+    picture = scene_sleeve.Picture(
+        tubes=tuple(tubes),
+        heard=layout(tubes).heard,
+        outer_diameter=11.1e-3,
+        contacts=((0, 0.8), (1, 1.2)),
+        deviation=0.05,
+        markers=np.full((3, 3), np.nan),
+    )
+    plotter = scene_sleeve.render(picture)
+    # The arm; of each tube its dead part, the rest and the lead; of each contact two things.
+    assert len(plotter.renderer.actors) >= 1 + 2 * 3 + 2 * 2
+    low, high = np.reshape(plotter.bounds, (3, 2))[2]
+    assert low < -0.02
+    assert high == pytest.approx(0.25 * 1.06, abs=0.01)
+    plotter.close()
