@@ -2,7 +2,7 @@
 
 from acoustube.sleeve.fit import Arm, Line, fit_arm
 from acoustube.sleeve.helix import Frame, Helix, Nearest, nearest
-from acoustube.sleeve.layout import (
+from acoustube.sleeve.layouts import (
     Layout,
     check_reach,
     check_room,

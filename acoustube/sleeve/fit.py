@@ -228,9 +228,10 @@ def _common_direction(lines: list[tuple[Array, Array, float, Kept]]) -> Array:
     """Return the direction midway between two columns, that of the first."""
     (_, u, _, _), (_, v, _, _) = lines
     if abs(u @ v) < 0.7:
+        between = np.degrees(np.arccos(float(abs(u @ v))))
         raise ConfigError(
-            f"the columns lie at {np.degrees(np.arccos(min(abs(u @ v), 1.0))):.0f} degrees to each "
-            "other and must both run along the arm; check which marker belongs to which column"
+            f"the columns lie at {between:.0f} degrees to each other and must both run along the "
+            "arm; check which marker belongs to which column"
         )
     sum_ = u + v * np.sign(u @ v)
     return np.asarray(sum_ / np.linalg.norm(sum_))

@@ -25,8 +25,8 @@ DEFAULT_UNIT = "mm"
 """That of motion capture, where a file does not tell."""
 GAPS = {"", "nan", "na", "none", "-"}
 
+# Coordinates of each frame, by column and marker.
 Rows = dict[str, dict[str, list[Array]]]
-"""Coordinates of each frame, by column and marker."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

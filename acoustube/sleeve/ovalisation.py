@@ -65,7 +65,7 @@ def cut_on_shift(m: int, n: int, ovality: float) -> float:
     Notes
     -----
     Hadamard's formula for a rigid wall moved outwards by w, d(k^2) = -integral of w (k^2 psi^2 -
-    |grad psi|^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
+    (grad psi)^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
     phi: d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2).
     """
     if m != 1:

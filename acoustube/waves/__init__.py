@@ -1,6 +1,6 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
-from acoustube.waves.bend import bend
+from acoustube.waves.bends import bend
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells

@@ -3,7 +3,7 @@
 A bore of radius 3.95 mm turns by 90 degrees about a centre 10 mm away, between two endless straight
 parts; rigid, lossless, 343.2 m/s. Helmholtz's equation in Cartesian coordinates on quadratic
 hexahedra with curved faces; the ends carry the straight bore's modes, evanescent ones too. The
-model shares no equation of a bent line with `acoustube.waves.bend`.
+model shares no equation of a bent line with `acoustube.waves.bends`.
 
 Needs scikit-fem, which acoustube does not: `python tests/data/bend_reference.py`.
 """

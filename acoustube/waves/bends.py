@@ -53,7 +53,7 @@ HIGHEST = 10.0
 SLICE = 0.5
 """Growth exponent of the most evanescent mode over a slice."""
 NEAREST_CUT_ON = 1e-6
-"""Least |k_z| / k: beside it a mode's two directions cannot be told apart."""
+"""Least kz over k: beside it a mode's two directions cannot be told apart."""
 CHUNK = 64
 """Frequencies that are computed together."""
 SHARPEST = 0.95
