@@ -1,5 +1,6 @@
 """The sleeve: from a distance along a wrapped tube to a place on the arm."""
 
+from acoustube.sleeve.contacts import Contacts, ContactTracker, Following
 from acoustube.sleeve.fit import Arm, Line, fit_arm
 from acoustube.sleeve.helix import Frame, Helix, Nearest, nearest
 from acoustube.sleeve.layouts import (
@@ -15,6 +16,9 @@ from acoustube.sleeve.markers import Markers, read_markers
 
 __all__ = [
     "Arm",
+    "ContactTracker",
+    "Contacts",
+    "Following",
     "Frame",
     "Helix",
     "Layout",

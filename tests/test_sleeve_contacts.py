@@ -1,0 +1,141 @@
+"""Contacts followed through noisy cycles: swipes, presses, both ends, and what it costs."""
+
+import time
+
+import numpy as np
+import pytest
+
+from acoustube.errors import ConfigError
+from acoustube.sleeve import ContactTracker, Following, Helix, nearest
+
+CYCLE = 0.05
+NOISE = 0.01
+
+
+def noisy(random, places, *, heard=0.9, clutter=0.1):
+    """Candidates of one cycle: places missed now and then, and sometimes an echo of nothing."""
+    places = np.asarray(places, float)
+    seen = places[random.random(len(places)) < heard] + 0.0
+    false = random.uniform(0.15, 2.15, random.poisson(clutter))
+    return random.permutation(np.concatenate([seen + random.normal(0, NOISE, len(seen)), false]))
+
+
+def followed(tracker, cycles, far=None):
+    """What the tracker says of each cycle."""
+    far = far or [()] * len(cycles)
+    return [
+        tracker.update(CYCLE * i, near, f)
+        for i, (near, f) in enumerate(zip(cycles, far, strict=True))
+    ]
+
+
+def test_swipe_of_5_cm_per_second_is_one_contact_with_its_speed():
+    random = np.random.default_rng(0)
+    true = 0.8 + 0.05 * CYCLE * np.arange(120)
+    contacts = followed(ContactTracker(), [noisy(random, [place]) for place in true])
+    late = contacts[20:]
+    assert all(0 in cycle.number for cycle in late)
+    place = np.array([cycle.place[cycle.number == 0][0] for cycle in late])
+    speed = np.array([cycle.speed[cycle.number == 0][0] for cycle in late])
+    # Better than the candidates' own 10 mm.
+    assert np.sqrt(np.mean((place - true[20:]) ** 2)) < 0.6 * NOISE
+    assert np.mean(speed) == pytest.approx(0.05, abs=0.01)
+
+
+def test_two_presses_20_cm_apart_keep_their_numbers():
+    random = np.random.default_rng(1)
+    contacts = followed(ContactTracker(), [noisy(random, [0.7, 0.9]) for _ in range(200)])
+    for cycle in contacts[20:]:
+        for number, true in ((0, 0.7), (1, 0.9)):
+            nearby = cycle.place[np.abs(cycle.place - true) < 0.05]
+            assert len(nearby) == 1, number
+    numbers = np.concatenate([cycle.number[np.abs(cycle.place - 0.8) < 0.15] for cycle in contacts])
+    assert set(numbers.tolist()) == {0, 1}
+
+
+def test_stated_deviation_is_that_of_the_error():
+    """Normalised errors squared have a mean of one, if the filter knows what it does not know."""
+    squares = []
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        true, speed = 1.0, random.normal(0, 0.1)
+        tracker = ContactTracker(Following(acceleration=0.5, gate=8))
+        for i in range(40):
+            push = random.normal(0, 0.5)
+            true, speed = true + speed * CYCLE + push * CYCLE**2 / 2, speed + push * CYCLE
+            found = tracker.update(CYCLE * i, [true + random.normal(0, NOISE)])
+        squares.append(((found.place[0] - true) / found.deviation[0]) ** 2)
+    # The mean of 60 of them has a deviation of 0.18.
+    assert np.mean(squares) == pytest.approx(1, abs=0.55)
+
+
+def test_clutter_alone_makes_few_contacts_and_released_ones_end():
+    random = np.random.default_rng(2)
+    contacts = followed(ContactTracker(), [noisy(random, []) for _ in range(400)])
+    assert sum(len(cycle.number) for cycle in contacts) == 0
+    tracker = ContactTracker()
+    followed(tracker, [[1.0]] * 10)
+    left = [len(tracker.update(1.0 + CYCLE * i, []).number) for i in range(10)]
+    assert left == [1] * 7 + [0] * 3
+
+
+def test_both_ends_know_a_contact_better_and_find_the_one_behind():
+    random = np.random.default_rng(3)
+    length, cycles = 2.4, 200
+    near = [noisy(random, [0.7]) for _ in range(cycles)]
+    # The near end hears the first press, the far end the last: neither hears both.
+    far = [length - noisy(random, [1.5]) for _ in range(cycles)]
+    both = followed(ContactTracker(length=length), near, far)
+    assert all(np.any(np.abs(cycle.place - 1.5) < 0.05) for cycle in both[20:])
+    assert all(np.any(np.abs(cycle.place - 0.7) < 0.05) for cycle in both[20:])
+    one = [1.0 + random.normal(0, NOISE, 1) for _ in range(cycles)]
+    other = [length - 1.0 + random.normal(0, NOISE, 1) for _ in range(cycles)]
+    alone = followed(ContactTracker(), one)
+    fused = followed(ContactTracker(length=length), one, other)
+    error = [
+        np.sqrt(np.mean([(cycle.place[0] - 1.0) ** 2 for cycle in run[30:]]))
+        for run in (alone, fused)
+    ]
+    assert error[1] < 0.85 * error[0]
+
+
+def test_swipe_along_the_arm_is_followed_across_loops():
+    """A fingertip crosses a loop every half second; the arm's coordinate goes on evenly."""
+    random = np.random.default_rng(4)
+    helix = Helix(radius=0.033, taper=0.06, length=0.25, loops=9, lead=0.15)
+    height = 0.03 + 0.05 * CYCLE * np.arange(70)
+    places = np.stack([helix.radius_at(height), 0 * height, height], axis=-1)
+    beside = nearest([helix], places)
+    jumps = np.abs(np.diff(beside.distance))
+    assert np.max(jumps) > 0.2
+    distance = beside.distance + random.normal(0, 0.02, len(height))
+    # Within a loop the reading stands still: half a pitch is the coordinate's own uncertainty.
+    tracker = ContactTracker(Following(deviation=0.4 * helix.pitch, acceleration=0.1))
+    contacts = followed(tracker, [[z] for z in helix.height(distance)])
+    assert all(cycle.number.tolist() == [0] for cycle in contacts[5:])
+    error = np.array([cycle.place[0] for cycle in contacts[20:]]) - height[20:]
+    assert np.sqrt(np.mean(error**2)) < helix.pitch / 2
+
+
+def test_a_cycle_takes_under_5_ms():
+    random = np.random.default_rng(5)
+    tracker = ContactTracker(length=2.4)
+    places = np.linspace(0.2, 2.0, 8)
+    taken = []
+    for i in range(300):
+        near, far = noisy(random, places), 2.4 - noisy(random, places)
+        start = time.perf_counter()
+        tracker.update(CYCLE * i, near, far)
+        taken.append(time.perf_counter() - start)
+    assert np.median(taken) < 5e-3
+
+
+def test_what_cannot_be_followed_is_refused():
+    tracker = ContactTracker()
+    tracker.update(1.0, [0.5, np.nan])
+    with pytest.raises(ConfigError, match="does not follow 1 s"):
+        tracker.update(1.0, [0.5])
+    with pytest.raises(ConfigError, match="length between the sensors"):
+        tracker.update(2.0, [], [0.4])
+    with pytest.raises(ConfigError, match="deviation = 0"):
+        Following(deviation=0)
