@@ -5,8 +5,12 @@ import time
 import numpy as np
 import pytest
 
+from acoustube import signals
+from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
+from acoustube.signals import Processing
 from acoustube.sleeve import ContactTracker, Following, Helix, nearest
+from acoustube.waves import Pulse
 
 CYCLE = 0.05
 NOISE = 0.01
@@ -139,3 +143,27 @@ def test_what_cannot_be_followed_is_refused():
         tracker.update(2.0, [], [0.4])
     with pytest.raises(ConfigError, match="deviation = 0"):
         Following(deviation=0)
+
+
+def test_swipe_beside_a_press_is_followed_from_raw_cycles():
+    """200 kHz cycles through the processing of recordings; its candidates through the tracker."""
+    random = np.random.default_rng(6)
+    at = np.arange(4000) / 200e3
+    pulse, c = Pulse(frequency=42e3, cycles=11), sound_speed(20.0)
+    cycles, press = 60, 0.7
+    swipe = 0.9 + 0.05 * CYCLE * np.arange(cycles)
+    stage, tracker = signals.Tracker(at, Processing(prominence=0.02)), ContactTracker()
+    found = []
+    for i, place in enumerate(swipe):
+        echoes = sum(0.1 * pulse(at - 2 * d / c) for d in (press, place))
+        cycle = pulse(at) + echoes + 0.01 * random.standard_normal(len(at))
+        ranging = stage.update(cycle)
+        candidates = signals.distance(ranging.echoes.times - ranging.send_time, 20.0)
+        found.append(tracker.update(CYCLE * i, candidates))
+    last = found[-1]
+    for true, speed in ((press, 0.0), (swipe[-1], 0.05)):
+        i = np.argmin(np.abs(last.place - true))
+        assert last.place[i] == pytest.approx(true, abs=0.02)
+        assert last.speed[i] == pytest.approx(speed, abs=0.02)
+    numbers = {tuple(cycle.number.tolist()) for cycle in found[10:]}
+    assert len(numbers) == 1
