@@ -865,29 +865,27 @@ def sleeve(
         raise ConfigError("sleeve needs a file of markers, or --forearm 25 17 26; give one of them")
     if (loops is None) == (pitch is None):
         raise ConfigError("sleeve needs --loops 9, say, or --pitch in cm; give one of them")
-    for name, value, low, high, word in (
-        ("loops", loops, 0.25, 100, "turns of each tube"),
-        ("pitch", pitch, 0.5, 100, "cm, advance per turn"),
-        ("phase", phase, -360, 360, "degrees"),
-        ("lead", lead, 0, 1000, "cm, tube between sensor and sleeve"),
-        ("dead-zone", dead_zone, 0, 200, "cm, within which nothing is heard"),
-        ("reach", reach, 10, 2000, "cm, farthest distance that is heard"),
-        ("tube-diameter", tube_diameter, 1, 50, "mm, outer"),
-        ("deviation", deviation, 0.01, 100, "cm, of a distance"),
-        ("within", within, 1, 100, "mm of a tube"),
-        ("step", step, 0.05, 50, "cm between rows"),
+    length, first, second = forearm or (None, None, None)
+    for name, value, rule in (
+        ("loops", loops, Number(0.25, 100, "", "turns of each tube")),
+        ("pitch", pitch, Number(0.5, 100, "cm", "advance per turn")),
+        ("length of the forearm", length, Number(3, 150, "cm", "under the sleeve")),
+        ("first girth of the forearm", first, Number(8, 150, "cm", "near the sensors")),
+        ("second girth of the forearm", second, Number(8, 150, "cm", "at the other end")),
+        ("tubes", tubes, Number(1, 8, "", "side by side", whole=True)),
+        ("phase", phase, Number(-360, 360, "degrees", "where the first tube starts")),
+        ("lead", lead, Number(0, 1000, "cm", "tube between sensor and sleeve")),
+        ("dead-zone", dead_zone, Number(0, 200, "cm", "within which nothing is heard")),
+        ("reach", reach, Number(10, 2000, "cm", "farthest distance that is heard")),
+        ("tube-diameter", tube_diameter, Number(1, 50, "mm", "outer")),
+        ("deviation", deviation, Number(0.01, 100, "cm", "of a distance")),
+        ("within", within, Number(1, 100, "mm", "half width of the covered skin")),
+        ("step", step, Number(0.05, 50, "cm", "between rows")),
     ):
         if value is not None:
-            Number(low, high, word.partition(",")[0], "").check(name, value)
-    for name, value, low, high in zip(
-        ("length", "first girth", "second girth"), forearm or (), (3, 8, 8), (150, 150, 150),
-        strict=False,
-    ):  # fmt: skip
-        Number(low, high, "cm", "").check(f"{name} of the forearm", value)
-    n_tubes = Number(1, 8, "", "side by side", whole=True)
-    n_tubes.check("tubes", tubes)
+            rule.check(name, value)
     if markers is not None and not markers.is_file():
-        raise ConfigError(f"{markers} does not exist; give a table or C3D file of markers")
+        raise ConfigError(f"{markers} is not a file; give a table or C3D file of markers")
     folder = check_out(out if out is not None else fresh_folder("sleeve"))
 
     with _interrupts_held_back():

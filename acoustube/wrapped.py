@@ -100,7 +100,6 @@ def run_sleeve(plan: Plan, folder: Path, console: Console) -> Path:
         If the markers or the sizes give no sleeve, or a contact is not on it.
     """
     started = time.perf_counter()
-    console.print(f"[bold]acoustube {__version__}[/] sleeve", soft_wrap=True)
     tubes, words, seen = _tubes(plan)
     found = layout(
         tubes,
@@ -112,6 +111,7 @@ def run_sleeve(plan: Plan, folder: Path, console: Console) -> Path:
     check_room(tubes, plan.outer_diameter)
     words += in_words(tubes, found)
     words += [_contact(plan, tubes, found, contact) for contact in plan.contacts]
+    console.print(f"[bold]acoustube {__version__}[/] sleeve", soft_wrap=True)
     for line in words:
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     with partial_folder(folder) as partial:

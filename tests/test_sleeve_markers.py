@@ -158,7 +158,7 @@ def test_tables_tell_units_frames_and_gaps(tmp_path):
     [
         (["A,1,2,3"], "column,x,y,z", ["named A, and two", "--columns"]),
         (["A,1,2,3", "B,1,2,3", "C,1,2,3"], "column,x,y,z", ["A, B, C"]),
-        (["A,1,2"], "column,x,y", ["does not name a column z"]),
+        (["A,1,2"], "column,x,y", ["lacks z in its first row"]),
         (["A,1,two,3"], "column,x,y,z", ["row 2", "'two'"]),
         (["A,1,2"], "column,x,y,z", ["row 2 has 3 cells for 4"]),
         (["A,1,2,3"], "column,x_mm,y_m,z_mm", ["different units"]),

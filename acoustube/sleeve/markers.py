@@ -156,8 +156,8 @@ def _header(names: list[str], path: Path) -> tuple[dict[str, int], str | None]:
     missing = [name for name in ("column", "x", "y", "z") if name not in places]
     if missing:
         raise ConfigError(
-            f"{path} does not name a column {', '.join(missing)}; its first row should be "
-            "column, x_mm, y_mm, z_mm"
+            f"{path} lacks {', '.join(missing)} in its first row, which should be column, x_mm, "
+            "y_mm, z_mm"
         )
     if len(units) > 1:
         raise ConfigError(f"{path} has x, y and z in different units; use one unit")
