@@ -332,7 +332,9 @@ def joined(config: Config, presses: Sequence[Placed]) -> dict[SourceEnd, Recordi
             source_reflection=-1.0 if source_end == "release" else 0.0,
             lossy=config.waves.losses == "on",
         )
-        first = presses[0].scattering if presses else None
+        # A bend has no grid.
+        found = (press.scattering for press in presses)
+        first = next((matrix for matrix in found if isinstance(matrix, Scattering)), None)
         recordings[source_end] = Recording(
             time=time,
             pressure=pressure,

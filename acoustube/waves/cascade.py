@@ -29,7 +29,7 @@ from acoustube.waves.duct_modes import mode_numbers
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
 from acoustube.waves.polyhedron import Array
 from acoustube.waves.pulse import check_duration
-from acoustube.waves.scattering import Complex, ModalScattering
+from acoustube.waves.scattering import Complex, ModalScattering, Scattering
 
 Signal = Callable[[Array], ArrayLike]
 Reflection = complex | NDArray[Any]
