@@ -923,13 +923,13 @@ def _check_picture(figure: Path | None) -> None:
         raise ConfigError(f"figure = {figure} must end in one of {', '.join(kinds)}")
 
 
-remembered = App(name="cache", help="Presses that need not be computed again.")
+remembered = App(name="cache", help="Presses and scattering that need not be computed again.")
 app.command(remembered)
 
 
 @remembered.command(name="list")
 def list_cache() -> None:
-    """List the remembered presses, the newest first."""
+    """List what is remembered, the newest first."""
     for entry in cache.entries():
         written = datetime.fromtimestamp(entry.modified).strftime("%Y-%m-%d %H:%M")
         print(f"{written}  {entry.size / 1e6:6.1f} MB  {entry.label}")
@@ -937,22 +937,22 @@ def list_cache() -> None:
 
 @remembered.command(name="size")
 def cache_size() -> None:
-    """Print how many presses are remembered, how large they are and where."""
+    """Print how many results are remembered, how large they are and where."""
     found = cache.entries()
     total = sum(entry.size for entry in found) / 1e6
-    print(f"{_presses(len(found))}, {total:.1f} MB in {cache.folder()}")
+    print(f"{_results(len(found))}, {total:.1f} MB in {cache.folder()}")
 
 
 @remembered.command(name="clear")
 def clear_cache() -> None:
-    """Forget all remembered presses."""
+    """Forget all of it."""
     gone = cache.clear()
     total = sum(entry.size for entry in gone) / 1e6
-    print(f"{_presses(len(gone))} forgotten, {total:.1f} MB freed")
+    print(f"{_results(len(gone))} forgotten, {total:.1f} MB freed")
 
 
-def _presses(count: int) -> str:
-    return f"{count} press" if count == 1 else f"{count} presses"
+def _results(count: int) -> str:
+    return f"{count} result" if count == 1 else f"{count} results"
 
 
 @contextmanager

@@ -100,8 +100,8 @@ def test_help_and_refusals_import_nothing_heavy(words):
         (["--depth", "-1"], ["depth_mm = -1"]),
         (["--depth", "0"], ["depth_mm = 0"]),
         (["--depth", "inf"], ["depth_mm = inf"]),
-        (["--depth", "12"], ["depth_mm = 12 is past the floor", "outer diameter 11.1 mm", "7.11"]),
-        (["--depth", "7.5"], ["would close the lumen", "use at most 7.11"]),
+        (["--depth", "12"], ["depth_mm = 12 is past the floor", "outer diameter 11.1 mm", "8.7"]),
+        (["--depth", "9"], ["beyond a closed lumen", "use at most 8.7"]),
         (["--position", "3"], ["too near the source end", "use 8.25 to 33.75"]),
         (["--position", "39"], ["too near the far end", "use 8.25 to 33.75"]),
         (["--position", "-3"], ["position_cm = -3"]),
@@ -174,9 +174,9 @@ def test_cache_is_listed_sized_and_cleared(tmp_path):
     listed = call("cache", "list", **environment).stdout
     assert listed.startswith("20")
     assert listed.endswith("     2.0 MB  \n")
-    assert call("cache", "size", **environment).stdout == f"1 press, 2.0 MB in {folder}\n"
-    assert call("cache", "clear", **environment).stdout == "1 press forgotten, 2.0 MB freed\n"
-    assert call("cache", "size", **environment).stdout == f"0 presses, 0.0 MB in {folder}\n"
+    assert call("cache", "size", **environment).stdout == f"1 result, 2.0 MB in {folder}\n"
+    assert call("cache", "clear", **environment).stdout == "1 result forgotten, 2.0 MB freed\n"
+    assert call("cache", "size", **environment).stdout == f"0 results, 0.0 MB in {folder}\n"
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from acoustube.air import sound_speed
+from acoustube.chain import simulate, warnings_for
 from acoustube.config import (
     Config,
     IndentationSettings,
@@ -107,15 +108,26 @@ def test_stiffness_is_hardness_or_modulus_but_not_both():
 
 
 def test_depth_past_the_floor_says_how_deep_is_allowed():
-    message = r"^depth_mm = 12 is past the floor \(outer diameter 11.1 mm\); use at most 7.11$"
+    message = r"^depth_mm = 12 is past the floor \(outer diameter 11.1 mm\); use at most 8.7$"
     with pytest.raises(ConfigError, match=message):
         load_config(depth_mm=12)
 
 
-def test_depth_that_closes_the_lumen_is_refused():
-    assert load_config(depth_mm=7.11).indentation.depth_mm == 7.11
-    with pytest.raises(ConfigError, match=r"would close the lumen .*; use at most 7.11"):
-        load_config(depth_mm=7.2)
+def test_only_a_sweep_includes_the_untouched_tube():
+    assert load_config(depth_mm=0).indentation.depth_mm == 0
+    for refuse in (lambda: load_config(None, Mechanics, depth_mm=0), lambda: simulate(Config(
+        indentation=IndentationSettings(depth_mm=0)
+    ))):  # fmt: skip
+        with pytest.raises(ConfigError, match=r"^depth_mm = 0 presses nothing; use 0.05 or more"):
+            refuse()
+    with pytest.raises(ConfigError, match=r"^depth_mm = 0.01 is hardly a touch; use 0.05 or more"):
+        load_config(depth_mm=0.01)
+
+
+def test_sound_of_a_closing_lumen_is_computed_with_a_warning():
+    closing = load_config(depth_mm=8)
+    assert any("walls of the 7.9 mm lumen meet, or nearly" in w for w in warnings_for(closing))
+    assert not any("meet, or nearly" in w for w in warnings_for(load_config(depth_mm=7)))
 
 
 def test_press_alone_may_close_the_lumen():

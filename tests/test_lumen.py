@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_indentation import DEEP, pressed, reference
 
-from acoustube.errors import ConfigError, SimulationError
+from acoustube.errors import ConfigError
 from acoustube.indentation import MeshSize, Press, indent
 from acoustube.indentation.mesh import sweep
 from acoustube.indentation.press import CLOSING_DISTANCE, build, first_touch, neo_hookean_wall
@@ -17,9 +17,11 @@ from acoustube.lumen import (
     deformed_wall,
     lumen,
     measure,
+    pressed_part,
     profile,
     ring_faces,
     straighten,
+    whole_tube,
 )
 from acoustube.tube import Tube
 
@@ -261,15 +263,30 @@ def test_press_too_near_an_end_is_refused(position):
     lumen(fabricated(), 0.06)
 
 
-def test_closed_lumen_is_refused():
-    """Walls 0.015 mm apart feel each other, at 0.025 mm they do not; the limit is 0.02 mm."""
+def test_closed_lumen_is_a_closed_surface_that_does_not_cross_itself():
+    """Walls 0.015 mm apart feel each other; the air between them is still there."""
     mesh = fabricated().mesh
     _, y, z = mesh.points.T
     share = np.exp(-((z / 5e-3) ** 2)) * (1 + y / np.hypot(*mesh.points[:, :2].T)) / 2
     down = share[:, None] * [0.0, -1.0, 0.0]  # from nothing at the bottom to all at the top
-    with pytest.raises(SimulationError, match=r"closed at a depth of 1\.00 mm.*less depth"):
-        lumen(fabricated(7.885e-3 * down), 0.2)
-    lumen(fabricated(7.875e-3 * down), 0.2)
+    found = lumen(fabricated(7.885e-3 * down), 0.2)
+    assert found.surface.is_watertight
+    (height,) = profile(
+        found.rings.reshape(-1, 3), ring_faces(*found.rings.shape[:2]), np.array([0.2])
+    ).height
+    assert height == pytest.approx(0.015e-3, rel=0.01)
+
+
+@pytest.mark.parametrize("position", [0.1, 0.23])
+def test_whole_tube_of_a_pressed_part_is_the_lumen(position):
+    """The same rings where it is pressed, and straight tube of the same length around them."""
+    found = pressed(1, 2)
+    whole, built = whole_tube(pressed_part(found), position, 0.4), lumen(found, position)
+    assert np.ptp(whole.rings[..., 2]) == pytest.approx(0.4, abs=1e-12)
+    np.testing.assert_allclose(whole.rings[2:-2], built.rings[2:-2], atol=1e-12)
+    assert whole.surface.volume == pytest.approx(built.surface.volume, rel=1e-6)
+    with pytest.raises(ConfigError, match="too near an end"):
+        whole_tube(pressed_part(found), 0.02, 0.4)
 
 
 def test_each_increment_has_its_own_lumen():

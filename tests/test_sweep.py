@@ -366,3 +366,14 @@ def test_scattering_is_remembered_under_all_that_it_depends_on():
     assert name() == varied("indentation", position_cm=15.0) == varied("waves", frequency_khz=40.0)
     assert name() == varied("tube", length_cm=100.0)
     assert not cache.holds(name())
+
+
+@pytest.mark.parametrize("depth", [0.9, 0.97, 0.995])
+def test_lumen_narrower_than_a_cell_neither_makes_nor_loses_power(depth):
+    """Down to a throat of a twentieth of a cell; without losses the grid conserves energy."""
+    cells = cut_cells(pinched_tube(0.04, depth=depth), 2 * BORE / 10)
+    found = scatter(cells, air_at(20.0), np.arange(12e3, 22e3, 500.0), lossy=False)
+    plane = found.modes.index("00")
+    power = (np.abs(found.s[:, :, plane, 0, plane]) ** 2).sum(axis=1)
+    assert found.settled.all()
+    np.testing.assert_allclose(power, 1.0, atol=3e-3)
