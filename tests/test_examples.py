@@ -69,3 +69,17 @@ def test_forearm_markers_are_those_beside_the_script(tmp_path):
     runpy.run_path(str(script))
     written = (tmp_path / "forearm_markers.csv").read_text()
     assert written == (EXAMPLES / "forearm_markers.csv").read_text()
+
+
+@pytest.mark.slow
+def test_batches_hold_every_cycle_once_with_its_label(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = EXAMPLES / "sweep_how_do_i_feed_a_network.py"
+    variables = runpy.run_path(str(path), run_name="__main__")
+    # Nine cases of 16 cycles, a third of them untouched.
+    labels = variables["labels"]
+    assert [int((labels == depth).sum()) for depth in (0.0, 1e-3, 2e-3)] == [48, 48, 48]
+    assert len(variables["means"]) == 5
+    # The offset of the ADC is in the middle of its scale.
+    assert abs(sum(variables["means"]) / 5 - 0.5) < 0.01
+    assert (tmp_path / f"{path.stem}.png").stat().st_size > 10_000

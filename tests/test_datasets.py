@@ -1,0 +1,252 @@
+"""Datasets of cycles: labels, seeds, one schema with recordings, and nothing lost."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from rich.console import Console
+from scipy.io import wavfile
+
+import acoustube
+from acoustube import recordings, signals
+from acoustube.cli import main
+from acoustube.config import configured
+from acoustube.datasets import read_rangefinder, run_dataset
+from acoustube.errors import ConfigError
+from acoustube.ranging import Rangefinder, record
+from acoustube.scattered import from_dataset
+from acoustube.sweep import store
+from acoustube.sweep.cycles import Recipe, seed_of
+from acoustube.sweep.pieces import placed
+from acoustube.sweep.plan import load_plan
+from acoustube.swept import run_sweep
+
+pytestmark = pytest.mark.slow
+
+QUIET = Console(quiet=True)
+OVER = {
+    "depth_mm": ["0", "0.6"], "position_cm": ["50", "90"], "length_cm": ["150"],
+    "temperature_c": ["15", "25"], "resolution": ["11"],
+}  # fmt: skip
+RECIPE = Recipe(n_cycles=3, n_tubes=2, n_sessions=2, seed=7)
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep") / "small"
+    assert run_sweep(load_plan(None, OVER), folder, QUIET, executor=ThreadPoolExecutor(1))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dataset(sweep, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset") / "small"
+    return run_dataset([sweep], folder, RECIPE, QUIET, workers=1)
+
+
+def test_every_case_tube_and_session_has_its_cycles(dataset):
+    data = acoustube.open_dataset(dataset)
+    assert data["signal"].shape == (8 * 3 * 2 * 2, 4000)
+    assert data["signal"].dtype == np.uint16
+    # Every combination as often as it should be; two specimens of one tube, each in two sessions.
+    table = data[["press", "tube", "session"]].to_dataframe().reset_index()
+    assert set(table.groupby(["press", "tube", "session"]).size()) == {3}
+    assert table["press"].nunique() == 8
+    assert table["tube"].nunique() == 2
+    assert table["session"].nunique() == 4
+    assert list(data["cycle"].values) == list(range(96))
+
+
+def test_labels_are_those_of_the_sweep(sweep, dataset):
+    cases = acoustube.open_dataset(sweep).load()
+    data = acoustube.open_dataset(dataset)
+    for name in ("depth", "force", "lumen_area", "shape", "inner_diameter", "shear_modulus"):
+        expected = cases[name].sel(press=data["press"].values).values
+        np.testing.assert_array_equal(data[name].values, expected)
+        assert data[name].attrs["units"] == cases[name].attrs["units"]
+    pressed = data["depth"].values > 0
+    distance = cases["true_distance"].sel(press=data["press"].values).values
+    np.testing.assert_array_equal(data["true_distance"].values[pressed], distance[pressed])
+    assert np.isnan(data["true_distance"].values[~pressed]).all()
+    assert set(data["air_temperature"].values) == {15.0, 25.0}
+    # The board's own reading is half a kelvin off, by the default sensor.
+    error = data["temperature"].values - data["air_temperature"].values
+    assert abs(error.mean() - 0.5) < 0.1
+    assert error.std() > 0.05
+
+
+def test_cycles_are_those_of_the_rangefinder(sweep, dataset):
+    """The same counts as `ranging.record` gives of the case's scattering."""
+    cycles = acoustube.open_dataset(dataset).load()
+    chosen = (cycles["depth"].values > 0) & (cycles["air_temperature"].values == 25)
+    first = cycles.isel(cycle=int(np.argmax(chosen)))
+    name, tube = str(first["press"].values), str(first["tube"].values)
+    path = store.contents(sweep).finished[name]
+    data, matrix = store.read(path)
+    config = configured(json.loads(str(data["configuration"].sel(press=name).values)))
+    carrier = Rangefinder()
+    expected = record(
+        placed(config, from_dataset(matrix)), carrier, length=1.5, temperature=25.0, n_cycles=1,
+        seed=seed_of(name, tube, int(str(first["session"].values)[-1]), 7),
+        tube_seed=seed_of(tube, 7),
+    )  # fmt: skip
+    np.testing.assert_array_equal(first["signal"].values, expected["signal"].values[0])
+
+
+def test_specimens_sessions_and_cycles_differ(dataset):
+    data = acoustube.open_dataset(dataset).load()
+    one = data.isel(cycle=data["press"].values == data["press"].values[0])
+    counts = one["signal"].values.astype(int)
+    assert len(np.unique(counts, axis=0)) == len(counts)
+    means = {
+        tube: counts[one["tube"].values == tube].mean(axis=0) for tube in np.unique(one["tube"])
+    }
+    first, second = means.values()
+    # Noise of 0.9 counts in means of 6 cycles, and clutter of a few: far over it in places.
+    assert np.abs(first - second - (first - second).mean()).max() > 10
+
+
+def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--cycles", "3", "--tubes", "2", "--sessions", "2", "--seed", "7", "--quiet"]
+    assert main(["dataset", str(sweep), *words, "--workers", "2", "--out", "two"]) == 0
+    # The same cases, computed one share after the other, are in other files.
+    for share in ("2/4", "1/4", "4/4", "3/4"):
+        number, count = map(int, share.split("/"))
+        run_sweep(
+            load_plan(None, OVER), "shares", QUIET, executor=ThreadPoolExecutor(1),
+            share=(number, count),
+        )  # fmt: skip
+    assert main(["dataset", "shares", *words, "--workers", "1", "--out", "shared"]) == 0
+    expected = acoustube.open_dataset(dataset).load()
+    for other in ("two", "shared"):
+        xr.testing.assert_identical(acoustube.open_dataset(other).load(), expected)
+
+
+def test_other_seeds_make_other_noise(sweep, dataset, tmp_path):
+    other = run_dataset(
+        [sweep], tmp_path / "other", Recipe(n_cycles=3, n_tubes=2, n_sessions=2), QUIET, workers=1
+    )
+    a, b = (acoustube.open_dataset(folder)["signal"].values for folder in (dataset, other))
+    assert (a != b).any(axis=1).all()
+
+
+def test_dataset_is_a_recording_to_the_rest(dataset):
+    ((_, data),) = recordings.read_all([dataset])
+    assert data.attrs["sampling_rate"] == 200e3
+    found = signals.locate(
+        data["time"].values, data["signal"].values, signals.Processing(),
+        temperature=data["temperature"].values,
+    )  # fmt: skip
+    assert found.distance.shape == (96,)
+    assert main(["process", str(dataset), "--out", "table.csv", "--quiet"]) == 0
+    assert len(pd.read_csv("table.csv")) == 96
+
+
+def test_dataset_is_opened_lazily_in_chunks(dataset):
+    data = acoustube.open_dataset([dataset])
+    assert data["signal"].chunks is not None
+    assert data["signal"].chunks[0][0] == 64
+    both = acoustube.open_dataset(str(dataset.parent / "*"))
+    assert both.sizes == data.sizes
+
+
+def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
+    sweep, dataset, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("acoustube.datasets.CYCLES_PER_FILE", 24)  # two cases a file
+    folder = run_dataset([sweep], tmp_path / "parts", RECIPE, QUIET, workers=1)
+    files = sorted(folder.glob("cycles-*.nc"))
+    assert len(files) == 4
+    files[1].unlink()
+    files[2].write_bytes(files[2].read_bytes()[:3000])
+    before = files[0].stat().st_mtime_ns
+    run_dataset([sweep], folder, RECIPE, QUIET, workers=1)
+    assert files[0].stat().st_mtime_ns == before
+    xr.testing.assert_identical(
+        acoustube.open_dataset(folder).load(), acoustube.open_dataset(dataset).load()
+    )
+
+
+def test_card_tells_what_there_is(dataset):
+    text = (dataset / "README.md").read_text()
+    assert "96 simulated cycles of 4000 samples at 200 kHz" in text
+    assert "* cycles without contact: 48" in text
+    assert "| depth | 0 | 0.6 | mm |" in text
+    assert "| place | 50 | 90 | cm |" in text
+    assert "the seed is 7" in text
+
+
+def test_export_writes_sound_files_with_their_labels(dataset, capsys):
+    assert main(["export", str(dataset), "--out", "sounds"]) == 0
+    assert "96 cycles written to 8 files" in " ".join(capsys.readouterr().out.split())
+    table = pd.read_parquet("sounds/labels.parquet")
+    data = acoustube.open_dataset(dataset).load()
+    for i in (0, 17, 95):
+        row = table.iloc[i]
+        rate, samples = wavfile.read(f"sounds/{row['file']}")
+        assert rate == 200_000
+        part = samples[row["start"] : row["start"] + row["length"]].astype(int) + 2048
+        np.testing.assert_array_equal(part, data["signal"].values[i])
+        assert row["force"] == data["force"].values[i]
+        assert row["tube"] == data["tube"].values[i]
+
+
+def test_show_draws_a_sweep(sweep, capsys):
+    assert main(["show", str(sweep), "--out", "sweep.png"]) == 0
+    assert "8 cases drawn" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["dataset", "--out", "new"], ["needs the folder of a sweep"]),
+        (["dataset", "none", "--out", "new"], ["none holds no sweep"]),
+        (["dataset", "SWEEP", "--cycles", "0", "--out", "new"], ["cycles = 0 is out of range"]),
+        (["dataset", "SWEEP", "--seed", "-1", "--out", "new"], ["seed = -1"]),
+        (["dataset", "SWEEP", "--cycles", "9", "--out", "DATASET"], ["cycles of another sweep"]),
+        (["dataset", "SWEEP", "--out", "SWEEP"], ["is not empty"]),
+        (["dataset", "SWEEP", "--rangefinder", "none.toml", "--out", "new"], ["none.toml"]),
+        (["show", "DATASET", "--out", "a.png"], ["is a dataset of cycles"]),
+        (["show", "SWEEP", "--out", "a.txt"], ["must end in one of"]),
+        (["show", ".", "--out", "a.png"], ["holds no results"]),
+        (["export", "SWEEP", "--out", "new"], ["is a sweep; make a dataset"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_what_cannot_be_done_is_said_in_one_sentence(words, parts, sweep, dataset, capsys):
+    names = {"SWEEP": str(sweep), "DATASET": str(dataset)}
+    assert main([names.get(word, word) for word in words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert all(part in line for part in parts), line
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("noise = -1", "noise = -1 is out of range"),
+        ("nose = 1", "nose is not a parameter; did you mean noise?"),
+        ("[drive]\ncycle = 3", "cycle is not a parameter; did you mean cycles?"),
+        ("noise =", "not valid TOML"),
+    ],
+)
+def test_wrong_rangefinders_are_refused(text, part, tmp_path):
+    path = tmp_path / "sensor.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=part.replace("?", r"\?")):
+        read_rangefinder(path)
+
+
+def test_rangefinder_is_read_from_a_file(tmp_path):
+    path = tmp_path / "sensor.toml"
+    path.write_text("noise = 0.001\n[drive]\ncycles = 8\n")
+    found = read_rangefinder(path)
+    assert (found.noise, found.drive.cycles, found.resonance) == (1e-3, 8.0, 42e3)
+
+
+def test_sweeps_and_datasets_are_not_mixed(sweep, dataset):
+    with pytest.raises(ConfigError, match="open one kind"):
+        acoustube.open_dataset([sweep, dataset])
