@@ -1,8 +1,8 @@
 """What do 143 250 labelled cycles of the flat study cost, and how far are they from whole marches?
 
 The plan: 191 places, 15 depths of a 25 mm rod, 50 cycles each, in a tube of 2.5 m. Its presses and
-their scattering are computed first, for one place; then the cases and the cycles are timed. A sample
-of cases is marched whole, at the same resolution, and compared at the probe.
+their scattering are computed first, for one place; then the cases and the cycles are timed. A
+sample of cases is marched whole, at the same resolution, and compared at the probe.
 
     python benchmarks/sweep_flat_study.py FOLDER [--march 10]
 """
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from scipy.interpolate import CubicSpline
 
 import acoustube
 from acoustube import chain
@@ -33,10 +34,12 @@ PLACES = {"position_cm": ["20:210:1"]}
 
 
 def size_of(folder):
+    """Return the bytes of all files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def timed(what, work):
+    """Do something and print how long it took."""
     start = time.perf_counter()
     result = work()
     seconds = time.perf_counter() - start
@@ -66,7 +69,9 @@ def marched(data, count):
         for end, recording in recordings.items():
             time_axis = case["time"].values
             here = case["pressure"].sel(source_end=end).values
-            there = np.interp(time_axis, recording.time, recording.pressure[0])
+            time_axis = time_axis[time_axis < recording.time[-1]]
+            here = here[: len(time_axis)]
+            there = CubicSpline(recording.time, recording.pressure[0])(time_axis)
             # The echo begins when the pulse has passed the probe; before it both are the pulse.
             echo = time_axis > 2 * float(case["true_distance"]) / 345 - 2e-4
             all_off = np.linalg.norm(here - there) / np.linalg.norm(there)
@@ -83,6 +88,7 @@ def marched(data, count):
 
 
 def main():
+    """Print the times."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--march", type=int, default=0)

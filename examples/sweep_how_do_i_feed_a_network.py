@@ -28,10 +28,9 @@ def main():
         "resolution": ["11"],
     }  # fmt: skip
     run_sweep(load_plan(None, over), "small-sweep", Console(), executor=ThreadPoolExecutor(1))
-    run_dataset(
-        [Path("small-sweep")], Path("small-dataset"), Recipe(n_cycles=16), Console(), workers=1
-    )
-    cycles = acoustube.open_dataset("small-dataset")  # nothing is read yet
+    recipe, folder = Recipe(n_cycles=16), Path("small-dataset")
+    run_dataset([Path("small-sweep")], folder, recipe, Console(), workers=1)
+    cycles = acoustube.open_dataset(folder)  # nothing is read yet
 
     # %% Batches with NumPy
     means, labels = [], []
