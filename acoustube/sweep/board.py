@@ -25,8 +25,8 @@ TRUSTED = 60.0
 """Seconds of work after which what was measured counts as much as what was expected."""
 
 
+# Number and cost in seconds of the tasks of each stage.
 Totals = dict[str, tuple[int, float]]
-"""Number and cost in seconds of the tasks of each stage."""
 
 
 class Board:
