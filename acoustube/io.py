@@ -204,4 +204,6 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     """
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     large = [name for name, variable in dataset.variables.items() if variable.size > 1000]
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=dict.fromkeys(large, packed))
+    # In memory first: HDF5 itself does not survive a full disk.
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=dict.fromkeys(large, packed))
+    path.write_bytes(bytes(content))

@@ -165,28 +165,26 @@ def write_file(
     """
     data = data.assign_attrs(scattering="no" if matrix is None else "yes")
     data.attrs["content"] = _content(data, matrix)
+    parts, encoding = {"/": data}, {"/": _packed(data, chunks)}
+    if matrix is not None:
+        parts[f"/{SCATTERING}"], encoding[f"/{SCATTERING}"] = matrix, _packed(matrix)
+    # In memory first: HDF5 itself does not survive a full disk.
+    content = bytes(xr.DataTree.from_dict(parts).to_netcdf(engine="h5netcdf", encoding=encoding))
     try:
         with partial_file(path) as partial:
-            data.to_netcdf(partial, engine="h5netcdf", encoding=_packed(data, chunks))
-            if matrix is not None:
-                matrix.to_netcdf(
-                    partial, mode="a", group=SCATTERING, engine="h5netcdf",
-                    encoding=_packed(matrix),
-                )  # fmt: skip
-    except (OSError, RuntimeError) as error:  # HDF5 tells of a full disk in its own words
+            partial.write_bytes(content)
+    except OSError as error:
         raise unwritable(path.parent, error) from error
 
 
-def unwritable(folder: Path, error: Exception) -> Exception:
+def unwritable(folder: Path, error: OSError) -> SimulationError:
     """Return what is to be raised where a file cannot be written."""
-    number = getattr(error, "errno", None)
-    words = str(error)
-    if number in FULL or any(f"errno = {n}" in words for n in FULL):
+    if error.errno in FULL:
         return SimulationError(
             f"{folder} cannot hold more: the disk is full; everything in it is intact, so make "
             "room and run the same command again"
         )
-    return SimulationError(f"{folder} cannot be written ({getattr(error, 'strerror', words)})")
+    return SimulationError(f"{folder} cannot be written ({error.strerror})")
 
 
 def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
