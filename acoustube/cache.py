@@ -32,7 +32,7 @@ LIBRARIES = ("ipctk", "pytetwild")
 """Packages whose version decides a result, beside acoustube's own code."""
 CODE = {
     "press": ("tube.py", "limits.py", "mechanics.py", "indentation"),
-    "scattering": ("air.py", "lumen.py", "waves"),
+    "scattering": ("air.py", "chain.py", "lumen.py", "waves"),
 }
 """Modules, and folders of modules, that each kind of result is computed by."""
 

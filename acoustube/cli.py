@@ -175,7 +175,7 @@ def sweep(
         "losses": losses, "method": method,
     }  # fmt: skip
     over = {name: words for name, words in given.items() if words is not None}
-    over |= other_settings(vary or [])
+    over |= other_settings(vary or [], over)
     wanted = load_plan(plan, over, count=random, sampler=sampler, seed=seed)
     if workers is not None:
         Number(1, 1024, "", "processes", whole=True).check("workers", workers)
@@ -191,13 +191,17 @@ def sweep(
     console = Console(quiet=quiet)
     processes = None if workers is None else int(workers)
     if dry_run or out is None:
-        swept.dry_run(wanted, out, processes, console)
+        swept.dry_run(wanted, out, processes, console, share=share, retry=retry is not None)
         return 0
     executor, width = swept.dask_executor(dask) if dask is not None else (None, None)
-    complete = swept.run_sweep(
-        wanted, out, console, workers=processes, executor=executor, width=width, share=share,
-        retry=retry is not None,
-    )  # fmt: skip
+    try:
+        complete = swept.run_sweep(
+            wanted, out, console, workers=processes, executor=executor, width=width, share=share,
+            retry=retry is not None,
+        )  # fmt: skip
+    finally:
+        if executor is not None:
+            executor.shutdown(wait=False)
     return 0 if complete else 1
 
 
@@ -328,7 +332,9 @@ def _share(shard: str | None) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", shard)
     number, count = (int(found[1]), int(found[2])) if found else (0, 0)
     if not 1 <= number <= count:
-        raise ConfigError(f"shard = {shard} is no share; write NUMBER/COUNT, such as 3/40")
+        raise ConfigError(
+            f"shard = {shard} is no share; write NUMBER/COUNT, from 1/COUNT on, such as 3/40"
+        )
     return number, count
 
 

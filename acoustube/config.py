@@ -480,6 +480,13 @@ def configured(
     return kind(**{name: _SECTIONS[name](**values[name]) for name in wanted})
 
 
+def is_whole(name: str) -> bool:
+    """Tell whether a setting is a whole number."""
+    fields = dataclasses.fields(_SECTIONS[section_of(name)])
+    (rule,) = (field.metadata["rule"] for field in fields if field.name == name)
+    return isinstance(rule, Number) and rule.whole
+
+
 def section_of(name: str) -> str:
     """Return the section that a setting belongs to.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +20,13 @@ from acoustube.io import check_out, partial_file
 from acoustube.opening import open_dataset
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.rules import nearest
-from acoustube.run import heard_interrupts
 from acoustube.sweep import store
 from acoustube.sweep.board import Board, progress_board
 from acoustube.sweep.costs import in_words
-from acoustube.sweep.cycles import Recipe, record_cases
-from acoustube.sweep.execution import Task, cores, process_pool, run_tasks
+from acoustube.sweep.cycles import Recipe, record_cases, record_one
+from acoustube.sweep.execution import Task, cores
 from acoustube.sweep.plan import digest
+from acoustube.swept import run_in_sight
 
 RECIPE, CARD = "dataset.json", "README.md"
 CYCLES_PER_FILE = 5000
@@ -113,6 +112,7 @@ def run_dataset(
     """
     started = time.perf_counter()
     parts = _parts(sweep, recipe)
+    _check_band(parts, recipe)
     folder = _prepared(out, set(parts), recipe)
     there = {name for name in parts if store.intact(folder / name) is not None}
     per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
@@ -209,26 +209,17 @@ def _record(
         name: len(cases) * (SECONDS_PER_CASE + per_case * SECONDS_PER_CYCLE)
         for name, cases in todo.items()
     }
-    failed: list[str] = []
     totals = {"files": (len(todo), sum(costs.values()))}
-    with heard_interrupts() as check, progress_board(totals, workers, console) as board:
-
-        def tick() -> None:
-            check()
-            board.tick()
-
+    with progress_board(totals, workers, console) as board:
         tasks = [
-            _task(name, cases, folder, recipe, costs[name], board, failed)
-            for name, cases in todo.items()
+            _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
         ]
         try:
-            run_tasks(tasks, partial(process_pool, workers), workers, tick)
+            run_in_sight(tasks, board, workers=workers)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 "interrupted; complete files are kept, run the same command again to go on"
             ) from None
-    if failed:
-        raise SimulationError(f"{len(failed)} of {len(todo)} files failed, the first: {failed[0]}")
 
 
 def _task(
@@ -238,13 +229,28 @@ def _task(
     recipe: Recipe,
     cost: float,
     board: Board,
-    failed: list[str],
 ) -> Task:
     def then(_: int) -> list[Task]:
         board.count("files", cost)
         return []
 
-    return Task("files", record_cases, (cases, folder / name, recipe), then, failed.append, cost)
+    def failed(reason: str) -> None:
+        raise SimulationError(f"{name}: {reason}")
+
+    return Task("files", record_cases, (cases, folder / name, recipe), then, failed, cost)
+
+
+def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
+    """Refuse a rangefinder that hears sound of which a press's scattering is not known."""
+    first = {path: name for cases in parts.values() for name, path in cases}
+    for path, name in first.items():
+        try:
+            record_one(name, path, recipe)
+        except ValueError as error:
+            raise ConfigError(
+                f"case {name} cannot be recorded: {error}; choose a rangefinder near the carrier "
+                "of the sweep, or sweep with another --frequency"
+            ) from error
 
 
 def read_rangefinder(path: Path) -> Rangefinder:
@@ -263,6 +269,8 @@ def read_rangefinder(path: Path) -> Rangefinder:
     """
     given = read_document(path)
     drive = given.pop("drive", None)
+    if not isinstance(drive, dict | None):
+        raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
     for names, kind in ((given, Rangefinder), (drive or {}, Burst)):
         known = [field.name for field in dataclasses.fields(kind)]
         for name in names:

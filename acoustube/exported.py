@@ -17,7 +17,8 @@ from acoustube.opening import open_dataset
 
 LABELS = "labels.parquet"
 TEXT = """\
-Cycles of a rangefinder, one WAV file for each press, its cycles one after the other.
+Cycles of a rangefinder, one WAV file for each press and session, its cycles one after the
+other.
 
 Samples are counts of the ADC less half its full scale, as 16-bit numbers at the ADC's own rate.
 {labels} has a row for each cycle: its file, where it starts in samples, its length, and its labels
@@ -76,7 +77,8 @@ def _written(data: xr.Dataset, folder: Path) -> pd.DataFrame:
     """Write a sound file for each press, and return the table of all cycles."""
     table = _labels(data)
     names = table["press"].to_numpy()
-    starts = np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))
+    records = names + table["session"].to_numpy()
+    starts = np.flatnonzero(np.concatenate([[True], records[1:] != records[:-1]]))
     n = data.sizes["time"]
     rate, middle = round(float(data.attrs["sampling_rate"])), int(data.attrs["full_scale"]) // 2
     files = np.empty(len(table), object)

@@ -60,9 +60,12 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
         paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
         data_vars="minimal", coords="minimal", compat="override", combine_attrs="drop_conflicts",
     )  # fmt: skip
-    found.attrs.pop("content", None)
+    for internal in ("content", "scattering"):
+        found.attrs.pop(internal, None)
     if dimension == "press":
         return _sorted(found.drop_duplicates("press"))
+    if "sampling_rate" not in found.attrs:
+        raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
     return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
 
 

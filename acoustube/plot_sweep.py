@@ -23,9 +23,6 @@ MOST_TOOLS = 4
 """Tools whose echoes are drawn."""
 FAINTEST = 1e-3
 """Lower end of the scale of echoes, as a share of the send pulse."""
-OTHERS = ("inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support",
-          "carrier_frequency", "temperature", "true_distance")  # fmt: skip
-"""What a curve over depth is drawn for one value of."""
 
 
 def figure(cases: xr.Dataset) -> Figure:
@@ -69,7 +66,7 @@ def chosen(cases: xr.Dataset) -> xr.Dataset:
     """Return the cases with amplitude, distance and its error at the source end asked for."""
     ends = xr.DataArray(cases["chosen_source_end"].values, dims="press")
     there = cases.sel(source_end=ends)
-    error = there["estimated_distance"] - there["true_distance"]
+    error = (there["estimated_distance"] - there["true_distance"]).where(there["depth"] > 0)
     return there.assign(amplitude=there["echo_amplitude"], error=error)
 
 
@@ -83,7 +80,11 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
     """Return the cases of that combination of other settings which has most depths."""
-    keys = list(zip(*(cases[name].values for name in OTHERS), strict=True))
+    keys = []
+    for text in cases["configuration"].values:
+        settings = json.loads(str(text))
+        del settings["indentation"]["depth_mm"]
+        keys.append(json.dumps(settings))
     most = max(dict.fromkeys(keys), key=keys.count)
     return cases.isel(press=[i for i, key in enumerate(keys) if key == most])
 

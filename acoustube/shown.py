@@ -38,6 +38,12 @@ def run_show(where: Path, out: Path, console: Console) -> Path:
     cases = open_dataset(where)
     if "press" not in cases.dims:
         raise ConfigError(f"{where} is a dataset of cycles; name the folder of a sweep")
-    plot.save(plot_sweep.figure(cases.load()), out)
+    try:
+        cases = cases.load()
+    except (OSError, RuntimeError) as error:
+        raise ConfigError(
+            f"{where} holds a damaged file; repeat the command acoustube sweep to mend it"
+        ) from error
+    plot.save(plot_sweep.figure(cases), out)
     console.print(f"{cases.sizes['press']} cases drawn in [bold]{out}[/].", soft_wrap=True)
     return out

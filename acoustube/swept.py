@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from acoustube.errors import ConfigError
 from acoustube.io import partial_file
 from acoustube.run import heard_interrupts
 from acoustube.sweep import store
-from acoustube.sweep.board import progress_board, totals_of
+from acoustube.sweep.board import Board, progress_board, totals_of
 from acoustube.sweep.costs import (
     GIGABYTES,
     hear_cost,
@@ -31,9 +30,9 @@ from acoustube.sweep.costs import (
     remembered,
     size_of,
 )
-from acoustube.sweep.execution import cores, process_pool, run_tasks
+from acoustube.sweep.execution import Task, cores, process_pool, run_tasks
 from acoustube.sweep.graph import OF_MATRIX, OWN, Case, Descent, kept, shard, structured
-from acoustube.sweep.plan import Plan, case_name, to_toml
+from acoustube.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.sweep.runner import Runner
 
 LOOKED_UP = 20_000
@@ -49,17 +48,16 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    paths : list of Descent
-        Of all cases.
     todo : list of Descent
         What remains.
-    finished, failed : int
+    finished : int
         Cases.
+    failed : dict of str
+        Why others have failed, by name.
     n_cases : int
         Of this share.
     """
 
-    paths: list[Descent]
     todo: list[Descent]
     finished: int
     failed: dict[str, str]
@@ -89,9 +87,9 @@ def run_sweep(
     workers : int, optional
         Processes; as many as there are cores by default.
     executor : concurrent.futures.Executor, optional
-        In place of processes of this machine. It is shut down at the end.
+        In place of processes of this machine.
     width : int, optional
-        Tasks that are handed to `executor` at a time; 1 by default.
+        Tasks that are handed to `executor` at a time; as many as it has workers, if it tells.
     share : tuple of int
         Number, from 1, and count of equal shares of the plan, of which one is computed.
     retry : bool
@@ -113,6 +111,74 @@ def run_sweep(
     cases = _cases(plan)
     folder = store.prepared(out)
     found = store.contents(folder)
+    _note_contents(folder, found, console)
+    work = _work(cases, folder, found, share, retry)
+    _note_other_plan(plan, folder, found, {case.name for case in cases}, console)
+    store.forget_failures(folder, found.finished.keys() & store.failures(folder).keys())
+    with partial_file(folder / store.PLAN) as part:
+        part.write_text(to_toml(plan), encoding="utf-8")
+    pool_size = workers or cores()
+    at_once: int = width or getattr(executor, "_max_workers", None) or pool_size
+    _print_work(work, at_once, console)
+    done = Counter[str]()
+    failed = dict(work.failed)
+    if work.todo:
+        with progress_board(totals_of(work.todo), at_once, console) as board:
+            runner = Runner(folder, board, failed, done)
+            try:
+                run_in_sight(
+                    runner.first(work.todo), board, workers=pool_size, executor=executor,
+                    width=at_once,
+                )  # fmt: skip
+            except KeyboardInterrupt:
+                there = work.finished + done["case"]
+                raise KeyboardInterrupt(
+                    f"interrupted; {there} of {work.n_cases} cases are finished, run the same "
+                    "command again to go on"
+                ) from None
+    _print_end(done, failed, folder, time.perf_counter() - started, console)
+    return not failed
+
+
+def run_in_sight(
+    tasks: Iterable[Task],
+    board: Board,
+    *,
+    workers: int,
+    executor: Executor | None = None,
+    width: int | None = None,
+) -> None:
+    """Run tasks, show how far they are, and hear interrupts.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    board : Board
+    workers : int
+        Processes of this machine, unless there is an executor.
+    executor : concurrent.futures.Executor, optional
+    width : int, optional
+        Tasks that are handed over at a time; as many as workers by default.
+
+    Raises
+    ------
+    SimulationError
+        See :func:`acoustube.sweep.execution.run_tasks`.
+    """
+    with heard_interrupts() as check:
+
+        def tick() -> None:
+            check()
+            board.tick()
+
+        def make_pool() -> Executor:
+            return process_pool(workers) if executor is None else executor
+
+        run_tasks(tasks, make_pool, width or workers, tick, own=executor is None)
+
+
+def _note_contents(folder: Path, found: store.Contents, console: Console) -> None:
+    """Set damaged files aside, and tell of these and of foreign ones."""
     for path in found.damaged:
         aside = store.set_aside(path)
         _note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
@@ -120,41 +186,17 @@ def run_sweep(
         names = ", ".join(path.name for path in found.foreign[:3])
         more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
         _note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
-    work = _work(cases, folder, found, share, retry)
-    _note_other_plan(plan, folder, found, {case.name for case in cases}, console)
-    with partial_file(folder / store.PLAN) as part:
-        part.write_text(to_toml(plan), encoding="utf-8")
-    pool_size = workers or cores()
-    _print_work(work, pool_size if executor is None else width or 1, console)
-    done = Counter[str]()
-    if work.todo:
-        make_pool, at_once = _pool(executor, width, pool_size)
-        with (
-            heard_interrupts() as check,
-            progress_board(totals_of(work.todo), at_once, console) as board,
-        ):
-            runner = Runner(folder, board, dict(work.failed), done)
-
-            def tick() -> None:
-                check()
-                board.tick()
-
-            try:
-                run_tasks(runner.first(work.todo), make_pool, at_once, tick)
-            except KeyboardInterrupt:
-                there = work.finished + done["case"]
-                raise KeyboardInterrupt(
-                    f"interrupted; {there} of {work.n_cases} cases are finished, run the same "
-                    "command again to go on"
-                ) from None
-            failed = runner.failed
-    else:
-        failed = work.failed
-    _print_end(done, failed, folder, time.perf_counter() - started, console)
-    return not failed
 
 
-def dry_run(plan: Plan, out: str | Path | None, workers: int | None, console: Console) -> None:
+def dry_run(
+    plan: Plan,
+    out: str | Path | None,
+    workers: int | None,
+    console: Console,
+    *,
+    share: tuple[int, int] = (1, 1),
+    retry: bool = False,
+) -> None:
     """Print what a plan asks for, what is there, and what the rest costs.
 
     Parameters
@@ -165,6 +207,8 @@ def dry_run(plan: Plan, out: str | Path | None, workers: int | None, console: Co
     workers : int, optional
         As many as there are cores by default.
     console : rich.console.Console
+    share, retry
+        See :func:`run_sweep`.
 
     Raises
     ------
@@ -177,14 +221,14 @@ def dry_run(plan: Plan, out: str | Path | None, workers: int | None, console: Co
         folder = Path(out) if out is not None else None
         there = folder is not None and (folder / store.PLAN).is_file()
         found = store.contents(folder) if folder and there else store.Contents({}, [], [])
-        work = _work(cases, folder if there else None, found, (1, 1), retry=True)
+        work = _work(cases, folder if there else None, found, share, retry)
         _print_work(work, workers, console)
         return
     step = len(plan) // SAMPLED + 1
     sample = [Case(str(i), c) for i, c in enumerate(plan.configs(range(0, len(plan), step)))]
     part = structured(sample)
     scale = _Scale(len(plan) / len(sample), *_counted(plan))
-    _print_work(Work(part, part, 0, {}, len(plan)), workers, console, scale)
+    _print_work(Work(part, 0, {}, len(plan)), workers, console, scale)
     _note(console, f"one in {step} cases was checked, none looked up")
 
 
@@ -220,12 +264,10 @@ def _work(
 ) -> Work:
     paths = structured(cases)
     mine = shard(paths, *share)
-    failed = {n: r for n, r in store.failures(folder).items() if n in mine} if folder else {}
-    if retry and folder is not None:
-        failed = {}
     finished = mine & set(found.finished)
-    todo = kept(paths, mine - finished - set(failed))
-    return Work(paths, todo, len(finished), failed, len(mine))
+    known = {} if folder is None or retry else store.failures(folder)
+    failed = {n: reason for n, reason in known.items() if n in mine - finished}
+    return Work(kept(paths, mine - finished - set(failed)), len(finished), failed, len(mine))
 
 
 def _note_other_plan(
@@ -233,32 +275,34 @@ def _note_other_plan(
 ) -> None:
     """Say what in a folder is of another plan or version."""
     path = folder / store.PLAN
-    before = path.read_text(encoding="utf-8") if path.is_file() else None
-    others = len(set(found.finished) - names)
-    if before is not None and before != to_toml(plan):
+    before = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    if not before or before == to_toml(plan):
+        return
+    if f'acoustube_version = "{__version__}"' not in before:
+        _note(console, f"{folder.name} was begun by another version of acoustube, or its plan is "
+              "damaged; what is finished there is kept")  # fmt: skip
+    there, others = names & set(found.finished), set(found.finished) - names
+    if others or _names_of(path) != names:
+        kept_too = f", and {len(others)} that it no longer asks for are kept" * bool(others)
         _note(
             console,
-            f"the plan has changed since {folder.name} was begun; "
-            f"{len(names & set(found.finished))} of its {len(names)} cases are there already"
-            + f", and {others} that it no longer asks for are kept"
-            * (others > 0),
+            f"the plan has changed since {folder.name} was begun; {len(there)} of its "
+            f"{len(names)} cases are there already{kept_too}",
         )
-        if f'acoustube_version = "{__version__}"' not in before:
-            _note(console, "the folder was begun by another version of acoustube")
 
 
-def _pool(
-    executor: Executor | None, width: int | None, workers: int
-) -> tuple[Callable[[], Executor], int]:
-    if executor is None:
-        return partial(process_pool, workers), workers
-    return lambda: executor, width or 1
+def _names_of(path: Path) -> set[str]:
+    """Return the names of the cases of a plan in a file; none if it is no plan."""
+    try:
+        return {case_name(config) for config in load_plan(path).configs()}
+    except ConfigError:
+        return set()
 
 
 def _print_work(work: Work, workers: int, console: Console, scale: _Scale | None = None) -> None:
     """Print the cases, what they share, and what they cost."""
     groups = [group for path in work.todo for group in path.groups]
-    n_paths = sum(1 for path in work.todo if path.depths)
+    n_paths = sum(path.presses for path in work.todo)
     n_matrices = sum(1 for group in groups if group.band is not None)
     known_paths, known_matrices, cost = remembered(work.todo) if scale is None else (0, 0, 0.0)
     size = sum(size_of(group) for group in groups)
@@ -277,10 +321,6 @@ def _print_work(work: Work, workers: int, console: Console, scale: _Scale | None
     table.add_row("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk")
     console.print(f"[bold]acoustube {__version__}[/]: a sweep", highlight=False)
     console.print(table)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values) if values else 0.0
 
 
 def _note(console: Console, text: str) -> None:
@@ -312,7 +352,7 @@ def _print_failures(failed: dict[str, str]) -> None:
     if failed:
         more = f", {len(failed) - LISTED} more in {store.FAILURES}/" * (len(failed) > LISTED)
         console.print(
-            f"{len(failed)} cases failed{more}; try them again with --retry failed", soft_wrap=True
+            f"{len(failed)} failed{more}; try them again with --retry failed", soft_wrap=True
         )
 
 

@@ -171,7 +171,7 @@ def test_frequencies_that_a_press_does_not_know_are_refused():
     press = Placed(mirror(0.5, FREQUENCY), 0.3)
     with pytest.raises(ValueError, match="outside the band of a press, 25000 to 59000 Hz"):
         transfer([press], AIR, np.array([20e3, 30e3]), **tube())
-    with pytest.raises(ValueError, match=r"energy lies outside 25"):
+    with pytest.raises(ValueError, match=r"of the energy of the pulse lies outside 25"):
         heard([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
     with pytest.raises(ValueError, match=r"pulse lasts 0.2619 ms, longer than the run"):
         heard([press], AIR, PULSE, duration=0.2e-3, **tube())

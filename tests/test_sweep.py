@@ -96,10 +96,12 @@ def test_labels_are_those_of_the_settings_and_the_press(finished):
     assert data["force"].values[0] == 0
     assert np.all(np.diff(data["lumen_area"].values[:3]) < 0)
     np.testing.assert_allclose(data["lumen_area"].values[0], np.pi * 3.95e-3**2, rtol=1e-12)
-    # An untouched tube sends nothing back, a press the more the deeper it is.
+    # A press sends back the more the deeper it is. What an untouched tube does is cut from the
+    # pulse's band, 70 dB under its peak and spread over the run.
     late = data["pressure"].sel(source_end="absorbing").isel(time=data["time"] > 0.8e-3)
     highest = np.abs(late).max("time").values[:3]
-    assert highest[0] < 1e-6 < 10 * highest[1] < highest[2] * 10
+    assert highest[0] < 5e-5
+    assert 10 * highest[0] < highest[1] < highest[2]
     for name, variable in data.variables.items():
         if name != "press":
             assert variable.attrs["units"], name

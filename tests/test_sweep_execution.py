@@ -3,8 +3,15 @@
 import os
 import signal
 import time
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from functools import partial
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -125,8 +132,37 @@ class GoneExecutor(ThreadPoolExecutor):
 
 
 def test_a_lost_scheduler_ends_the_run_with_a_word():
-    with pytest.raises(SimulationError, match=r"scheduler is gone; run the same command again"):
-        run_tasks([Record().task("a", square, 2)], GoneExecutor, 1, lambda: None)
+    with pytest.raises(SimulationError, match=r"scheduler are gone; .* run the same command again"):
+        run_tasks([Record().task("a", square, 2)], GoneExecutor, 1, int, own=False)
+
+
+class BrokenPool(ThreadPoolExecutor):
+    """One whose workers are lost, as a pool of processes tells."""
+
+    def submit(self, *_):
+        raise BrokenExecutor
+
+
+def test_somebody_elses_pool_that_breaks_is_not_tried_for_ever():
+    record = Record()
+    with pytest.raises(SimulationError, match=r"the workers or their scheduler are gone"):
+        run_tasks([record.task("a", square, 2)], BrokenPool, 1, int, own=False)
+    assert record.failures == {}
+
+
+def test_somebody_elses_pool_is_left_running():
+    with ThreadPoolExecutor(1) as pool:
+        run_tasks([Record().task("a", square, 2)], lambda: pool, 1, int, own=False)
+        assert pool.submit(square, 3).result() == 9
+
+
+@pytest.mark.slow
+def test_workers_that_cannot_start_fail_no_task():
+    record = Record()
+    pool = partial(ProcessPoolExecutor, 1, get_context("spawn"), initializer=refuse)
+    with pytest.raises(SimulationError, match=r"no worker can start: .*__main__"):
+        run_tasks([record.task("a", square, 2)], pool, 1, int)
+    assert record.failures == {}
 
 
 def results(*names):
@@ -210,4 +246,4 @@ def test_failures_are_recorded_with_their_reason_and_forgotten(tmp_path):
     store.forget_failures(tmp_path, ["a", "c", "never"])
     assert store.failures(tmp_path) == {"b": "no"}
     store.forget_failures(tmp_path, ["b"])
-    assert list(tmp_path.iterdir()) == []
+    assert store.failures(tmp_path) == {}

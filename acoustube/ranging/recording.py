@@ -26,7 +26,13 @@ DRIFT_PERIODS = np.geomspace(10.0, 1000.0, 8)
 """In s: a drift is constant within a record, and no two minutes of it are alike."""
 
 
-def digitise(voltage: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> NDArray[Any]:
+def digitise(
+    voltage: Array,
+    rangefinder: Rangefinder,
+    cycles: Numbers,
+    seed: int,
+    session_seed: int | None = None,
+) -> NDArray[Any]:
     """Return what the ADC makes of a voltage in each cycle.
 
     Parameters
@@ -37,6 +43,8 @@ def digitise(voltage: Array, rangefinder: Rangefinder, cycles: Numbers, seed: in
     cycles : ndarray of int
         Numbers of the cycles, (n,): each has its own noise, whatever others there are.
     seed : int
+    session_seed : int, optional
+        Of the drift, in place of `seed`.
 
     Returns
     -------
@@ -47,7 +55,8 @@ def digitise(voltage: Array, rangefinder: Rangefinder, cycles: Numbers, seed: in
     per_volt = 2**r.bits / r.full_scale
     counts = np.empty((len(cycles), len(voltage)), np.uint16 if r.quantised else np.float64)
     mean = (voltage * per_volt).astype(np.float32 if r.quantised else np.float64)
-    shift = (r.offset + _wander(r, cycles, seed)) * per_volt
+    drifting = seed if session_seed is None else session_seed
+    shift = (r.offset + _wander(r, cycles, drifting)) * per_volt
     noise = np.zeros((min(CHUNK, len(cycles)), len(voltage)), np.float32)
     for start in range(0, len(cycles), CHUNK):
         part = slice(start, start + CHUNK)
@@ -95,6 +104,7 @@ def record(
     n_cycles: int = 1,
     first_cycle: int = 0,
     seed: int = 0,
+    session_seed: int | None = None,
     tube_seed: int = 0,
 ) -> xr.Dataset:
     """Return what a rangefinder records of a tube that is held still.
@@ -113,6 +123,8 @@ def record(
         How many cycles, and the number of the first. A cycle is the same in whatever run.
     seed : int
         Of noise, drift and temperature. Runs that shall differ need different ones.
+    session_seed : int, optional
+        Of the drift, in place of `seed`: cycles of one session share it.
     tube_seed : int
         Of the clutter, which belongs to the tube.
 
@@ -137,7 +149,7 @@ def record(
     )
     cycles = np.arange(first_cycle, first_cycle + n_cycles)
     variables = {
-        "signal": (("cycle", "time"), digitise(voltage, r, cycles, seed),
+        "signal": (("cycle", "time"), digitise(voltage, r, cycles, seed, session_seed),
                    {"units": "1", "long_name": "counts of the ADC"}),
         "temperature": ("cycle", _reported(temperature, r, cycles, seed),
                         {"units": "degC", "long_name": "temperature that the board reports"}),

@@ -69,7 +69,7 @@ class Board:
 def totals_of(paths: Sequence[Descent]) -> Totals:
     """Return how many tasks each stage of a sweep has, and their cost in seconds."""
     groups = [group for path in paths for group in path.groups]
-    pressed = [path for path in paths if path.depths]
+    pressed = [path for path in paths if path.presses]
     matrices = [group for group in groups if group.band is not None]
     return {
         "path": (len(pressed), sum(map(path_cost, pressed))),

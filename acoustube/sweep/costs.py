@@ -24,7 +24,7 @@ STEP_SHARE = 0.45
 
 def path_cost(path: Descent) -> float:
     """Return the seconds that a path takes, about."""
-    if not path.depths:
+    if not path.presses:
         return 0.0
     start, per_mm = PRESS_SECONDS[sum(mechanics.press_from(path.config).halves)]
     return start + per_mm * 1e3 * path.depths[-1]
@@ -53,7 +53,7 @@ def remembered(paths: Sequence[Descent]) -> tuple[int, int, float]:
     n_paths = n_matrices = 0
     cost = 0.0
     for path in paths:
-        there = bool(path.depths) and cache.holds(mechanics.remembered_as(path.config, path.depths))
+        there = path.presses and cache.holds(mechanics.remembered_as(path.config, path.depths))
         n_paths += there
         cost += 0.0 if there else path_cost(path)
         for group in path.groups:

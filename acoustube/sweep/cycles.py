@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,8 @@ from acoustube.sweep.pieces import placed, tube_of
 from acoustube.sweep.plan import digest
 from acoustube.waves import Scattering
 
+LONGEST_SESSION = 72_000
+"""Cycles, an hour of them, over which a session's cases are spread."""
 SIGNAL_CHUNK = 64
 """Cycles that are read at once at the least."""
 CARRIED = {
@@ -45,7 +48,7 @@ class Recipe:
     n_tubes : int
         Specimens of each tube, each with irregularities of its own.
     n_sessions : int
-        Of each specimen, each with drift and errors of temperature of its own.
+        Of each specimen, each with a drift and an error of the temperature of its own.
     seed : int
     rangefinder : Rangefinder or None
         With None that of the paper, at the case's carrier frequency.
@@ -102,6 +105,17 @@ def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -
     return int(data.sizes["cycle"])
 
 
+def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
+    """Return one cycle of a case, as :func:`record_cases` would record it.
+
+    Raises
+    ------
+    ValueError
+        If the rangefinder hears sound of which the press's scattering is not known.
+    """
+    return next(_recorded(name, path, dataclasses.replace(recipe, n_cycles=1)))
+
+
 @lru_cache(maxsize=64)
 def _opened(path: Path) -> tuple[xr.Dataset, Scattering | None]:
     """Return what cycles are made of from a sweep's file; its cases come back one by one."""
@@ -120,19 +134,29 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
     for specimen in range(recipe.n_tubes):
         tube = f"{tube_of(config)}-{specimen}"
         for number in range(recipe.n_sessions):
+            session = seed_of(tube, number, recipe.seed)
             cycles = ranging.record(
                 presses,
-                rangefinder,
+                _in_session(rangefinder, session),
                 radius=0.5e-3 * config.tube.inner_diameter_mm,
                 length=1e-2 * config.tube.length_cm,
                 temperature=config.waves.temperature_c,
                 n_cycles=recipe.n_cycles,
+                first_cycle=seed_of(name) % LONGEST_SESSION,
                 seed=seed_of(name, tube, number, recipe.seed),
+                session_seed=session,
                 tube_seed=seed_of(tube, recipe.seed),
             )
             yield _labelled(cycles, case, config, {
                 "press": name, "tube": tube, "session": f"{tube}-{number}",
             }, touched)  # fmt: skip
+
+
+def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
+    """Return a rangefinder whose temperature is off by what it may be, as drawn for a session."""
+    most = rangefinder.temperature_bias
+    bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
+    return dataclasses.replace(rangefinder, temperature_bias=float(bias))
 
 
 def _labelled(

@@ -23,6 +23,7 @@ ATTEMPTS = 3
 """How often a task may lose its worker before it is given up."""
 GLANCE = 0.2
 """Seconds between two looks at the workers."""
+GONE = "the workers or their scheduler are gone; start them and run the same command again"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -58,6 +59,8 @@ def run_tasks(
     make_pool: Callable[[], Executor],
     width: int,
     tick: Callable[[], None],
+    *,
+    own: bool = True,
 ) -> None:
     """Run tasks and those that follow from them.
 
@@ -65,16 +68,18 @@ def run_tasks(
     ----------
     tasks : iterable of Task
     make_pool : callable
-        Makes an executor; called again if its workers are lost.
+        Makes an executor, or returns one.
     width : int
         Tasks that are handed over at a time.
     tick : callable
         Called several times a second; what it raises ends the run.
+    own : bool
+        Whether the executor is ended afterwards, and another one made if its workers are lost.
 
     Raises
     ------
     SimulationError
-        If the executor itself is gone.
+        If the executor itself is gone, or its workers cannot start.
 
     Notes
     -----
@@ -85,37 +90,57 @@ def run_tasks(
     waiting: deque[Task] = deque(tasks)
     running: dict[Future[Any], Task] = {}
     lost: Counter[Task] = Counter()
-    pool = make_pool()
+    pool = _answering(make_pool) if own else make_pool()
     try:
         while waiting or running:
             broken = not _hand_over(pool, waiting, running, width, lost)
             finished, _ = wait(running, timeout=GLANCE, return_when=FIRST_COMPLETED)
             tick()
             for future in finished:
-                task = running.pop(future)
-                try:
-                    result = future.result()
-                except CancelledError as error:
-                    raise SimulationError(
-                        "the workers' scheduler is gone; run the same command again to go on"
-                    ) from error
-                except BrokenExecutor:
-                    broken = True
-                    lost[task] += 1
-                    _again(task, waiting, lost)
-                except Exception as error:
-                    task.failed(" ".join(f"{error}".split()) or type(error).__name__)
-                else:
-                    waiting.extendleft(reversed(list(task.then(result))))
+                broken |= _settle(future, running.pop(future), waiting, lost)
             if broken:
+                if not own:
+                    raise SimulationError(GONE)
                 for task in running.values():
-                    lost[task] += 1
                     _again(task, waiting, lost)
                 running.clear()
                 _end(pool)
-                pool = make_pool()
+                pool = _answering(make_pool)
     finally:
+        for future in running:
+            future.cancel()
+        if own:
+            _end(pool)
+
+
+def _answering(make_pool: Callable[[], Executor]) -> Executor:
+    """Return a new executor whose workers can start."""
+    pool = make_pool()
+    try:
+        pool.submit(int).result()
+    except BrokenExecutor as error:
         _end(pool)
+        raise SimulationError(
+            "no worker can start: a script that runs a sweep must do so under "
+            'if __name__ == "__main__":, since workers import it too'
+        ) from error
+    return pool
+
+
+def _settle(future: Future[Any], task: Task, waiting: deque[Task], lost: Counter[Task]) -> bool:
+    """Do what follows from a finished task; return whether its worker was lost."""
+    try:
+        result = future.result()
+    except CancelledError as error:
+        raise SimulationError(GONE) from error
+    except BrokenExecutor:
+        _again(task, waiting, lost)
+        return True
+    except Exception as error:
+        task.failed(" ".join(f"{error}".split()) or type(error).__name__)
+    else:
+        waiting.extendleft(reversed(list(task.then(result))))
+    return False
 
 
 def _hand_over(
@@ -138,11 +163,14 @@ def _hand_over(
         except BrokenExecutor:
             waiting.appendleft(task)
             return False
+        except RuntimeError as error:  # it was shut down
+            raise SimulationError(GONE) from error
     return True
 
 
 def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
     """Let a task wait once more that has lost its worker, unless it always does."""
+    lost[task] += 1
     if lost[task] < ATTEMPTS:
         waiting.appendleft(task)
     else:
@@ -154,9 +182,11 @@ def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
 def _end(pool: Executor) -> None:
     """End a pool without waiting for what it is doing."""
     processes = list((getattr(pool, "_processes", None) or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown(wait=False)
     for process in processes:
         process.terminate()
+    for process in processes:
+        process.join(timeout=5)
 
 
 def process_pool(workers: int) -> Executor:

@@ -23,6 +23,8 @@ REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
 """In degC, at which scattering is computed: no air that a tube may hold is 18 K from one."""
 BAND_STEP = 1e3
 """In Hz, to which bands are widened, so that they are the same for similar pulses."""
+BURST = 11
+"""Cycles of a pulse whose band holds all that the usual rangefinder hears."""
 OWN = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
 """Settings that do not matter to a path of presses."""
 
@@ -80,6 +82,11 @@ class Descent:
 
     depths: tuple[float, ...]
     groups: tuple[Group, ...]
+
+    @property
+    def presses(self) -> bool:
+        """Whether any of its cases needs the tool."""
+        return any(group.depth > 0 for group in self.groups)
 
     @property
     def config(self) -> Config:
@@ -156,10 +163,16 @@ def _group(cases: tuple[Case, ...]) -> Group:
     bands = []
     for case in cases:
         ratio = sound_speed(reference) / sound_speed(case.config.waves.temperature_c)
-        bands.append([ratio * edge for edge in chain.band_of(case.config)])
-    low = BAND_STEP * floor(min(low for low, _ in bands) / BAND_STEP)
-    high = BAND_STEP * ceil(max(high for _, high in bands) / BAND_STEP)
-    return Group(depth, Band(max(low, BAND_STEP), high, reference), cases)
+        bands.append([ratio * edge for edge in chain.band_of(_short(case.config))])
+    lowest, highest = min(low for low, _ in bands), max(high for _, high in bands)
+    low = BAND_STEP * floor(lowest / BAND_STEP) or lowest
+    return Group(depth, Band(low, BAND_STEP * ceil(highest / BAND_STEP), reference), cases)
+
+
+def _short(config: Config) -> Config:
+    """Return the settings with a pulse as short as a rangefinder's burst at that carrier."""
+    cycles = min(config.waves.cycles, BURST)
+    return dataclasses.replace(config, waves=dataclasses.replace(config.waves, cycles=cycles))
 
 
 def _reference(config: Config) -> float:

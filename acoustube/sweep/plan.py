@@ -10,14 +10,22 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from acoustube import __version__
-from acoustube.config import Config, Given, configured, given_in, read_document, section_of
+from acoustube.config import (
+    Config,
+    Given,
+    configured,
+    given_in,
+    is_whole,
+    read_document,
+    section_of,
+)
 from acoustube.errors import ConfigError
 from acoustube.rules import Choice, Number, short
 
@@ -148,7 +156,8 @@ class Plan:
                 yield configured(self.given, **varied)
             except ConfigError as error:
                 words = ", ".join(f"{name} = {value}" for name, value in varied.items())
-                raise ConfigError(f"case {i + 1} of the sweep ({words}): {error}") from error
+                where = f"case {i + 1} of the sweep ({words}): " if words else ""
+                raise ConfigError(f"{where}{error}") from error
 
 
 def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
@@ -162,6 +171,8 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
             raise ConfigError(f"{name} = {values} must rise")
     elif not values:
         raise ConfigError(f"{name} has no values and so the plan no cases; give one or more")
+    elif not all(isinstance(value, int | float | str) for value in values):
+        raise ConfigError(f"{name} = {list(values)} must be numbers or words")
     elif len(set(values)) < len(values):
         raise ConfigError(f"{name} has the same value twice; give each once")
 
@@ -182,7 +193,8 @@ def _sampled(plan: Plan) -> dict[str, Any]:
     found = {}
     for (name, values), share in zip(plan.over.items(), points.T, strict=False):
         if isinstance(values, Interval):
-            found[name] = np.round(values.low + share * (values.high - values.low), 6)
+            drawn_values = np.round(values.low + share * (values.high - values.low), 6)
+            found[name] = np.rint(drawn_values).astype(int) if is_whole(name) else drawn_values
         else:
             place = np.minimum((share * len(values)).astype(int), len(values) - 1)
             found[name] = np.array(values)[place]
@@ -225,20 +237,22 @@ def parsed(name: str, words: Sequence[str]) -> Values | Interval:
     return tuple(values)
 
 
-def other_settings(words: Sequence[str]) -> dict[str, list[str]]:
-    """Return settings written as name=value,value, by name.
+def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[str, list[str]]:
+    """Return settings written as name=value,value, by name, unless they are taken already.
 
     Raises
     ------
     ConfigError
-        If one is not written so, or is not a setting.
+        If one is not written so, is not a setting, or is given twice.
     """
-    found = {}
+    found: dict[str, list[str]] = {}
     for word in words:
         name, equals, values = word.partition("=")
         if not equals:
             raise ConfigError(f"vary = {word} gives no values; write NAME=VALUE,VALUE")
         section_of(name)
+        if name in found or name in taken:
+            raise ConfigError(f"{name} is given twice; give it once")
         found[name] = values.split(",")
     return found
 
@@ -311,7 +325,11 @@ def load_plan(
     shared = given_in(Path(path), document) if path is not None else {}
     axes = {name: _axis(path, name, values) for name, values in sweep.get("over", {}).items()}
     cases = tuple(sweep.get("case", ()))
+    if "case" in sweep and not cases:
+        raise ConfigError(f"{path}: [[sweep.case]] is empty and so the plan has no cases; add some")
     for name, words in (over or {}).items():
+        if any(name in case for case in cases):
+            raise ConfigError(f"{name} is given by the cases of {path}; leave the option out")
         values = parsed(name, words)
         axes.pop(name, None)
         if isinstance(values, tuple) and len(values) == 1:
@@ -323,9 +341,8 @@ def load_plan(
     numbers = {name: RANDOM[name].check(name, value) for name, value in numbers.items()}
     for section, defaults in DEFAULTS.items():
         shared[section] = defaults | shared.get(section, {})
-    varied = set(axes) | {name for case in cases for name in case}
     for section in shared:
-        shared[section] = {n: v for n, v in shared[section].items() if n not in varied}
+        shared[section] = {n: v for n, v in shared[section].items() if n not in axes}
     if numbers.get("count") and not axes:
         raise ConfigError("a random plan needs a range; give one such as --depth 1:8")
     return Plan(given=shared, over=axes, cases=cases, **numbers)
@@ -354,7 +371,10 @@ def _axis(path: Any, name: str, values: Any) -> Values | Interval:
         return parsed(name, [values])
     if isinstance(values, dict):
         raise ConfigError(f"{path}: [sweep.over] {name} must be a list or a range, such as [1, 2]")
-    return tuple(values) if isinstance(values, list) else (values,)
+    found: list[Any] = []
+    for value in values if isinstance(values, list) else [values]:
+        found += _range(name, value) if isinstance(value, str) and ":" in value else [value]
+    return tuple(found)
 
 
 def to_toml(plan: Plan) -> str:

@@ -32,7 +32,7 @@ class Runner:
         """Return the tasks that need no other, the longest first."""
         tasks = []
         for path in paths:
-            if any(group.depth > 0 for group in path.groups):
+            if path.presses:
                 tasks.append(self._press(path))
             for group in path.groups:
                 if group.depth == 0:
@@ -99,7 +99,8 @@ class Runner:
             for name, reason in reasons.items():
                 self._fail([Case(name, configs[name])], reason, None)
             self.done["case"] += len(configs) - len(reasons)
-            self.board.count("cases", cost, len(configs) - len(reasons))
+            good = [case for case in cases if case.name not in reasons]
+            self.board.count("cases", hear_cost(good), len(good))
             return []
 
         def failed(reason: str) -> None:

@@ -6,10 +6,13 @@ Nothing is written twice, so that any number of sweeps may write to one folder.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
 import re
+import tempfile
+import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,6 +32,8 @@ SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
 SCATTERING = "scattering"
 """Group of a file with the scattering matrix of its press."""
 PARTIAL = ".acoustube-partial-"
+ABANDONED = 3600.0
+"""Seconds after which a file that is half written is nobody's."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What a full disk, or a used-up share of it, is reported as."""
 
@@ -60,18 +65,38 @@ def prepared(path: str | Path) -> Path:
         If it cannot be written to, or holds something else.
     """
     folder = Path(path).expanduser().resolve()
-    if not (folder / PLAN).is_file():
-        folder = check_out(path)
+    if not _begun(folder):
+        try:
+            folder = check_out(path)
+        except ConfigError:
+            if not _begun(folder):  # by another sweep, just now
+                raise
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with partial_file(folder / f"{PARTIAL}trial") as partial:
-            partial.write_text("a trial\n", encoding="utf-8")
-        (folder / f"{PARTIAL}trial").unlink(missing_ok=True)
+        with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder):
+            pass
+        _sweep_up(folder)
     except OSError as error:
         raise ConfigError(
             f"out = {path} cannot be written ({error.strerror}); name a writable folder"
         ) from error
     return folder
+
+
+def _begun(folder: Path) -> bool:
+    """Tell whether a folder is a sweep's: it has a plan, or nothing but what will be one."""
+    if not folder.is_dir() or (folder / PLAN).is_file():
+        return folder.is_dir()
+    names = [path.name for path in folder.iterdir()]
+    return bool(names) and all(name.startswith(PARTIAL) for name in names)
+
+
+def _sweep_up(folder: Path) -> None:
+    """Remove what a killed run has left half written, once nobody can be writing it."""
+    for path in folder.glob(f"{PARTIAL}*"):
+        with contextlib.suppress(OSError):
+            if path.is_file() and time.time() - path.stat().st_mtime > ABANDONED:
+                path.unlink()
 
 
 def contents(folder: Path) -> Contents:
@@ -230,7 +255,6 @@ def failures(folder: Path) -> dict[str, str]:
 
 def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[str, Any]) -> None:
     """Record that a case has failed, and why."""
-    (folder / FAILURES).mkdir(exist_ok=True)
     content = {
         "reason": reason,
         "configuration": configuration,
@@ -238,6 +262,7 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
         "acoustube_version": __version__,
     }
     try:
+        (folder / FAILURES).mkdir(exist_ok=True)
         with partial_file(folder / FAILURES / f"{name}.json") as partial:
             partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
@@ -248,5 +273,3 @@ def forget_failures(folder: Path, names: Iterable[str]) -> None:
     """Remove the records of failed cases."""
     for name in names:
         (folder / FAILURES / f"{name}.json").unlink(missing_ok=True)
-    if (folder / FAILURES).is_dir() and not any((folder / FAILURES).iterdir()):
-        (folder / FAILURES).rmdir()

@@ -405,7 +405,7 @@ def in_band(
     if left_out > LEFT_OUT:
         low, high = frequency[inside][[0, -1]] if inside.any() else (0.0, 0.0)
         raise ValueError(
-            f"{100 * left_out:.2g} % of {what}'s energy lies outside {1e-3 * low:.4g} to "
+            f"{100 * left_out:.2g} % of the energy of {what} lies outside {1e-3 * low:.4g} to "
             f"{1e-3 * high:.4g} kHz, in which the presses' scattering is known, and "
             f"{100 * LEFT_OUT:g} % are allowed; compute it over a wider band"
         )
