@@ -10,7 +10,7 @@ import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from acoustube.errors import ConfigError
 
@@ -193,6 +193,24 @@ def partial_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
+def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
+    """Return a dataset, or a tree of them, as a netCDF-4 file.
+
+    Made in memory: HDF5 itself does not survive a full disk.
+
+    Parameters
+    ----------
+    data : xarray.Dataset or xarray.DataTree
+    encoding : mapping, optional
+        As :meth:`xarray.Dataset.to_netcdf` takes it.
+    """
+    import dask
+
+    # Otherwise xarray asks a Dask cluster that this process knows of for a lock, in vain.
+    with dask.config.set(scheduler="synchronous"):
+        return bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
+
+
 def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     """Write a dataset as a compressed netCDF-4 file.
 
@@ -204,6 +222,4 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     """
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     large = [name for name, variable in dataset.variables.items() if variable.size > 1000]
-    # In memory first: HDF5 itself does not survive a full disk.
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=dict.fromkeys(large, packed))
-    path.write_bytes(bytes(content))
+    path.write_bytes(to_netcdf(dataset, dict.fromkeys(large, packed)))

@@ -374,7 +374,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     except ImportError as error:
         raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigError(
             f"dask = {address}: no scheduler answers there; start one with `dask scheduler` and "

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -146,31 +147,46 @@ def test_workers_shares_and_order_do_not_matter(finished, tmp_path, monkeypatch)
         assert_same(finished, tmp_path / name)
 
 
-@pytest.mark.slow
-def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
-    """Scheduler and workers are processes of their own; one of two workers is killed."""
-    environment = os.environ | {
-        "ACOUSTUBE_CACHE": str(tmp_path / "cluster's"),
-        "OMP_NUM_THREADS": "1",
-    }
-    start = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    address = "tcp://127.0.0.1:18786"
-    dask = [sys.executable, "-m", "dask"]
-    scheduler = subprocess.Popen(
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "18786", "--no-dashboard"], **start
-    )
+@contextmanager
+def cluster(tmp_path, port):
+    """A scheduler and two workers, processes of their own, and the command of a sweep on them."""
+    own = {"ACOUSTUBE_CACHE": str(tmp_path / "cluster's"), "OMP_NUM_THREADS": "1"}
+    start = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": os.environ | own}
+    address, dask = f"tcp://127.0.0.1:{port}", [sys.executable, "-m", "dask"]
+    place = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    scheduler = subprocess.Popen([*dask, "scheduler", *place], **start)
     worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
     workers = [subprocess.Popen(worker, **start) for _ in range(2)]
-    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--out", "cluster"]
+    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--dask", address]
     try:
         _await_workers(address, 2)
-        sweep = subprocess.Popen([*command, "--dask", address], env=environment)
-        time.sleep(8)
-        workers[0].kill()
-        assert sweep.wait(timeout=300) == 0
+        yield scheduler, workers, command
     finally:
         for process in (scheduler, *workers):
             process.kill()
+
+
+@pytest.mark.slow
+def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
+    with cluster(tmp_path, 18786) as (_, workers, command):
+        sweep = subprocess.Popen([*command, "--out", "cluster"])
+        time.sleep(8)
+        workers[0].kill()
+        assert sweep.wait(timeout=300) == 0
+    assert_same(finished, tmp_path / "cluster")
+
+
+@pytest.mark.slow
+def test_a_sweep_whose_scheduler_is_killed_is_finished_by_another(finished, tmp_path):
+    with cluster(tmp_path, 18788) as (scheduler, _, command):
+        sweep = subprocess.Popen([*command, "--out", "cluster"], stderr=subprocess.PIPE, text=True)
+        time.sleep(8)
+        scheduler.kill()
+        _, error = sweep.communicate(timeout=300)
+    assert sweep.returncode == 1
+    assert "the workers or their scheduler are gone; start them and run the same" in error
+    assert not store.contents(tmp_path / "cluster").damaged
+    assert small_sweep(tmp_path / "cluster")
     assert_same(finished, tmp_path / "cluster")
 
 
@@ -310,9 +326,9 @@ def test_a_changed_plan_is_told_and_keeps_what_is_there(finished, tmp_path, caps
 
 @pytest.mark.slow
 def test_two_sweeps_may_write_to_one_folder(finished, tmp_path):
-    with ThreadPoolExecutor(2) as both:
-        done = [both.submit(small_sweep, tmp_path / "shared") for _ in range(2)]
-        assert all(sweep.result() for sweep in done)
+    command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--workers", "1", "--quiet"]
+    both = [subprocess.Popen([*command, "--out", "shared"]) for _ in range(2)]
+    assert [sweep.wait(timeout=300) for sweep in both] == [0, 0]
     assert_same(finished, tmp_path / "shared")
 
 

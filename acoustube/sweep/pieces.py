@@ -21,6 +21,7 @@ from acoustube.air import air_at
 from acoustube.config import Config
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.indentation import Indentation, PressError
+from acoustube.io import to_netcdf
 from acoustube.lumen import Lumen, inner_wall, measure, pressed_part, whole_tube
 from acoustube.record import DEPTH, flag, variable
 from acoustube.rules import filled
@@ -209,7 +210,7 @@ def scattering(config: Config, name: str, band: Band, part: Lumen, label: str) -
             part, air, (band.low, band.high), bore=1e-3 * config.tube.inner_diameter_mm,
             resolution=waves.resolution, lossy=waves.losses == "on",
         )  # fmt: skip
-    content = np.frombuffer(bytes(to_dataset(found).to_netcdf(engine="h5netcdf")), np.uint8)
+    content = np.frombuffer(to_netcdf(to_dataset(found)), np.uint8)
     cache.store(name, {"netcdf": content}, label)
     return Done(found, False, time.perf_counter() - started)
 

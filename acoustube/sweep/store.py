@@ -23,7 +23,7 @@ import xarray as xr
 
 from acoustube import __version__
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.io import check_out, partial_file
+from acoustube.io import check_out, partial_file, to_netcdf
 from acoustube.sweep.plan import digest
 
 PLAN = "sweep.toml"
@@ -193,8 +193,7 @@ def write_file(
     parts, encoding = {"/": data}, {"/": _packed(data, chunks)}
     if matrix is not None:
         parts[f"/{SCATTERING}"], encoding[f"/{SCATTERING}"] = matrix, _packed(matrix)
-    # In memory first: HDF5 itself does not survive a full disk.
-    content = bytes(xr.DataTree.from_dict(parts).to_netcdf(engine="h5netcdf", encoding=encoding))
+    content = to_netcdf(xr.DataTree.from_dict(parts), encoding)
     try:
         with partial_file(path) as partial:
             partial.write_bytes(content)
