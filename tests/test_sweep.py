@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from rich.console import Console
+from wave_lumens import BORE, pinched_tube
 
 import acoustube
 from acoustube import cache, chain
@@ -30,7 +31,6 @@ from acoustube.sweep.plan import load_plan
 from acoustube.swept import run_sweep
 from acoustube.waves import Placed, cut_cells, scatter
 from acoustube.waves.cascade import rescaled
-from tests.wave_lumens import BORE, pinched_tube
 
 # Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
