@@ -20,7 +20,7 @@ NARROWEST = 0.05
 """Smallest stated scale, as a share of the median size of the held-out residuals."""
 
 
-class Boosting(RegressorMixin, BaseEstimator):
+class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Gradient boosting of regression trees, one model per fold and target.
 
     Parameters
@@ -120,32 +120,10 @@ class Boosting(RegressorMixin, BaseEstimator):
         self.quantiles_ = uncertainty.conformal_quantiles(residual, scale)
         return self
 
-    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
-        """Return estimates.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-        return_std : bool
-            Whether to return their deviations, too.
-
-        Returns
-        -------
-        estimate, deviation : array of shape (row, target)
-            The deviation is half an interval that holds 68 % of the truths, where they are like the
-            held-out rows.
-        """
+    def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         x = checked_inputs(X, self.n_features_in_)
-        base = added(x, self.added_to, self.n_targets_)
-        estimate = base + self._mean(self.means_, x)
-        if not return_std:
-            return estimate
-        return estimate, self._scale(x) * uncertainty.factor(self.quantiles_)
-
-    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
-        """Return half the intervals (row, target) around the estimates that hold a share."""
-        x = checked_inputs(X, self.n_features_in_)
-        return np.asarray(self._scale(x) * uncertainty.factor(self.quantiles_, coverage))
+        estimate = added(x, self.added_to, self.n_targets_) + self._mean(self.means_, x)
+        return estimate, np.maximum(self._mean(self.scales_, x), self.narrowest_)
 
     def _grown(
         self, x: Array, targets: Array, fold: NDArray[np.intp], report: Callable[[float], None]
@@ -172,6 +150,3 @@ class Boosting(RegressorMixin, BaseEstimator):
 
     def _mean(self, trees: Any, x: Array) -> Array:
         return np.asarray(self._by_fold(trees, x).mean(axis=0))
-
-    def _scale(self, x: Array) -> Array:
-        return np.maximum(self._mean(self.scales_, x), self.narrowest_)

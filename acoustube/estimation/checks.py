@@ -13,6 +13,11 @@ FEWEST_ROWS = 50
 """Rows to train with: fewer tell nothing of a deviation."""
 
 
+def is_constant(values: Array) -> bool:
+    """Tell whether a target is the same in all rows, but for rounding."""
+    return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
+
+
 def checked(X: Any, y: Any) -> tuple[Array, Array]:
     """Return inputs (row, input) and targets (row, target) as float64.
 
@@ -37,7 +42,7 @@ def checked(X: Any, y: Any) -> tuple[Array, Array]:
             "more"
         )
     for column, values in enumerate(targets.T):
-        if np.ptp(values) <= 1e-9 * np.max(np.abs(values)):
+        if is_constant(values):
             raise ConfigError(
                 f"target {column} is {values[0]:g} in all rows, and nothing can be learned of it; "
                 "record different ones"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from acoustube.estimation.splits import folds
 from acoustube.signals.steps import Array
 
 
-class EchoEnsemble(RegressorMixin, BaseEstimator):
+class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Networks that state a distribution for each target, one network per fold.
 
     Made for :func:`acoustube.estimation.features.echo_features`, which hold what the press sent
@@ -116,30 +116,6 @@ class EchoEnsemble(RegressorMixin, BaseEstimator):
         scale = np.hypot(deviation[fold, rows], median.std(axis=0))
         self.quantiles_ = uncertainty.conformal_quantiles(rest - median[fold, rows], scale)
         return self
-
-    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
-        """Return estimates.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-        return_std : bool
-            Whether to return their deviations, too.
-
-        Returns
-        -------
-        estimate, deviation : array of shape (row, target)
-            The deviation is half an interval that holds 68 % of the truths, where they are like the
-            held-out rows.
-        """
-        estimate, scale = self._estimated(X)
-        if not return_std:
-            return estimate
-        return estimate, scale * uncertainty.factor(self.quantiles_)
-
-    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
-        """Return half the intervals (row, target) around the estimates that hold a share."""
-        return np.asarray(self._estimated(X)[1] * uncertainty.factor(self.quantiles_, coverage))
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         x = checked_inputs(X, self.n_features_in_)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from acoustube.estimation.splits import folds
 from acoustube.signals.steps import Array
 
 
-class ForceNetwork(RegressorMixin, BaseEstimator):
+class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Fully connected 64-64-1 networks, one per fold, weighted by their validation losses.
 
     Leaky ReLU, He's initialisation, inputs and outputs standardised on each fold's training rows,
@@ -42,6 +42,11 @@ class ForceNetwork(RegressorMixin, BaseEstimator):
         How held-out residuals grow with the estimate, in the target's unit.
     quantiles_ : array of shape (level, 1)
         See :mod:`acoustube.estimation.uncertainty`.
+
+    Notes
+    -----
+    The scale of an estimate is the spread between the folds and the residuals of held-out rows with
+    such an estimate, added in squares.
     """
 
     def __init__(
@@ -110,32 +115,6 @@ class ForceNetwork(RegressorMixin, BaseEstimator):
         spread = self._deviation(own, every)
         self.quantiles_ = uncertainty.conformal_quantiles(residual[:, None], spread[:, None])
         return self
-
-    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
-        """Return estimates.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-        return_std : bool
-            Whether to return their deviations, too.
-
-        Returns
-        -------
-        estimate : array of shape (row,)
-        deviation : array of shape (row,)
-            Half an interval that holds 68 % of the truths, where they are like the held-out rows.
-            Its scale is the spread between the folds and the residuals of held-out rows with such
-            an estimate, added in squares.
-        """
-        estimate, scale = self._estimated(X)
-        if not return_std:
-            return estimate
-        return estimate, scale * uncertainty.factor(self.quantiles_)[0]
-
-    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
-        """Return half the intervals (row,) around the estimates that hold a share of the truths."""
-        return np.asarray(self._estimated(X)[1] * uncertainty.factor(self.quantiles_, coverage)[0])
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         every = self._every(checked_inputs(X, self.n_features_in_))

@@ -12,7 +12,7 @@ import xarray as xr
 from acoustube.errors import ConfigError
 from acoustube.estimation import splits
 from acoustube.estimation.boosting import Boosting
-from acoustube.estimation.checks import FEWEST_ROWS
+from acoustube.estimation.checks import FEWEST_ROWS, is_constant
 from acoustube.estimation.echo import EchoEnsemble
 from acoustube.estimation.features import Describing
 from acoustube.estimation.force_network import ForceNetwork
@@ -137,7 +137,7 @@ def train(
     rows = table.isel(cycle=used)
     y = np.stack([rows[target].values.astype(float) for target in targets], axis=-1)
     for target, values in zip(targets, y.T, strict=True):
-        if np.ptp(values) <= 1e-9 * np.max(np.abs(values)):
+        if is_constant(values):
             raise ConfigError(
                 f"{target} is {values[0]:g} {UNITS[target]} in all cycles, and nothing can be "
                 "learned of it; record different presses"

@@ -12,6 +12,8 @@ References
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -97,3 +99,43 @@ def residual_scale(estimate: Array, residual: Array) -> tuple[Array, Array]:
     # Where more than half the rows of a bin fit exactly, another bin's scale is a fair guess.
     typical = float(np.median(np.abs(residual))) or float(np.mean(np.abs(residual)))
     return at, np.maximum(scale, 1e-3 * typical + np.finfo(float).tiny)
+
+
+class Conformal:
+    """What all estimators do with an estimate, its scale and the scale's quantiles.
+
+    Attributes
+    ----------
+    quantiles_ : array of shape (level, target)
+        Of :func:`conformal_quantiles`.
+    """
+
+    quantiles_: Array
+
+    def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
+        """Return estimates and their scales, both (row,) or (row, target)."""
+        raise NotImplementedError
+
+    def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
+        """Return estimates.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        return_std : bool
+            Whether to return their deviations, too.
+
+        Returns
+        -------
+        estimate, deviation : array of shape (row,) or (row, target)
+            As the targets that were trained with. The deviation is half an interval that holds
+            68 % of the truths, where they are like the held-out rows.
+        """
+        estimate, scale = self._estimated(X)
+        if not return_std:
+            return estimate
+        return estimate, scale * factor(self.quantiles_)
+
+    def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
+        """Return half the intervals around the estimates that hold a share of the truths."""
+        return np.asarray(self._estimated(X)[1] * factor(self.quantiles_, coverage))
