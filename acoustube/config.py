@@ -107,6 +107,13 @@ class IndentationSettings(Section):
     layer_mpa: float | None = setting(
         None, Number(0.001, 1000, "MPa", "Young's modulus of that layer")
     )
+    mesh: Literal["coarse", "usual", "fine"] = setting(
+        "usual",
+        Choice(
+            ("coarse", "usual", "fine"),
+            "finite elements of a round tube, to see what they change",
+        ),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,8 +187,13 @@ class Mechanics:
         _check_sections(self)
         _check_press(self.indentation)
         check_touched(self)
-        if self.tube.surface is None:  # otherwise the sizes are known when the surface is read
+        if self.tube.surface is None:
             _check_depth(self.tube, self.indentation)
+        elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
+            raise ConfigError(
+                f"mesh = {self.indentation.mesh} is of a round tube, and surface = "
+                f"{self.tube.surface} is meshed by its own size; use mesh usual"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

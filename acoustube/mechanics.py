@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acoustube import cache
 from acoustube.config import Config, Mechanics
 from acoustube.errors import ConfigError
-from acoustube.indentation import Indentation, Layer, Mesh, Press, indent, restored
+from acoustube.indentation import Indentation, Layer, Mesh, MeshSize, Press, indent, restored
 from acoustube.indentation.press import deepest_press
 from acoustube.indentation.reference import TET10
 from acoustube.limits import pressed_reach
@@ -24,6 +24,12 @@ from acoustube.tube import Tube, shear_modulus_from_shore
 Arrays = Mapping[str, NDArray[Any]]
 
 MESH = ("points", "elements", "inner_faces", "outer_faces")
+SIZES = {
+    "coarse": MeshSize(through_wall=1, around=12, along=10),
+    "usual": MeshSize(),
+    "fine": MeshSize(through_wall=2, around=24, along=18),
+}
+"""Meshes of a round tube. The force of a 25 mm rod on each is in the documentation's findings."""
 
 
 def shear_modulus_from(config: Config | Mechanics) -> float:
@@ -101,7 +107,8 @@ def pressed(
     if note and known is None and cache.holds(name):
         entry = cache.folder() / f"{name}.npz"
         note(f"The remembered press {entry} is damaged and was not used: it was computed again.")
-    tube, mesh = (tube_from(config), None) if surface is None else _imported(config, press, known)
+    size = SIZES[config.indentation.mesh]
+    tube, mesh = (tube_from(config), size) if surface is None else _imported(config, press, known)
     if known is not None:
         return restored(tube, press, known, support=support, layer=layer, mesh=mesh)
     found = indent(
@@ -124,6 +131,7 @@ def remembered_as(config: Config | Mechanics, depths: Sequence[float]) -> str:
             "press": dataclasses.asdict(press_from(config)),
             "layer": layer and dataclasses.asdict(layer),
             "support": config.indentation.support,
+            "mesh": dataclasses.asdict(SIZES[config.indentation.mesh]),
             "depths": list(depths),
         },
     )
@@ -156,7 +164,9 @@ def _content(path: Path) -> str:
         return "unreadable"
 
 
-def _imported(config: Config | Mechanics, press: Press, known: Arrays | None) -> tuple[Tube, Mesh]:
+def _imported(
+    config: Config | Mechanics, press: Press, known: Arrays | None
+) -> tuple[Tube, Mesh | MeshSize]:
     """Return an imported tube with its mesh, which is not made again where it is remembered."""
     from acoustube.indentation import tetrahedra
 

@@ -182,6 +182,11 @@ def test_written_press_reads_back_equal(tmp_path):
     assert load_config(path, Mechanics) == asked
 
 
+def test_imported_wall_has_a_mesh_of_its_own():
+    with pytest.raises(ConfigError, match=r"^mesh = coarse is of a round tube.*use mesh usual"):
+        load_config(None, Mechanics, surface="d.stl", mesh="coarse")
+
+
 def test_surface_cannot_be_simulated_with_sound():
     with pytest.raises(ConfigError, match=r"^surface = .*d\.stl cannot.*acoustube indent"):
         load_config(surface="d.stl")

@@ -44,6 +44,16 @@ def dataset(finished):
         return data.load()
 
 
+def test_coarse_mesh_is_stiffer_by_what_is_documented(monkeypatch, tmp_path):
+    """1 x 12 x 10 elements are 3 to 4 % too stiff (docs/findings.md); and are remembered apart."""
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path))
+    force = {}
+    for mesh in ("coarse", "usual"):
+        config = load_config(None, Mechanics, depth_mm=1, mesh=mesh)
+        force[mesh] = mechanics.pressed(config, [1e-3]).contact_force[-1]
+    assert 1.02 < force["coarse"] / force["usual"] < 1.06
+
+
 def test_folder_holds_data_settings_figure_and_meshes(finished):
     _, folder = finished
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
