@@ -176,9 +176,8 @@ def sweep(
     }  # fmt: skip
     over = {name: words for name, words in given.items() if words is not None}
     over |= other_settings(vary or [], over)
+    processes = _processes(workers)
     wanted = load_plan(plan, over, count=random, sampler=sampler, seed=seed)
-    if workers is not None:
-        Number(1, 1024, "", "processes", whole=True).check("workers", workers)
     share = _share(shard)
     if out is None and not dry_run:
         raise ConfigError("out is missing; name the folder to write, or give --dry-run")
@@ -189,7 +188,6 @@ def sweep(
         from acoustube import swept
 
     console = Console(quiet=quiet)
-    processes = None if workers is None else int(workers)
     if dry_run or out is None:
         swept.dry_run(wanted, out, processes, console, share=share, retry=retry is not None)
         return 0
@@ -240,6 +238,7 @@ def dataset(
     quiet : bool
         Print nothing but what went wrong.
     """
+    processes = _processes(workers)
     if not sweep:
         raise ConfigError("dataset needs the folder of a sweep; name one or more")
     numbers = {"cycles": cycles, "tubes": tubes, "sessions": sessions}
@@ -249,8 +248,6 @@ def dataset(
     }
     seeds = Number(0, 2**63 - 1, "", "seed", whole=True)
     seed = int(seeds.check("seed", seed))
-    if workers is not None:
-        Number(1, 1024, "", "processes", whole=True).check("workers", workers)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -262,7 +259,6 @@ def dataset(
         n_cycles=counts["cycles"], n_tubes=counts["tubes"], n_sessions=counts["sessions"],
         seed=seed, rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
     )  # fmt: skip
-    processes = None if workers is None else int(workers)
     run_dataset(sweep, out, recipe, Console(quiet=quiet), workers=processes)
 
 
@@ -323,6 +319,13 @@ def export(
         from acoustube.exported import run_export
 
     run_export(results, out, Console(quiet=quiet))
+
+
+def _processes(workers: float | None) -> int | None:
+    """Return a number of worker processes; None for as many as there are cores."""
+    if workers is None:
+        return None
+    return int(Number(1, 1024, "", "processes", whole=True).check("workers", workers))
 
 
 def _share(shard: str | None) -> tuple[int, int]:
@@ -792,6 +795,46 @@ def evaluate(
         from acoustube.trained import run_evaluate
 
     run_evaluate(model, data, Console(quiet=quiet), out=out, figure=figure)
+
+
+@app.command
+def reproduce(
+    *study: Literal["simulation", "calibration", "flat", "echotube", "all"],
+    out: Path = Path("studies"),
+    quick: Annotated[bool, Parameter(show_default=False)] = False,
+    # A float, as in `simulate`.
+    workers: float | None = None,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Repeat the paper's studies: a page and a table with each published number beside ours.
+
+    Parameters
+    ----------
+    study : str
+        The simulations of Fig. 2, the calibration of Fig. 3, the flat table of Figs. 4 and 5 and of
+        Tables I and II, EchoTube's reach by bore, or all.
+    out : Path
+        The folder to write; one that was begun by this command is finished.
+    quick : bool
+        A few presses on a coarse grid, to see that all works; the numbers mean little.
+    workers : int
+        Processes; as many as there are cores if not given.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    processes = _processes(workers)
+    if not study:
+        raise ConfigError("reproduce needs the name of a study, or all")
+
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.reproduced import STUDIES, run_reproduce
+        from acoustube.studies.report import Scale
+
+    names = list(STUDIES) if "all" in study else [name for name in STUDIES if name in study]
+    scale = Scale(quick=quick, workers=processes)
+    run_reproduce(names, out, scale, Console(quiet=quiet))
 
 
 @app.command

@@ -113,15 +113,16 @@ class Study:
     Attributes
     ----------
     title : str
-    text : sequence of str
-        Paragraphs: what was done, what was assumed, what simulation cannot know.
+    text : str
+        Paragraphs with empty lines between them: what was done, what was assumed, what simulation
+        cannot know.
     rows : sequence of Row
     figures : mapping of str to matplotlib.figure.Figure
         By their captions.
     """
 
     title: str
-    text: Sequence[str]
+    text: str
     rows: Sequence[Row]
     figures: Mapping[str, Figure] = field(default_factory=dict)
 
@@ -174,9 +175,10 @@ def page(study: Study, pictures: Mapping[str, bytes]) -> str:
         for caption, png in pictures.items()
     )
     template = files("acoustube.studies").joinpath("page.html").read_text(encoding="utf-8")
+    paragraphs = study.text.split("\n\n")
     return Template(template).substitute(
         title=escape(study.title),
-        text="\n".join(f"<p>{escape(paragraph)}</p>" for paragraph in study.text),
+        text="\n".join(f"<p>{escape(part)}</p>" for part in paragraphs),
         rows="\n".join(_html_row(row) for row in study.rows),
         figures=figures,
         version=__version__,
@@ -196,9 +198,9 @@ def _html_row(row: Row) -> str:
     )
 
 
-def _plain(number: float | None, digits: int = 3, missing: str = "–") -> str:
+def _plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
     return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
 
 
 def _percent(share: float) -> str:
-    return "–" if not np.isfinite(share) else f"{100 * share:+.0f} %"
+    return "-" if not np.isfinite(share) else f"{100 * share:+.0f} %"
