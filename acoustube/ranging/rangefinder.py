@@ -118,14 +118,14 @@ class Rangefinder(Section):
     far_reflection : float
         The same of the tube's far end. Default 0.05 for foam, chosen: no echo of it is reported.
     clutter : float
-        Power that small irregularities reflect per metre of tube, in 1/m. Default 2e-4 (-37 dB),
-        chosen so that the paper's processing misses half of the presses that reflect 0.4 % at 0.4
-        to 0.8 m, and 40 % at 1.95 m, where it misses those of less than 2.5 mm, and of 7 mm; what
-        these reflect is a guess, about 1 % and a third.
+        Power that small irregularities reflect per metre of tube, in 1/m. Default 1.5e-5 (-48 dB),
+        chosen so that up to 0.6 m presses of a 25 mm rod are found from 2.5 mm on and hardly
+        before, as in the paper.
     noise : float
-        Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.4 mV (0.9
-        counts), chosen so that in the paper's bore half the echoes of a closure at 2.5 m are lost,
-        after 74 dB of loss on both ways; EchoTube reaches 2.4 to 2.5 m in 8 mm.
+        Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.1 mV (0.2
+        counts, less than their rounding), chosen so that beyond 1.95 m only a rod that closes the
+        lumen is found: the paper finds depths over 7 mm there. A closure is then heard to 2.4 m;
+        EchoTube reaches 2.4 to 2.5 m in 8 mm.
     offset : float
         Mean voltage in V. Default 0.9, chosen: the middle of the ADC's range.
     drift : float
@@ -163,8 +163,8 @@ class Rangefinder(Section):
     gain: float = setting(1.25, Number(0, 1e6, "V", "whole echo as heard"))
     face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
     far_reflection: float = setting(0.05, Number(-1, 1, "", "reflection of the far end"))
-    clutter: float = setting(2e-4, Number(0, 0.1, "1/m", "power reflected per metre"))
-    noise: float = setting(0.4e-3, Number(0, 1e3, "V", "rms of the noise"))
+    clutter: float = setting(1.5e-5, Number(0, 0.1, "1/m", "power reflected per metre"))
+    noise: float = setting(0.1e-3, Number(0, 1e3, "V", "rms of the noise"))
     offset: float = setting(0.9, Number(-1e3, 1e3, "V", "mean voltage"))
     drift: float = setting(5e-3, Number(0, 1e3, "V", "rms of the slow wander"))
     sampling_rate: float = setting(200e3, Number(1e3, 1e8, "Hz", "samples per second"))
