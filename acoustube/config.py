@@ -298,8 +298,9 @@ def _check_audible(config: Config) -> None:
 def _check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
     """Refuse a press past the floor, or far beyond a closed lumen."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
-    deepest = _round_down(bore + tube.wall_mm / 2)
-    if depth > outer:
+    gives = indentation.layer_mm or 0.0
+    deepest = _round_down(bore + tube.wall_mm / 2 + gives)
+    if depth > outer + gives:
         reason = f"is past the floor (outer diameter {outer:g} mm)"
     elif depth > deepest:
         reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"

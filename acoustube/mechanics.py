@@ -187,7 +187,8 @@ def _imported(
 
 def _check_depth(tube: Tube, config: Config | Mechanics) -> None:
     """Refuse a depth beyond what an imported tube allows, before it is meshed."""
-    deepest, depth_mm = deepest_press(tube), config.indentation.depth_mm
+    depth_mm = config.indentation.depth_mm
+    deepest = deepest_press(tube, layer_from(config))
     if 1e-3 * depth_mm > deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth_mm = {depth_mm:g} is beyond a closed lumen by more than half a wall (bore "

@@ -318,21 +318,24 @@ def _presses(press: Press | Sequence[Press] | None) -> tuple[Press, ...]:
     return presses
 
 
-def deepest_press(tube: Tube) -> float:
-    """Return the largest depth in m that is followed: the bore and half a wall thickness."""
-    return tube.inner_diameter + tube.wall_thickness / 2
+def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
+    """Return the largest depth in m that is followed: the bore and half a wall thickness.
+
+    A layer under the tube gives way besides, by less than its own thickness.
+    """
+    return tube.inner_diameter + tube.wall_thickness / 2 + (layer.thickness if layer else 0.0)
 
 
 def _check(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
     """Refuse what the model does not hold for."""
-    deepest = deepest_press(tube)
+    deepest = deepest_press(tube, layer)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
         raise ConfigError(f"depth = {shown} m must be one or more depths over 0 that rise.")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "
-            f"closed; use at most {deepest:.6g}."
+            f"closed{' and the layer is flat' * (layer is not None)}; use at most {deepest:.6g}."
         )
     if support not in tools.SUPPORTS:
         raise ConfigError(f"support = {support!r} is unknown; use 'held' or 'free'.")
@@ -343,6 +346,7 @@ def _check(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None
 def _check_room(untouched: Indentation, depth: float) -> None:
     """Refuse to push a tool beside the tube into the floor."""
     floor = untouched.mesh.points[:, 1].min()
+    floor -= untouched.layer.thickness if untouched.layer else 0.0
     for touch, press in zip(untouched.touch_heights, untouched.presses, strict=True):
         room = (touch - floor) / press.share
         if depth >= room:

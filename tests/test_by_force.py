@@ -1,0 +1,82 @@
+"""Presses by force: against the path that they are read from, and against a rigid floor."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from acoustube.by_force import by_force
+from acoustube.errors import ConfigError, SimulationError
+from acoustube.indentation import Layer, MeshSize, Press, indent
+from acoustube.tube import Tube
+
+COARSE = MeshSize(through_wall=1, around=12, along=10)
+ARM = Layer(thickness=20e-3, modulus=60e3)
+
+
+def pressed(depth, layer=None):
+    return indent(
+        Tube(), Press(diameter=25e-3), depth=depth, support="free", layer=layer, mesh=COARSE
+    )
+
+
+@pytest.fixture(scope="module")
+def on_an_arm():
+    return pressed([2e-3, 4e-3, 6e-3], ARM)
+
+
+@pytest.fixture(scope="module")
+def on_a_floor():
+    return pressed([1e-3, 2e-3, 3e-3])
+
+
+def test_forces_of_the_path_give_back_its_depths(on_an_arm):
+    """To rounding: an interpolant passes through its nodes."""
+    found = by_force(on_an_arm, on_an_arm.contact_force)
+    assert found.depth == pytest.approx(on_an_arm.depth, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_press_solved_at_the_depth_that_a_force_gives_bears_that_force(on_an_arm):
+    """Within 0.5 %: between increments of 0.5 mm the path is a cubic only about."""
+    depth = float(by_force(on_an_arm, 1.3).depth)
+    assert pressed([depth], ARM).contact_force[-1] == pytest.approx(1.3, rel=5e-3)
+
+
+def test_travel_is_closing_and_sinking_and_a_little_of_the_wall(on_an_arm):
+    """The wall under the tool and over the ground is squeezed by less than a tenth of itself each."""
+    found = by_force(on_an_arm, [0.5, 1.0, 1.5, 2.0])
+    squeezed = found.depth - found.closing - found.sinking
+    assert np.all((squeezed > 0) & (squeezed < 0.2 * Tube().wall_thickness))
+    assert np.all(found.sinking > 0.15 * found.depth)
+
+
+@pytest.mark.slow
+def test_stiff_layer_is_a_rigid_floor(on_a_floor):
+    """A layer of 0.5 GPa gives by a micrometre; 0.3 % is what the contact's smoothing leaves."""
+    stiff = pressed([1e-3, 2e-3, 3e-3], Layer(thickness=5e-3, modulus=0.5e9))
+    forces = [0.3, 0.7, 1.1]
+    here, there = by_force(stiff, forces), by_force(on_a_floor, forces)
+    for name in ("depth", "closing", "lumen_area"):
+        assert getattr(here, name) == pytest.approx(getattr(there, name), rel=3e-3)
+    assert np.all(np.abs(here.sinking) < 5e-6)
+
+
+def test_soft_arm_takes_more_travel_and_less_of_the_lumen(on_an_arm, on_a_floor):
+    """At the same force: the ground gives way, and bears the tube along more of its length."""
+    soft, hard = by_force(on_an_arm, 1.0), by_force(on_a_floor, 1.0)
+    assert soft.depth > 1.5 * hard.depth
+    assert 0.6 * hard.closing < soft.closing < hard.closing
+
+
+def test_forces_beyond_the_path_are_refused(on_a_floor):
+    for force in (-0.1, [0.5, 9.0]):
+        with pytest.raises(ConfigError, match=r"press deeper"):
+            by_force(on_a_floor, force)
+
+
+def test_force_that_falls_is_refused(on_a_floor):
+    force = on_a_floor.press_force.copy()
+    force[-2] *= 0.8
+    with pytest.raises(SimulationError, match="does not tell the press"):
+        by_force(dataclasses.replace(on_a_floor, press_force=force), 0.5)
