@@ -1,8 +1,8 @@
 """From force to press: what a tool that is pushed, and not moved, does on a given substrate.
 
-A press is solved by depth, since force is no single-valued choice where a wall may snap; as long as
-the force rises along the path, each force on it belongs to one depth. On soft ground the tool's
-travel says little: part of it is the ground's. What the sound meets is the lumen, so that its loss of
+A press is solved by depth, since a wall that snaps has several states at one force; as long as the
+force rises along the path, each force on it belongs to one depth. On soft ground the tool's travel
+says little: part of it is the ground's. What the sound meets is the lumen, so that its loss of
 height stands beside the travel.
 """
 
@@ -79,8 +79,8 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     if np.any(fall > FALLING * path.max()):
         row = int(np.argmax(fall))
         raise SimulationError(
-            f"the force falls to {path[row]:.3g} N at a depth of {1e3 * indentation.depth[row]:.3g} "
-            "mm, so that it does not tell the press; give a depth"
+            f"the force falls to {path[row]:.3g} N at {1e3 * indentation.depth[row]:.3g} mm depth, "
+            "so that it does not tell the press; give a depth"
         )
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:

@@ -44,7 +44,7 @@ def test_press_solved_at_the_depth_that_a_force_gives_bears_that_force(on_an_arm
 
 
 def test_travel_is_closing_and_sinking_and_a_little_of_the_wall(on_an_arm):
-    """The wall under the tool and over the ground is squeezed by less than a tenth of itself each."""
+    """The wall under the tool and over the ground is squeezed by less than a tenth of itself."""
     found = by_force(on_an_arm, [0.5, 1.0, 1.5, 2.0])
     squeezed = found.depth - found.closing - found.sinking
     assert np.all((squeezed > 0) & (squeezed < 0.2 * Tube().wall_thickness))

@@ -1,6 +1,6 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
-from acoustube.waves.bends import bend
+from acoustube.waves.bends import Bent, bend, bends
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells
@@ -21,6 +21,7 @@ from acoustube.waves.section import section_cut_ons
 from acoustube.waves.stability import stable_step
 
 __all__ = [
+    "Bent",
     "Budget",
     "CutCells",
     "ModalProbe",
@@ -35,6 +36,7 @@ __all__ = [
     "attenuation",
     "axial_wavenumber",
     "bend",
+    "bends",
     "cut_cells",
     "cut_on_frequency",
     "cut_ons_in_band",

@@ -18,7 +18,12 @@ where k_z^2 is the diagonal of the straight bore's wavenumbers, with the losses 
 curvature changes of the losses is left out. The coefficients do not depend on s: the matrix of a
 slice, too short for its evanescent modes to grow, is doubled by the star product until it is the
 whole bend. This is the multimodal method of the references with doubling in place of the Riccati
-equation of the impedance.
+equation of the impedance. Where a tube is bent more here and less there, its parts are joined by
+the same product.
+
+A bend flattens the tube. To first order that moves the cut-ons of the modes (1, n) alone, see
+:func:`acoustube.sleeve.ovalisation.cut_on_shift`: their k_z^2 on the diagonal. What it couples in
+amplitude where it sets in is left out: a tube flattens gradually.
 
 References
 ----------
@@ -33,6 +38,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from math import ceil, log2, pi
 from typing import Any
 
@@ -73,6 +79,8 @@ class BoreModes:
         j'mn, (n,).
     x, across, twist : ndarray
         X, Y and M of the module's equations, (n, n), in units of the bore's radius.
+    flattening : ndarray
+        What the squared cut-on wavenumbers gain per ovality, (n,), in the same units.
     """
 
     names: tuple[str, ...]
@@ -80,6 +88,39 @@ class BoreModes:
     x: Array
     across: Array
     twist: Array
+    flattening: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bent:
+    """A part of a tube of one curvature.
+
+    Attributes
+    ----------
+    length : float
+        Of its centre line in m.
+    curvature, torsion : float
+        Of its centre line in 1/m; see :func:`bend`.
+    ovality : float
+        By which share the bore's radius is smaller in the plane of the bend, and larger across.
+
+    Raises
+    ------
+    ConfigError
+        If the length is not positive, or the curvature negative.
+    """
+
+    length: float
+    curvature: float
+    torsion: float = 0.0
+    ovality: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0 < self.length < np.inf and 0 <= self.curvature < np.inf):
+            raise ConfigError(
+                f"a part {self.length} m long of curvature {self.curvature} 1/m is no bend; use "
+                "positive numbers"
+            )
 
 
 def bend(
@@ -135,21 +176,57 @@ def bend(
     The centre of curvature lies towards -y. The modes' signs are those of a lumen symmetric about
     x = 0, which is computed by halves.
     """
+    _check_bend(radius, bend_radius, angle)
+    part = Bent(length=angle * bend_radius, curvature=1 / bend_radius, torsion=torsion)
+    return bends(air, frequency, [part], radius=radius, lossy=lossy, modes=modes, highest=highest)
+
+
+def bends(
+    air: Air,
+    frequency: ArrayLike,
+    parts: Sequence[Bent],
+    *,
+    radius: float,
+    lossy: bool = True,
+    modes: Sequence[str] | None = None,
+    highest: float = HIGHEST,
+) -> ModalScattering:
+    """Return how a tube that is bent in several ways, one after another, scatters its modes.
+
+    Parameters
+    ----------
+    air, frequency, radius, lossy, modes, highest
+        See :func:`bend`.
+    parts : sequence of Bent
+        From port 1 to port 2. The normal, towards the centre of curvature, goes on from one to the
+        next.
+
+    Returns
+    -------
+    ModalScattering
+        See :func:`bend`.
+
+    Raises
+    ------
+    ConfigError
+        See :func:`bend`.
+    """
     frequency = np.atleast_1d(np.asarray(frequency, float))
-    _check(frequency, radius, bend_radius, angle, highest, air)
+    _check_sound(frequency, radius, highest, air)
     bore = bore_modes(highest)
     names = _result_modes(modes, bore, frequency, radius, air)
-    length = angle * bend_radius
+    length = sum(part.length for part in parts)
     scattered = [
-        _bend(air, part, bore, radius, 1 / bend_radius, torsion, length, lossy)
-        for part in np.array_split(frequency, ceil(len(frequency) / CHUNK))
+        reduce(_joined, [_bent(air, some, bore, radius, part, lossy) for part in parts])
+        for some in np.array_split(frequency, ceil(len(frequency) / CHUNK))
     ]
     cut_ons = np.array(
         [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in names]
     )
     propagates = frequency[:, None] > cut_ons
     place = [bore.names.index(name) for name in names]
-    s = np.concatenate(scattered)[:, :, place][..., place]
+    m = len(bore.names)
+    s = np.concatenate(scattered).reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
     waves = _wavenumbers(names, frequency, radius, air, lossy)
     straight = _wavenumbers(names, frequency, radius, air, False)
     # What carries the same power has the same amplitude, and nothing travels below cut-on.
@@ -203,7 +280,16 @@ def bore_modes(highest: float) -> BoreModes:
         x=over_section(psi, lever, psi),
         across=over_section(d_r, lever, d_r) + over_section(d_phi / r, lever, d_phi / r),
         twist=over_section(psi, area + 0 * phi, d_phi),
+        flattening=np.array([_flattened(m, n, side) for m, n, side in sides]),
     )
+
+
+def _flattened(m: int, n: int, side: str) -> float:
+    """Return what a mode's squared cut-on wavenumber gains per ovality, by Hadamard's formula."""
+    if m != 1:
+        return 0.0
+    square = bessel_zero(m, n) ** 2
+    return (1 if side == "c" else -1) * square * (square + 1) / (square - 1)
 
 
 def _mode_fields(m: int, n: int, side: str, r: Array, phi: Array) -> tuple[Array, Array, Array]:
@@ -216,12 +302,8 @@ def _mode_fields(m: int, n: int, side: str, r: Array, phi: Array) -> tuple[Array
     return shape * around(m * phi), slope * around(m * phi), sign * shape * turned(m * phi)
 
 
-def _check(
-    frequency: Array, radius: float, bend_radius: float, angle: float, highest: float, air: Air
-) -> None:
-    """Refuse what is no bend."""
-    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
-        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
+def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
+    """Refuse what is no bend, in the words of its sizes."""
     for name, value in (("radius", radius), ("bend_radius", bend_radius), ("angle", angle)):
         if not 0 < value < np.inf:
             raise ConfigError(f"{name} = {value} must be positive; give m, and rad for the angle")
@@ -230,6 +312,12 @@ def _check(
             f"bend_radius = {1e3 * bend_radius:.4g} mm is too sharp for a bore radius of "
             f"{1e3 * radius:.4g} mm; use {1e3 * radius / SHARPEST:.4g} mm or more"
         )
+
+
+def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> None:
+    """Refuse frequencies that do not rise, or that the modes do not reach."""
+    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
         raise ConfigError(
             f"frequency = {frequency[-1]:g} Hz needs modes up to j' = "
@@ -266,36 +354,30 @@ def _wavenumbers(
     )
 
 
-def _bend(
-    air: Air,
-    frequency: Array,
-    bore: BoreModes,
-    radius: float,
-    curvature: float,
-    torsion: float,
-    length: float,
-    lossy: bool,
+def _bent(
+    air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> Complex:
-    """Return the scattering of pressures at the ends of a bend, (n, 2, m, 2, m)."""
+    """Return the scattering of pressures at the ends of a bend, (n, 2 m, 2 m)."""
     k = (2 * pi * frequency / air.sound_speed)[:, None, None]
     waves = _wavenumbers(bore.names, frequency, radius, air, lossy)
     waves = np.where(np.abs(waves) < NEAREST_CUT_ON * k[:, 0], NEAREST_CUT_ON * k[:, 0], waves)
-    m = len(bore.names)
+    m, bent = len(bore.names), part.curvature * radius
+    squares = waves**2 - part.ovality * bore.flattening / radius**2
     # Velocities over k, so that all blocks are of one size.
-    to_pressure = np.eye(m) - curvature * radius * bore.x
-    to_velocity = waves[:, :, None] ** 2 * np.eye(m) / k**2 - curvature * (
-        radius * bore.x - bore.across / radius / k**2
+    to_pressure = np.eye(m) - bent * bore.x
+    to_velocity = squares[:, :, None] * np.eye(m) / k**2 - bent * (
+        bore.x - bore.across / (radius * k) ** 2
     )
     generator = np.zeros((len(frequency), 2 * m, 2 * m), complex)
-    generator[:, :m, :m] = generator[:, m:, m:] = torsion * bore.twist
+    generator[:, :m, :m] = generator[:, m:, m:] = part.torsion * bore.twist
     generator[:, :m, m:] = -1j * k * to_pressure
     generator[:, m:, :m] = -1j * k * to_velocity
-    n_doublings = max(0, ceil(log2(length * bore.zeros.max() / radius / SLICE)))
-    slice_ = expm(generator * (length / 2**n_doublings))
+    n_doublings = max(0, ceil(log2(part.length * bore.zeros.max() / radius / SLICE)))
+    slice_ = expm(generator * (part.length / 2**n_doublings))
     s = _as_scattering(slice_, waves / k[:, 0])
     for _ in range(n_doublings):
         s = _joined(s, s)
-    return s.reshape(len(frequency), 2, m, 2, m)
+    return s
 
 
 def _as_scattering(transfer: Complex, admittance: Complex) -> Complex:
