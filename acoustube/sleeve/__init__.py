@@ -13,6 +13,8 @@ from acoustube.sleeve.layouts import (
     wound,
 )
 from acoustube.sleeve.markers import Markers, read_markers
+from acoustube.sleeve.ovalisation import ovality
+from acoustube.sleeve.wrapping import winding, wrapped
 
 __all__ = [
     "Arm",
@@ -31,7 +33,10 @@ __all__ = [
     "fit_arm",
     "layout",
     "nearest",
+    "ovality",
     "read_markers",
     "spacing",
+    "winding",
     "wound",
+    "wrapped",
 ]
