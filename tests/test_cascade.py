@@ -167,6 +167,19 @@ def test_presses_and_probes_that_collide_are_refused(positions, words, part):
         transfer(presses, AIR, FREQUENCY, **tube(**words))
 
 
+def test_even_frequencies_by_the_chirp_transform_are_those_one_by_one():
+    """To rounding; real, and of sound that decays."""
+    rng = np.random.default_rng(3)
+    given = np.arange(30e3, 50e3, 100.0)
+    s = rng.normal(size=(2, len(given), 4)) * [[[1]], [[1j]]]
+    press = made(given, s.sum(axis=0))
+    wanted = np.arange(32e3, 48e3, 37.5) - 40j
+    together = continued(press, wanted)
+    assert together == pytest.approx(
+        np.concatenate([continued(press, wanted[i : i + 1]) for i in range(len(wanted))]), abs=1e-9
+    )
+
+
 def test_frequencies_that_a_press_does_not_know_are_refused():
     press = Placed(mirror(0.5, FREQUENCY), 0.3)
     with pytest.raises(ValueError, match="outside the band of a press, 25000 to 59000 Hz"):
