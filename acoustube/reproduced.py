@@ -18,7 +18,10 @@ from acoustube.io import check_out, partial_file
 from acoustube.studies.report import Scale, Study, write, write_table
 from acoustube.sweep.costs import in_words
 
-STUDIES = {"simulation": 20.0, "calibration": 1.0, "flat": 40.0, "echotube": 2.0}
+STUDIES = {
+    "simulation": 20.0, "calibration": 1.0, "flat": 40.0, "mannequin": 12.0, "human": 6.0,
+    "echotube": 2.0,
+}  # fmt: skip
 """Studies in their order, and minutes that each takes on two cores with nothing remembered."""
 QUICKER = 15.0
 """By what a quick study is shorter."""

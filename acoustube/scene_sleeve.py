@@ -22,7 +22,7 @@ from acoustube.sleeve.helix import Array, Helix
 PIXELS = (1800, 1000)
 SKIN, DEAD, MARKER = "#d0ab8c", "#8a8f98", "#222222"
 TUBES = ("#2f6fb0", "#3f9b6e", "#8a5fb0", "#b08a2f")
-CONTACT, SPREAD = "#c8322b", "#f0a08c"
+CONTACT, SPREAD, ESTIMATE = "#c8322b", "#f0a08c", "#f2c230"
 POINTS_PER_LOOP = 90
 
 
@@ -43,6 +43,8 @@ class Picture:
         Of a contact's distance in m; so much of the tube to each side is marked.
     markers : ndarray
         In m, (n, 3); may be empty and may hold nan.
+    estimates : tuple of (int, float)
+        Tube and distance in m where contacts were told to be.
     """
 
     tubes: tuple[Helix, ...]
@@ -51,6 +53,7 @@ class Picture:
     contacts: tuple[tuple[int, float], ...]
     deviation: float
     markers: Array
+    estimates: tuple[tuple[int, float], ...] = ()
 
 
 def draw(picture: Picture, path: Path) -> bool:
@@ -99,7 +102,8 @@ def render(picture: Picture) -> Any:
     for number, distance in picture.contacts:
         each, (near, far) = picture.tubes[number], picture.heard[number]
         ends = np.clip(distance + picture.deviation * np.array([-1, 1]), near, far)
-        _add(plotter, _along(each, *ends), 1.12 * thick, SPREAD)
+        if picture.deviation > 0:
+            _add(plotter, _along(each, *ends), 1.12 * thick, SPREAD)
         place = each.point(each.height(distance))
         plotter.add_mesh(
             pyvista.Sphere(radius=1.7 * thick, center=place), color=CONTACT, ambient=0.3
@@ -110,9 +114,18 @@ def render(picture: Picture) -> Any:
             font_size=26, text_color=CONTACT, shape_color="white", shape_opacity=0.8,
             always_visible=True, show_points=False,
         )  # fmt: skip
+    for number, distance in picture.estimates:
+        each = picture.tubes[number]
+        place = each.point(each.height(distance))
+        dot = pyvista.Sphere(radius=1.45 * thick, center=place)
+        plotter.add_mesh(dot, color=ESTIMATE, ambient=0.3)
     if picture.contacts:
+        legend.append(["contact", CONTACT])
+    if picture.estimates:
+        legend.append(["estimate", ESTIMATE])
+    if picture.contacts and picture.deviation > 0:
         spread = f"± {100 * picture.deviation:g} cm of a distance"
-        legend += [["contact", CONTACT], [spread, SPREAD]]
+        legend.append([spread, SPREAD])
     seen = picture.markers[np.all(np.isfinite(picture.markers), axis=-1)]
     if len(seen):
         dots = pyvista.PolyData(tube.frame.inwards(seen))

@@ -47,9 +47,8 @@ def passed(presses, probe, length=1.4):
 def test_pieces_fill_the_wrap_but_for_what_the_presses_keep_straight():
     presses = [press(0.4), press(0.9)]
     pieces = wrapped(FOREARM, presses, AIR, radius=BORE, reach=REACH)
-    spans = np.array(
-        [[p.position + p.scattering.extent[0], p.position + p.scattering.extent[1]] for p in pieces]
-    )
+    pieces.sort(key=lambda piece: piece.position)
+    spans = np.array([p.position + np.array(p.scattering.extent) for p in pieces])
     assert spans[0, 0] == pytest.approx(FOREARM.lead, abs=1e-8)
     assert spans[-1, 1] == pytest.approx(FOREARM.tube_length, abs=1e-8)
     assert spans[1:, 0] - spans[:-1, 1] == pytest.approx(0, abs=1e-8)

@@ -14,7 +14,7 @@ from acoustube.sleeve.layouts import (
 )
 from acoustube.sleeve.markers import Markers, read_markers
 from acoustube.sleeve.ovalisation import ovality
-from acoustube.sleeve.wrapping import winding, wrapped
+from acoustube.sleeve.wrapping import shortened, winding, windings, wrapped
 
 __all__ = [
     "Arm",
@@ -35,8 +35,10 @@ __all__ = [
     "nearest",
     "ovality",
     "read_markers",
+    "shortened",
     "spacing",
     "winding",
+    "windings",
     "wound",
     "wrapped",
 ]

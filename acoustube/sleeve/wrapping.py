@@ -96,6 +96,56 @@ def winding(
     return found
 
 
+def windings(
+    helix: Helix,
+    air: Air,
+    frequency: ArrayLike,
+    places: Sequence[float],
+    *,
+    reach: float,
+    radius: float,
+    modes: Sequence[str],
+    tube: Tube | None = None,
+) -> list[Placed]:
+    """Return the bends of a wrapped tube that presses keep straight where they are.
+
+    Parameters
+    ----------
+    helix, air, frequency, radius, modes, tube
+        See :func:`winding`.
+    places : sequence of float
+        Of the presses on the helix, rising, in m; none for the whole tube.
+    reach : float
+        See :func:`wrapped`.
+
+    Returns
+    -------
+    list of Placed
+        The same for all presses at these places.
+
+    Raises
+    ------
+    ConfigError
+        See :func:`wrapped`.
+    """
+    places = np.asarray(places, float)
+    if np.any(np.diff(places) < 2 * reach):
+        raise ConfigError(
+            f"presses at {', '.join(f'{100 * place:.4g}' for place in places)} cm are nearer to "
+            f"each other than twice the reach, {200 * reach:.3g} cm, or do not rise; move them"
+        )
+    starts = [helix.lead, *(places + reach)]
+    stops = [*(places - reach), helix.tube_length]
+    return [
+        bend
+        for start, stop in zip(starts, stops, strict=True)
+        if abs(stop - start) > SHORTEST
+        for bend in winding(
+            helix, air, frequency, start, stop, radius=radius, modes=modes, tube=tube
+        )
+    ]
+
+
 def wrapped(
     helix: Helix,
     presses: Sequence[Placed],
@@ -125,33 +175,24 @@ def wrapped(
     Returns
     -------
     list of Placed
-        In order, for :func:`acoustube.waves.heard` or :func:`acoustube.ranging.record`.
+        For :func:`acoustube.waves.heard` or :func:`acoustube.ranging.record`.
 
     Raises
     ------
     ConfigError
-        If there is no press, or presses are nearer to each other than twice the reach.
+        If there is no press, one is not on the helix, or two are nearer to each other than twice
+        the reach.
     """
     if not presses:
-        raise ConfigError("a wrap without a press has no band; use winding for the tube alone")
-    ordered = sorted(presses, key=lambda press: press.position)
-    places = np.array([press.position for press in ordered])
-    if np.any(np.diff(places) < 2 * reach):
-        raise ConfigError(
-            f"presses at {', '.join(f'{100 * place:.4g}' for place in places)} cm are nearer to "
-            f"each other than twice the reach, {200 * reach:.3g} cm; move them apart"
-        )
-    matrix = ordered[0].scattering
-    starts = [helix.lead, *(places + reach)]
-    stops = [*(places - reach), helix.tube_length]
-    found: list[Placed] = []
-    for press, start, stop in zip([*ordered, None], starts, stops, strict=True):
-        if abs(stop - start) > SHORTEST:
-            found += winding(
-                helix, air, matrix.frequency, start, stop,
-                radius=radius, modes=matrix.modes, tube=tube,
-            )  # fmt: skip
-        if press is not None:
-            short = replace(press.scattering, extent=(-reach, reach))
-            found.append(Placed(short, press.position))
-    return found
+        raise ConfigError("a wrap without a press has no band; use windings for the tube alone")
+    matrix = presses[0].scattering
+    found = windings(
+        helix, air, matrix.frequency, sorted(press.position for press in presses),
+        reach=reach, radius=radius, modes=matrix.modes, tube=tube,
+    )  # fmt: skip
+    return found + [shortened(press, reach) for press in presses]
+
+
+def shortened(press: Placed, reach: float) -> Placed:
+    """Return a press that leaves the tube beyond its reach, in m, to others."""
+    return replace(press, scattering=replace(press.scattering, extent=(-reach, reach)))
