@@ -35,6 +35,8 @@ CODE = {
     "scattering": ("air.py", "chain.py", "lumen.py", "waves"),
 }
 """Modules, and folders of modules, that each kind of result is computed by."""
+ONLY_USED = ("cascade.py", "bends.py")
+"""Modules of these folders that take no part: they join what was computed."""
 
 
 class Entry(NamedTuple):
@@ -92,7 +94,7 @@ def _code(kind: str) -> str:
     modules = [m for part in parts for m in (part.iterdir() if part.is_dir() else [part])]
     code = hashlib.sha256()
     for module in sorted(modules, key=lambda module: module.name):
-        if module.name.endswith(".py"):
+        if module.name.endswith(".py") and module.name not in ONLY_USED:
             code.update(module.read_bytes())
     for library in LIBRARIES:
         code.update(version(library).encode())

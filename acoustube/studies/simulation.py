@@ -33,8 +33,9 @@ DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
 LATE = 0.4e-3
 """Time in s after the direct echo's middle from which sound was trapped: the pulse lasts 0.26 ms,
 its reflection by the source end comes 0.12 ms later."""
-LOW = {"frequency_khz": ["10", "20", "42"], "length_cm": ["100"], "losses": ["on"]}
-"""Beside the carrier: pulses of 11 cycles at 10 kHz are 38 cm long, and need a longer tube."""
+LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
+"""With losses, lower carriers too. Their pulses of 11 cycles, 38 cm long at 10 kHz, need the longer
+tube; one scattering matrix serves all."""
 CARRIER, CYCLES = 42e3, 11
 DRAWN = (2e-3, 4e-3, 6e-3, 8e-3)
 """Depths in m whose sections are drawn."""
@@ -61,8 +62,9 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
         return swept(work / name, {**rods, **over}, level, scale, console)
 
     lossless = at("lossless", scale.level, losses=["off"])
-    lossy = at("lossy", scale.level, losses=["on"])
-    low = at("frequencies", Level(scale.level.resolution, scale.level.mesh), **LOW)
+    heard = at("lossy", scale.level, **LOSSY)
+    lossy = _only(_only(heard, "carrier_frequency", CARRIER), "tube_length", 0.4)
+    low = _only(heard, "tube_length", 1.0)
     coarser = None if scale.coarser is None else at("coarser", scale.coarser, losses=["off"])
     carried = carried_power(work / "lossless")
     return Study(
@@ -115,8 +117,7 @@ def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:
 
 def of_rod(cases: xr.Dataset, rod: str) -> xr.Dataset:
     """Return the cases of a rod, given its diameter in mm, by depth."""
-    mine = np.flatnonzero(np.isclose(cases["diameter"].values, 1e-3 * float(rod)))
-    return cases.isel(press=mine).sortby("depth")
+    return _only(cases, "diameter", 1e-3 * float(rod)).sortby("depth")
 
 
 def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tuple[float, float]:
@@ -168,7 +169,7 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
     ]  # fmt: skip
     for frequency in (10e3, 20e3, 42e3):
         for rod in RODS:
-            some = of_rod(_at_frequency(low, frequency), rod)
+            some = of_rod(_only(low, "carrier_frequency", frequency), rod)
             rows.append(
                 Row(
                     quantity=f"{rod} mm rod, {frequency / 1e3:g} kHz: steps of depth at which "
@@ -193,9 +194,9 @@ def _smallest_wins(cases: xr.Dataset) -> float:
     return 100 * float(np.mean(heights.argmax(axis=0)[heard] == 0))
 
 
-def _at_frequency(cases: xr.Dataset, frequency: float) -> xr.Dataset:
-    mine = np.isclose(cases["carrier_frequency"].values, frequency)
-    return cases.isel(press=np.flatnonzero(mine))
+def _only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
+    """Return the cases with one value of a label."""
+    return cases.isel(press=np.flatnonzero(np.isclose(cases[label].values, value)))
 
 
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
@@ -389,7 +390,7 @@ def _frequencies(cases: xr.Dataset) -> Figure:
     axes = sheet.subplots(1, len(RODS), sharey=True)
     for panel, rod in zip(axes, RODS, strict=True):
         for frequency in (10e3, 20e3, 42e3):
-            some = of_rod(chosen(_at_frequency(cases, frequency), "absorbing"), rod)
+            some = of_rod(chosen(_only(cases, "carrier_frequency", frequency), "absorbing"), rod)
             panel.plot(MM * some["depth"].values, 100 * some["amplitude"].values, ".-",
                        label=f"{frequency / 1e3:g} kHz")  # fmt: skip
         panel.set_yscale("log")
