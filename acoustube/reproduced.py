@@ -93,7 +93,7 @@ def _prepared(out: Path, scale: Scale) -> Path:
     """Return the folder of the report, which holds nothing else."""
     folder, mark = out.expanduser().resolve(), {"quick": scale.quick, "version": __version__}
     if (folder / MARK).is_file():
-        if json.loads((folder / MARK).read_text(encoding="utf-8")) != mark:
+        if _begun_with(folder / MARK) != mark:
             raise ConfigError(
                 f"out = {out} was begun with or without --quick, or by another version of "
                 "acoustube; name a new folder"
@@ -104,6 +104,13 @@ def _prepared(out: Path, scale: Scale) -> Path:
     with partial_file(folder / MARK) as part:
         part.write_text(json.dumps(mark) + "\n", encoding="utf-8")
     return folder
+
+
+def _begun_with(path: Path) -> object:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path.name} is damaged; name a new folder for out") from error
 
 
 def _write_index(folder: Path) -> None:

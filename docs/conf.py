@@ -65,6 +65,8 @@ ORDER = (
     "exported",
     "trained",
     "plot_estimates",
+    "studies",
+    "reproduced",
     "run",
     "errors",
     "cli",

@@ -1,0 +1,220 @@
+"""The studies' arithmetic on made-up data, their report, and the command that runs them."""
+
+import csv
+from io import StringIO
+from typing import get_args
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from acoustube.cli import app, main
+from acoustube.errors import ConfigError
+from acoustube.reproduced import STUDIES, run_reproduce
+from acoustube.signals import Echoes, Ranging
+from acoustube.studies import calibration, echotube, flat, simulation
+from acoustube.studies.report import COLUMNS, Row, Scale, Study, page, write
+
+
+def table(presses):
+    """Return described cycles from tuples of true distance, depth and estimate in m."""
+    true, depth, found = np.array(presses, float).T
+    features = np.stack([np.where(np.isfinite(found), 0.01, np.nan), found], axis=-1)
+    return xr.Dataset(
+        {
+            "features": (("cycle", "feature"), features),
+            "true_distance": ("cycle", true),
+            "depth": ("cycle", depth),
+        },
+        {"feature": ["amplitude", "distance"]},
+    )
+
+
+# ---------------------------------------------------------------------------------------------
+# The report
+
+
+def test_row_tells_difference_and_change():
+    row = Row(quantity="a", unit="cm", ours=4.0, published=5.0, coarser=5.0)
+    assert row.difference == pytest.approx(-0.2)
+    assert row.change == pytest.approx(-0.25)
+    alone = Row(quantity="a", unit="cm", ours=4.0)
+    assert np.isnan(alone.difference)
+    assert np.isnan(alone.change)
+
+
+def test_report_holds_all_numbers_and_marks_what_is_far_off(tmp_path):
+    rows = [
+        Row(quantity="near", unit="cm", ours=4.0, published=5.0, coarser=4.2, why="<why>"),
+        Row(quantity="far", unit="N", ours=2.0, published=5.0),
+        Row(quantity="missing", unit="N", ours=float("nan"), published=5.0),
+    ]
+    figure = Figure(figsize=(1, 1))
+    study = Study(title="A & B", text="One.\n\nTwo.", rows=rows, figures={"it's": figure})
+    write(study, "some", tmp_path)
+    with (tmp_path / "table.csv").open(encoding="utf-8", newline="") as file:
+        written = list(csv.DictReader(file))
+    assert tuple(written[0]) == COLUMNS
+    assert [line["quantity"] for line in written] == ["near", "far", "missing"]
+    assert float(written[0]["difference_percent"]) == pytest.approx(-20)
+    assert float(written[0]["change_percent"]) == pytest.approx(-5)
+    assert written[2]["ours"] == ""
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert text.count("<tr class=far>") == 1
+    assert text.count("<p>") == 3
+    assert "A &amp; B" in text
+    assert "&lt;why&gt;" in text
+    assert "http" not in text
+    assert (tmp_path / "figure-1.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_page_without_figures_is_a_page():
+    assert "<img" not in page(Study(title="a", text="b", rows=[]), {})
+
+
+# ---------------------------------------------------------------------------------------------
+# Arithmetic
+
+
+def test_contacts_are_reliable_from_the_depth_beyond_which_none_is_missed():
+    """Told at 1 mm by chance, not at 2 mm, then always: reliable from 3 mm."""
+    near = [(0.3, d, 0.3 + off) for d, off in ((1e-3, 0.0), (2e-3, 0.5), (3e-3, 0.1), (4e-3, 0.0))]
+    far = [(2.0, d, np.nan) for d in (1e-3, 2e-3, 3e-3, 4e-3)]
+    cycles = table(near + far)
+    assert flat.shallowest(cycles, 0.0, 0.6) == pytest.approx(3e-3)
+    assert np.isnan(flat.shallowest(cycles, 1.95, 3.0))
+
+
+def test_errors_of_the_distance_leave_out_what_is_not_detected():
+    found = flat.distance_errors(table([(0.5, 1e-3, 0.54), (0.5, 1e-3, 0.46), (1.0, 1e-3, np.nan)]))
+    assert found.n == 2
+    assert found.rmse == pytest.approx(0.04)
+
+
+def test_map_averages_each_press_in_its_bin():
+    cycles = table([(0.21, 1e-3, 0.3), (0.24, 1e-3, 0.3), (0.26, 1e-3, 0.3), (0.21, 2e-3, 0.3)])
+    places, depths, mean = flat.over_map(cycles, np.array([1.0, 3.0, 7.0, np.nan]))
+    np.testing.assert_allclose(places, [0.20, 0.25])
+    np.testing.assert_allclose(depths, [1e-3, 2e-3])
+    np.testing.assert_array_equal(mean, [[2.0, 7.0], [np.nan, np.nan]])
+
+
+def test_smoothing_keeps_a_constant_and_what_is_missing():
+    values = np.full((6, 6), 0.02)
+    values[2, 3] = np.nan
+    found = flat._smoothed(values)
+    assert np.isnan(found[2, 3])
+    np.testing.assert_allclose(found[np.isfinite(values)], 0.02)
+
+
+def test_rising_counts_steps_and_missing_echoes_as_none():
+    assert simulation.rising(np.array([np.nan, 0.1, 0.2, 0.1])) == pytest.approx(2 / 3)
+
+
+def test_late_share_of_a_pulse_and_its_weaker_repetition():
+    """An echo at the expected time and one of half its amplitude 1 ms later: a fifth is late."""
+    time = np.arange(0, 4e-3, 1e-6)
+    middle = simulation.CYCLES / simulation.CARRIER / 2 + (2 * 0.2 - 0.02) / 343.2
+    signal = np.exp(-(((time - middle) / 3e-5) ** 2))
+    signal += 0.5 * np.exp(-(((time - middle - 1e-3) / 3e-5) ** 2))
+    cases = xr.Dataset(
+        {
+            "pressure": (("press", "source_end", "time"), signal[None, None]),
+            "true_distance": ("press", [0.2]),
+        },
+        {"source_end": ["absorbing"], "time": time},
+    )
+    assert simulation.late_share(cases) == pytest.approx([0.2], rel=1e-6)
+
+
+def test_reach_is_where_the_loss_there_and_back_is_the_dynamic_range():
+    """PHYSICS of the bore: 13.35 dB/m at the wall of 7.9 mm, and 1.1 dB/m in air of 50 %."""
+    assert echotube.attenuation(7.9) == pytest.approx(13.35 + 1.4, abs=0.4)
+    plain = echotube.reach(8.0, 60.0, coupled=False)
+    assert 2 * plain * echotube.attenuation(8.0) == pytest.approx(60.0)
+    assert echotube.reach(8.0, 60.0, coupled=True) == pytest.approx(plain)
+    # A quarter of the area twice: 24 dB.
+    narrow = echotube.reach(4.0, 60.0, coupled=True)
+    assert 2 * narrow * echotube.attenuation(4.0) == pytest.approx(60.0 - 40 * np.log10(4))
+
+
+def test_two_presses_are_the_highest_peaks_near_their_places():
+    times = 2 * np.array([0.61, 0.66, 0.9, 1.3]) / 343.2
+    peaks = np.array([0.01, 0.02, 0.01, 0.3])
+    blank = np.array(np.nan)
+    ranging = Ranging(
+        envelope=np.zeros(3), send_time=np.array(0.0), send_amplitude=np.array(1.0),
+        echoes=Echoes(times, peaks, peaks), return_time=blank, amplitude=blank, prominence=blank,
+        distance=blank, distance_deviation=blank, detected=np.array(True),
+    )  # fmt: skip
+    offsets = echotube.both(ranging, (0.6, 0.8, 2.0))
+    assert offsets[0] == pytest.approx(0.06, abs=1e-3)
+    assert np.isnan(offsets[2])
+    assert np.isnan(offsets[1])
+
+
+@pytest.mark.slow
+def test_dead_zone_is_what_the_transducer_rings():
+    """13 cycles sent, ringing as Q = 14 does: its last centimetres lie between 10 and 16 cm."""
+    assert 0.10 < echotube.dead_zone(8.0) < 0.16
+
+
+@pytest.mark.slow
+def test_calibration_is_that_of_the_tube_and_seldom_alarmed():
+    found, factor = calibration.calibrated(3)
+    assert found.slope.value == pytest.approx(1.0, abs=3e-3)
+    assert found.false_alarms < calibration.FALSE_ALARMS
+    assert factor in calibration.FACTORS
+    assert calibration.calibrated(3)[0] is found
+
+
+# ---------------------------------------------------------------------------------------------
+# The command
+
+
+@pytest.mark.slow
+def test_command_writes_pages_and_a_table_and_goes_on(tmp_path):
+    out = tmp_path / "studies"
+    said = StringIO()
+    run_reproduce(["calibration"], out, Scale(quick=True), Console(file=said, width=200))
+    for name in ("index.html", "table.csv", "calibration/index.html", "calibration/figure-1.png"):
+        assert (out / name).is_file(), name
+    assert "0.635" in said.getvalue()
+    run_reproduce(["calibration"], out, Scale(quick=True), Console(quiet=True))
+    with pytest.raises(ConfigError, match=r"was begun with or without --quick.*name a new folder"):
+        run_reproduce(["calibration"], out, Scale(), Console(quiet=True))
+
+
+def test_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="is not empty and nothing is overwritten"):
+        run_reproduce(["calibration"], tmp_path, Scale(), Console(quiet=True))
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_unreadable_mark_is_told(tmp_path):
+    (tmp_path / "reproduce.json").write_text("{")
+    with pytest.raises(ConfigError, match=r"reproduce.json is damaged"):
+        run_reproduce(["calibration"], tmp_path, Scale(), Console(quiet=True))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "reproduce needs the name of a study, or all"),
+        (["flatt"], "flatt"),
+        (["flat", "--workers", "0"], "workers = 0 is out of range; use a whole number from 1 to 1024"),
+    ],
+)
+def test_wrong_words_are_refused(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", *words]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_study_can_be_named():
+    (words,) = (a for a in app["reproduce"].assemble_argument_collection() if a.name == "STUDY")
+    assert {*STUDIES, "all"} == set(get_args(get_args(words.hint)[0]))
