@@ -60,7 +60,7 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
         paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
         data_vars="minimal", coords="minimal", compat="override", combine_attrs="drop_conflicts",
     )  # fmt: skip
-    for internal in ("content", "scattering"):
+    for internal in ("content", "scattering", "walls"):
         found.attrs.pop(internal, None)
     if dimension == "press":
         return _sorted(found.drop_duplicates("press"))

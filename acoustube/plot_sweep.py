@@ -14,7 +14,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from acoustube import chain, signals
-from acoustube.config import configured
+from acoustube.config import Config, configured
 from acoustube.plot import CM
 from acoustube.waves import Recording
 
@@ -129,8 +129,21 @@ def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
     return image
 
 
-def _envelope(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances in m and the envelope there."""
+def ranged(case: xr.Dataset) -> tuple[Config, Recording, signals.Ranging]:
+    """Process what was heard in a case once more.
+
+    Parameters
+    ----------
+    case : xarray.Dataset
+        At one source end.
+
+    Returns
+    -------
+    config : Config
+    recording : Recording
+        Its time and pressure; the grid is not known.
+    ranging : Ranging
+    """
     config = configured(json.loads(str(case["configuration"].values)))
     there = np.isfinite(case["pressure"].values)
     time, pressure = case["time"].values[there], case["pressure"].values[there].astype(float)
@@ -138,7 +151,12 @@ def _envelope(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
         time=time, pressure=pressure[None], time_step=chain.TIME_STEP,
         probes=(1e-2 * config.waves.probe_cm,), spacing=(np.nan,) * 3, shape=(0, 0, 0),
     )  # fmt: skip
-    ranging = chain.locate(config, recording)
-    delay = time - float(ranging.send_time)
+    return config, recording, chain.locate(config, recording)
+
+
+def _envelope(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances in m and the envelope there."""
+    config, recording, ranging = ranged(case)
+    delay = recording.time - float(ranging.send_time)
     away = signals.distance(delay, config.waves.temperature_c) + 1e-2 * config.waves.probe_cm
     return np.asarray(away), np.asarray(ranging.envelope)

@@ -28,6 +28,7 @@ from acoustube.rules import filled
 from acoustube.scattered import from_dataset, to_dataset
 from acoustube.signals import Ranging
 from acoustube.sweep.plan import digest
+from acoustube.walls import walls
 from acoustube.waves import Placed, Recording, Scattering, SourceEnd
 from acoustube.waves.cascade import rescaled
 
@@ -65,6 +66,8 @@ class Pressed:
         Whether the lumen's walls feel each other.
     part : Lumen or None
         The pressed part; None of an untouched tube.
+    walls : xarray.Dataset or None
+        Its walls, thinned out; None of an untouched tube.
     """
 
     force: float
@@ -73,6 +76,7 @@ class Pressed:
     area: float
     closed: bool
     part: Lumen | None
+    walls: xr.Dataset | None = None
 
 
 class PressPath(NamedTuple):
@@ -124,13 +128,15 @@ def press(config: Config, depths: Sequence[float]) -> Done[PressPath]:
 
 def _pressed(indentation: Indentation, row: int, wall: Any) -> Pressed:
     section = measure(indentation, row, np.array([indentation.presses[0].z]), wall)
+    part = pressed_part(indentation, row)
     return Pressed(
         force=float(indentation.contact_force[row]),
         height=float(section.height[0]),
         width=float(section.width[0]),
         area=float(section.area[0]),
         closed=bool(indentation.closed[row]),
-        part=pressed_part(indentation, row),
+        part=part,
+        walls=walls(part),
     )
 
 

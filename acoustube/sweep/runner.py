@@ -94,7 +94,8 @@ class Runner:
         def then(done: pieces.Done[pieces.Heard]) -> list[Task]:
             data, reasons = done.result
             if data is not None:
-                store.write(self.folder, data, None if matrix is None else to_dataset(matrix))
+                sound = None if matrix is None else to_dataset(matrix)
+                store.write(self.folder, data, sound, pressed.walls)
                 store.forget_failures(self.folder, configs.keys() - reasons)
             for name, reason in reasons.items():
                 self._fail([Case(name, configs[name])], reason, None)

@@ -31,6 +31,8 @@ FAILURES = "failed"
 SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
 SCATTERING = "scattering"
 """Group of a file with the scattering matrix of its press."""
+WALLS = "walls"
+"""Group of a file with the walls of its pressed tube; earlier files have none."""
 PARTIAL = ".acoustube-partial-"
 ABANDONED = 3600.0
 """Seconds after which a file that is half written is nobody's."""
@@ -124,7 +126,7 @@ def intact(path: Path) -> xr.Dataset | None:
     """Return what is in a file, or None if that is not what was written."""
     try:
         data, matrix = read(path)
-        return data if data.attrs["content"] == _content(data, matrix) else None
+        return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
     except Exception:  # a damaged file fails in many ways, and all mean the same
         return None
 
@@ -140,7 +142,21 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
     return data, matrix
 
 
-def write(folder: Path, data: xr.Dataset, matrix: xr.Dataset | None) -> Path:
+def walls(path: Path) -> xr.Dataset | None:
+    """Return the walls of the tube that the cases of a file of results share, where it has them."""
+    with xr.open_dataset(path, engine="h5netcdf") as file:
+        if file.attrs.get("walls", "no") == "no":
+            return None
+    with xr.open_dataset(path, engine="h5netcdf", group=WALLS) as file:
+        return file.load()
+
+
+def write(
+    folder: Path,
+    data: xr.Dataset,
+    matrix: xr.Dataset | None,
+    walls: xr.Dataset | None = None,
+) -> Path:
     """Write the results of some cases in one step.
 
     Parameters
@@ -150,6 +166,8 @@ def write(folder: Path, data: xr.Dataset, matrix: xr.Dataset | None) -> Path:
         Along ``press``.
     matrix : xarray.Dataset or None
         The scattering that they share.
+    walls : xarray.Dataset or None
+        The walls of the tube that they share, from :func:`acoustube.walls.walls`.
 
     Returns
     -------
@@ -161,7 +179,7 @@ def write(folder: Path, data: xr.Dataset, matrix: xr.Dataset | None) -> Path:
         If the disk is full.
     """
     path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
-    write_file(path, data, matrix)
+    write_file(path, data, matrix, walls)
     return path
 
 
@@ -169,6 +187,7 @@ def write_file(
     path: Path,
     data: xr.Dataset,
     matrix: xr.Dataset | None = None,
+    walls: xr.Dataset | None = None,
     *,
     chunks: Mapping[str, int] | None = None,
 ) -> None:
@@ -178,8 +197,8 @@ def write_file(
     ----------
     path : Path
     data : xarray.Dataset
-    matrix : xarray.Dataset or None
-        A scattering that goes with it.
+    matrix, walls : xarray.Dataset or None
+        A scattering and walls that go with it.
     chunks : mapping of str to int, optional
         How many entries of the first dimension are kept together, by variable.
 
@@ -188,11 +207,13 @@ def write_file(
     SimulationError
         If it cannot be written, as on a full disk.
     """
-    data = data.assign_attrs(scattering="no" if matrix is None else "yes")
-    data.attrs["content"] = _content(data, matrix)
+    groups = {SCATTERING: matrix, WALLS: walls}
+    data = data.assign_attrs({name: "no" if g is None else "yes" for name, g in groups.items()})
+    data.attrs["content"] = _content(data, matrix, walls)
     parts, encoding = {"/": data}, {"/": _packed(data, chunks)}
-    if matrix is not None:
-        parts[f"/{SCATTERING}"], encoding[f"/{SCATTERING}"] = matrix, _packed(matrix)
+    for name, group in groups.items():
+        if group is not None:
+            parts[f"/{name}"], encoding[f"/{name}"] = group, _packed(group)
     content = to_netcdf(xr.DataTree.from_dict(parts), encoding)
     try:
         with partial_file(path) as partial:
@@ -223,10 +244,10 @@ def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[A
     return packed
 
 
-def _content(data: xr.Dataset, matrix: xr.Dataset | None) -> str:
+def _content(*parts: xr.Dataset | None) -> str:
     """Return the hash of all values, by name."""
     found = hashlib.sha256()
-    for part in (data, matrix):
+    for part in parts:
         for name, values in sorted((part.variables if part is not None else {}).items()):
             array = np.asarray(values.values)
             array = array.astype("U") if array.dtype.kind in "OUS" else array
