@@ -267,29 +267,47 @@ def show(
     results: Path,
     /,
     *,
-    out: Path,
+    out: Path | None = None,
+    html: Path | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
-    """Draw the results of a sweep: force, echo and error over depth, and the echoes.
+    """Draw results: a sweep as a figure, or any run as a page to turn and move.
+
+    The figure has force, echo and error over depth, and the echoes. The page is one file that opens
+    in any browser, without a network: a slider over the depth moves the tube, its section, the
+    lumen's area, the signal and the reflection.
 
     Parameters
     ----------
     results : Path
-        A folder that ``acoustube sweep`` wrote.
+        A folder that ``acoustube sweep`` wrote; for a page also of ``simulate`` or ``indent``.
     out : Path
         The picture to write (PNG, PDF or SVG), which must be new.
+    html : Path
+        The page to write, which must be new; needs ``pip install 'acoustube[page]'``.
     quiet : bool
         Print nothing but what went wrong.
     """
-    check_new_file(out)
-    _check_picture(out)
+    if out is None and html is None:
+        raise ConfigError("There is nothing to write; give --html FILE, --out FILE or both")
+    if out is not None:
+        check_new_file(out)
+        _check_picture(out)
+    if html is not None:
+        check_new_file(html, "html")
+        if html.suffix.lower() not in (".html", ".htm"):
+            raise ConfigError(f"html = {html} must end in .html")
 
     with _interrupts_held_back():
         from rich.console import Console
 
-        from acoustube.shown import run_show
+        from acoustube.shown import run_page, run_show
 
-    run_show(results, out, Console(quiet=quiet))
+    console = Console(quiet=quiet)
+    if html is not None:
+        run_page(results, html, console)
+    if out is not None:
+        run_show(results, out, console)
 
 
 @app.command

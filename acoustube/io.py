@@ -65,24 +65,24 @@ def check_surface(path: str | Path) -> None:
         )
 
 
-def check_new_file(path: Path) -> None:
-    """Refuse a file that is there already, or in a folder that is not.
+def check_new_file(path: Path, option: str = "out") -> None:
+    """Refuse a file that is there already, or in a folder that is not; `option` names it.
 
     Raises
     ------
     ConfigError
     """
     if path.exists():
-        raise ConfigError(f"out = {path} exists and nothing is overwritten; name a new file")
+        raise ConfigError(f"{option} = {path} exists and nothing is overwritten; name a new file")
     folder = path.absolute().parent
     if not folder.is_dir():
-        raise ConfigError(f"out = {path} is in a folder that does not exist; make it first")
+        raise ConfigError(f"{option} = {path} is in a folder that does not exist; make it first")
     try:
         with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=folder):
             pass
     except OSError as error:
         raise ConfigError(
-            f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+            f"{option} = {path} cannot be written ({error.strerror}); name a writable folder"
         ) from error
 
 

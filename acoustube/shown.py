@@ -1,4 +1,4 @@
-"""The command ``acoustube show``: a picture of results that are there."""
+"""The command ``acoustube show``: a picture or a page of results that are there."""
 
 from __future__ import annotations
 
@@ -47,3 +47,33 @@ def run_show(where: Path, out: Path, console: Console) -> Path:
     plot.save(plot_sweep.figure(cases), out)
     console.print(f"{cases.sizes['press']} cases drawn in [bold]{out}[/].", soft_wrap=True)
     return out
+
+
+def run_page(where: Path, out: Path, console: Console) -> Path:
+    """Write a page that shows a run.
+
+    Parameters
+    ----------
+    where : Path
+        A folder of ``acoustube simulate``, ``indent`` or ``sweep``.
+    out : Path
+        The HTML file to write.
+    console : rich.console.Console
+        Where to print.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no run, or the package plotly is missing.
+    """
+    from acoustube.page import write_page
+
+    page = write_page(where, out)
+    size = page.stat().st_size / 1e6
+    console.print(f"Written to [bold]{page}[/], {size:.1f} MB.", soft_wrap=True)
+    return page

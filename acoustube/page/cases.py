@@ -24,7 +24,7 @@ from acoustube.page.content import (
     Signal,
     Spectrum,
     State,
-    drawn,
+    signal_of,
     tool_in_words,
 )
 from acoustube.page.shapes import Shape, from_rings, round_tube, tool, tool_height
@@ -224,16 +224,13 @@ def _signal(case: xr.Dataset) -> Signal:
     def place(time: Any) -> Any:
         return probe + signals.distance(time - ranging.send_time, config.waves.temperature_c)
 
-    time, pressure = recording.time, recording.pressure[0]
-    envelope, echoes = np.asarray(ranging.envelope), ranging.echoes
-    shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, echoes.times))
-    return Signal(
-        distance=place(time[shown]),
-        pressure=pressure[shown] / np.abs(pressure).max(),
-        envelope_distance=place(time[smooth]),
-        envelope=envelope[smooth],
-        peak_distance=place(echoes.times),
-        peak=echoes.amplitudes,
+    return signal_of(
+        np.asarray(recording.time, float),
+        np.asarray(recording.pressure[0], float),
+        np.asarray(ranging.envelope),
+        ranging.echoes.times,
+        ranging.echoes.amplitudes,
+        place=place,
         estimate=float(ranging.distance),
         amplitude=float(ranging.amplitude),
         probe=probe,
@@ -247,7 +244,7 @@ def _spectrum(matrix: xr.Dataset, config: Config) -> Spectrum:
     plane = found.modes.index("00")
     higher = zip(found.modes, found.cut_ons, strict=True)
     return Spectrum(
-        frequency=found.frequency,
+        frequency=np.asarray(found.frequency, float),
         reflection=np.abs(found.s[:, 0, plane, 0, plane]),
         settled=found.settled[:, 0, plane, 0, plane],
         cut_ons={name: float(cut_on) for name, cut_on in higher if cut_on > 0},

@@ -74,22 +74,22 @@ function mesh(points, faces, colour, shift) {
       ambient: 0.6, diffuse: 0.7, specular: 0.08, roughness: 0.7, fresnel: 0.05,
       facenormalsepsilon: 0, vertexnormalsepsilon: 0, // small triangles are not degenerate
     },
-    lightposition: { x: 2000, y: 30000, z: 30000 },
+    lightposition: { x: -2000, y: -30000, z: 30000 },
   };
 }
 
 const VIEWS = {
-  corner: { x: 0.7, y: 1.6, z: 0.55 },
-  side: { x: 0, y: 1.75, z: 0 },
-  end: { x: 1.75, y: 0.3, z: 0.25 },
+  corner: { eye: { x: -0.7, y: -1.5, z: 0.5 }, center: { x: -0.1, y: 0, z: -0.17 } },
+  side: { eye: { x: 0, y: -1.7, z: 0.09 }, center: { x: 0, y: 0, z: -0.1 } },
+  end: { eye: { x: -1.9, y: -0.7, z: 0.5 }, center: { x: 0.2, y: 0, z: -0.14 } },
 };
-const WIDE = 1.9; // width over height of a picture from which on the tube fits in at that distance
+const WIDE = 2.05; // width over height of a picture from which on the tube fits in at that distance
 
 /** Look from a side, from further away where the picture is narrow. */
 function camera(view, picture) {
-  const away = Math.max(1, WIDE * picture.clientHeight / picture.clientWidth) ** 0.8;
-  const eye = Object.fromEntries(Object.entries(VIEWS[view]).map(([name, at]) => [name, away * at]));
-  return { eye, center: { x: 0, y: 0, z: -0.08 } };
+  const away = Math.max(1, WIDE * picture.clientHeight / picture.clientWidth) ** 0.7;
+  const { eye, center } = VIEWS[view];
+  return { eye: Object.fromEntries(Object.entries(eye).map(([name, at]) => [name, away * at])), center };
 }
 
 /** The tube in space: plotly's x is along the tube, y across, z up. */
@@ -108,11 +108,11 @@ function tubeChart(group, state, view, picture) {
   }
   if (group.floor !== null) {
     traces.push({
-      type: "mesh3d", x: [-reach, reach, reach, -reach], y: [-size, -size, 0.35 * size, 0.35 * size],
+      type: "mesh3d", x: [-reach, reach, reach, -reach], y: [-0.35 * size, -0.35 * size, size, size],
       z: Array(4).fill(group.floor), i: [0, 0], j: [1, 2], k: [2, 3], color: COLOUR.floor, hoverinfo: "skip",
     });
   }
-  const ranges = { x: [-reach, reach], y: [-size, 0.35 * size], z: [low, high] };
+  const ranges = { x: [-reach, reach], y: [-0.35 * size, size], z: [low, high] };
   const quiet = { showbackground: false, gridcolor: "#eef1f4", zeroline: false, showspikes: false };
   const scene = { aspectmode: "manual", aspectratio: {}, camera: camera(view, picture), uirevision: view, dragmode: "orbit" };
   for (const [name, range] of Object.entries(ranges)) {

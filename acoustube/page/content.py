@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ SAMPLES = 4000
 """Samples of a signal that are drawn, about."""
 PRESSED = "A soft tube is pressed. Move the slider to press deeper."
 HEARD = (
-    "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo comes "
-    "back. Move the slider to press deeper."
+    "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo "
+    "comes back. Move the slider to press deeper."
 )
 
 
@@ -186,6 +187,45 @@ def tool_in_words(config: Config | Mechanics) -> str:
     return f"{press.shape}, {press.indenter_mm:g} mm{turned}{beside}"
 
 
+def signal_of(
+    time: Array,
+    pressure: Array,
+    envelope: Array,
+    peak_times: Array,
+    peaks: Array,
+    *,
+    place: Callable[[Array], Array],
+    **told: Any,
+) -> Signal:
+    """Return what is drawn of a recording.
+
+    Parameters
+    ----------
+    time, pressure, envelope : array of shape (n,)
+        In s, in any unit, and as a share of the send pulse.
+    peak_times, peaks : array of shape (k,)
+        Likewise.
+    place : callable
+        Returns the distance in m that an echo at a time comes from.
+    **told
+        The other attributes of :class:`Signal`.
+
+    Returns
+    -------
+    Signal
+    """
+    shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, peak_times))
+    return Signal(
+        distance=place(time[shown]),
+        pressure=pressure[shown] / np.abs(pressure).max(),
+        envelope_distance=place(time[smooth]),
+        envelope=envelope[smooth],
+        peak_distance=place(peak_times),
+        peak=peaks,
+        **told,
+    )
+
+
 def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArray[np.int64]:
     """Return which samples to draw, so that no extreme is lost.
 
@@ -205,6 +245,7 @@ def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArra
     if n <= SAMPLES:
         return np.arange(n)
     edges = np.unique(np.linspace(0, n, SAMPLES // 3 + 1).astype(np.int64))
-    found = [a + np.array([0, f(values[a:b])]) for a, b in zip(edges[:-1], edges[1:], strict=True)
-             for f in (np.argmin, np.argmax)]  # fmt: skip
-    return np.unique(np.concatenate([*found, np.asarray(keep, np.int64), [n - 1]]))
+    extremes = [
+        a + extreme(values[a:b]) for a, b in pairwise(edges) for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(np.concatenate([edges[:-1], extremes, np.asarray(keep, np.int64), [n - 1]]))

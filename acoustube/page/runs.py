@@ -20,7 +20,7 @@ from acoustube.page.content import (
     Group,
     Signal,
     State,
-    drawn,
+    signal_of,
     tool_in_words,
 )
 from acoustube.page.shapes import Shape, from_rings, tool, tool_height
@@ -54,9 +54,11 @@ def read_run(folder: Path) -> Content:
         with xr.open_dataset(folder / RUN, engine="h5netcdf") as file:
             data = file.load()
         simulated = "source_end" in data.dims
-        kind = Config if simulated else Mechanics
-        config = configured(json.loads(data.attrs["configuration"]), kind)
-        group = _simulated(data, config) if simulated else _indented(data, config)
+        settings = json.loads(data.attrs["configuration"])
+        if simulated:
+            group = _simulated(data, configured(settings))
+        else:
+            group = _indented(data, configured(settings, Mechanics))
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise ConfigError(
             f"{folder / RUN} is damaged or no run of acoustube simulate or indent "
@@ -66,7 +68,7 @@ def read_run(folder: Path) -> Content:
         title=f"{folder.resolve().name}: a soft tube, pressed",
         lead=HEARD if simulated else PRESSED,
         groups=[group],
-        settings=json.loads(data.attrs["configuration"]),
+        settings=settings,
         origin=_origin(data),
         notes=[note for note in data.attrs["warnings"].splitlines() if note],
         missing=_missing(data, simulated),
@@ -114,7 +116,7 @@ def _indented(data: xr.Dataset, config: Mechanics) -> Group:
         moved = data["node_displacement"].values[row]
         along = Along(z=z, area=data["lumen_area_profile"].values[row])
         states.append(_state(data, row, solid.shape(moved), press, along))
-    return _group(data, config, states, solid, position=np.nan, length=np.nan)
+    return _group(config, states, solid, position=np.nan, length=np.nan)
 
 
 def _simulated(data: xr.Dataset, config: Config) -> Group:
@@ -134,7 +136,7 @@ def _simulated(data: xr.Dataset, config: Config) -> Group:
     shape = from_rings(*(wall[near] for wall in walls))
     states.append(_state(data, rows[-1], shape, press, along, _signal(data)))
     length = float(data["z"][-1])
-    return _group(data, config, states, solid, position=position, length=length)
+    return _group(config, states, solid, position=position, length=length)
 
 
 def _solid(data: xr.Dataset) -> Solid:
@@ -159,9 +161,8 @@ def _state(
 
 
 def _group(
-    data: xr.Dataset, config: Config | Mechanics, states: list[State], solid: Solid,
-    *, position: float, length: float,
-) -> Group:  # fmt: skip
+    config: Config | Mechanics, states: list[State], solid: Solid, *, position: float, length: float
+) -> Group:
     outer_diameter = float(np.ptp(solid.nodes[:, 1]))
     far = solid.area(np.zeros_like(solid.nodes), np.array([0.5 * solid.nodes[:, 2].max()]))
     soft = config.indentation.layer_mm is not None
@@ -188,17 +189,14 @@ def _signal(data: xr.Dataset) -> Signal:
     def place(time: Any) -> Any:
         return probe + speed * (time - float(case["send_time"])) / 2
 
-    time, pressure = case["time"].values, case["pressure"].values.astype(float)
-    envelope = case["envelope"].values
-    peaks = case["peak_time"].values[np.isfinite(case["peak_time"].values)]
-    shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, peaks))
-    return Signal(
-        distance=place(time[shown]),
-        pressure=pressure[shown] / np.abs(pressure).max(),
-        envelope_distance=place(time[smooth]),
-        envelope=envelope[smooth],
-        peak_distance=place(peaks),
-        peak=case["peak_amplitude"].values[: len(peaks)],
+    peaks = np.isfinite(case["peak_time"].values)
+    return signal_of(
+        case["time"].values,
+        case["pressure"].values.astype(float),
+        case["envelope"].values,
+        case["peak_time"].values[peaks],
+        case["peak_amplitude"].values[peaks],
+        place=place,
         estimate=float(case["estimated_distance"]),
         amplitude=float(case["echo_amplitude"]),
         probe=probe,

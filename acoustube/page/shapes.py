@@ -31,7 +31,7 @@ class Shape:
         In m.
     faces : dict of arrays of shape (m, 3)
         Triangles of the ``inner`` and the ``outer`` wall and of the ``cut`` between them, where
-        x <= 0.
+        x >= 0: seen from the open side, z runs to the right.
     inner, outer : array of shape (k, 2)
         Closed outlines (x, y) of the section at the press, in m.
     """
@@ -49,7 +49,7 @@ class Tool:
     Attributes
     ----------
     points : array of shape (n, 3)
-        In m; its half x <= 0.
+        In m; its half x >= 0.
     faces : array of shape (m, 3)
     outline : array of shape (k, 2)
         Its lower side (x, y) in the plane z = 0, in m.
@@ -77,8 +77,8 @@ def from_rings(inner: Array, outer: Array) -> Shape:
     sections = [_closed(wall[here, :, :2]) for wall in (inner, outer)]
     inner, outer = thinned(inner, outer)
     middle = inner.shape[1] // 2
-    # Rings run up on the side x > 0; the rest of each, closed by its first point, is x < 0.
-    halves = [np.concatenate([wall[:, middle:], wall[:, :1]], axis=1) for wall in (inner, outer)]
+    # Rings run up on the side x > 0.
+    halves = [wall[:, : middle + 1] for wall in (inner, outer)]
     n = halves[0][..., 0].size
     number = np.arange(2 * n).reshape(2, *halves[0].shape[:2])
     sheets = [number[:, :, i].T for i in (0, -1)] + [number[:, i].T for i in (0, -1)]
@@ -166,7 +166,7 @@ def tool(press: Press, tube_diameter: float) -> Tool:
         )  # fmt: skip
     else:
         solid = _punch(press, TOOL_HEIGHT * tube_diameter)
-    half = solid.triangulate().clean().clip_closed_surface(normal=(-1, 0, 0), origin=(0, 0, 0))
+    half = solid.triangulate().clean().clip_closed_surface(normal=(1, 0, 0), origin=(0, 0, 0))
     top = 0.999 * TOOL_HEIGHT * tube_diameter
     half = half.clip_closed_surface(normal=(0, -1, 0), origin=(0, top, 0))
     # Where two sides meet at an edge its points are doubled, so that it is drawn sharp.
@@ -202,4 +202,4 @@ def _punch(press: Press, height: float) -> Any:
     )
     number = np.arange(rings[..., 0].size).reshape(rings.shape[:2])
     faces = strip(np.concatenate([number, number[:, :1]], axis=1))
-    return pyvista.PolyData.from_regular_faces(rings.reshape(-1, 3), faces)
+    return pyvista.PolyData.from_regular_faces(rings.reshape(-1, 3), faces.astype(int))

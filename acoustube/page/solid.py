@@ -51,13 +51,13 @@ class Solid:
         local = faces_of(reference)
         faces, owner = elements[:, local].reshape(-1, local.shape[1]), np.arange(len(elements))
         owner = np.repeat(owner, len(local))
-        behind = np.full(len(elements), True)
+        shown = np.full(len(elements), True)
         if not self.halved[0]:
-            behind = self.nodes[elements].mean(axis=1)[:, 0] < 0
+            shown = self.nodes[elements].mean(axis=1)[:, 0] > 0
         part = self._parts(faces[_single(faces)], flat)
         name = np.full(len(faces), "", dtype="U5")
         name[_single(faces)] = part
-        kept = np.flatnonzero(behind[owner])
+        kept = np.flatnonzero(shown[owner])
         cut = kept[_single(faces[kept])]
         name[cut[(name[cut] == "") | (name[cut] == "flat")]] = "cut"
         mesh = Mesh(
@@ -68,7 +68,7 @@ class Solid:
             wall: _surface(mesh, faces[name == wall], middle[owner[name == wall]])
             for wall in ("inner", "outer", "cut")
         }
-        self.behind = {wall: behind[owner[name == wall]] for wall in self.walls}
+        self.shown = {wall: shown[owner[name == wall]] for wall in self.walls}
 
     def _parts(self, faces: Index, flat: float) -> Any:
         """Return to what each face of the boundary belongs: inner, outer, flat, or nothing.
@@ -117,14 +117,12 @@ class Solid:
         return np.asarray(self.walls["outer"][0] @ (self.nodes + displacement))
 
     def _drawn(self, wall: str, triangles: Index) -> Index:
-        per_face = len(triangles) // len(self.behind[wall])
-        return triangles[np.repeat(self.behind[wall], per_face)]
+        per_face = len(triangles) // len(self.shown[wall])
+        return triangles[np.repeat(self.shown[wall], per_face)]
 
     def _whole(self, sampling: Any, position: Array, triangles: Index) -> tuple[Array, Index]:
-        """Mirror what is modelled to the half x <= 0 of the whole length."""
+        """Mirror what is modelled to the whole length."""
         points = np.asarray(sampling @ position)
-        if self.halved[0]:
-            points, triangles = points * [-1, 1, 1], triangles[:, ::-1]
         if not self.halved[1]:
             return points, triangles
         # Points in the plane z = 0 are their own images.
@@ -138,9 +136,10 @@ class Solid:
         import pyvista
 
         sampling, triangles = self.walls[wall]
-        surface: Any = pyvista.PolyData.from_regular_faces(sampling @ position, triangles)
+        points, faces = sampling @ position, triangles.astype(int)
+        surface: Any = pyvista.PolyData.from_regular_faces(points, faces)
         path = surface.slice(normal="z", origin=(0, 0, BESIDE)).strip(join=True, max_length=10_000)
-        line = path.points[path.get_cell(0).point_ids, :2]
+        line = max(path.cell, key=lambda cell: cell.n_points).points[:, :2]
         return np.concatenate([line, line[::-1] * [-1, 1]]) if self.halved[0] else line
 
 

@@ -75,7 +75,7 @@ def write_page(where: str | Path, out: str | Path) -> Path:
         drawing library is missing.
     """
     out = Path(out)
-    check_new_file(out)
+    check_new_file(out, "html")
     library = plotly_js()
     page = assembled(read(where), library)
     with partial_file(out) as partial:

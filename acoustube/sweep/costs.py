@@ -14,8 +14,8 @@ from acoustube.waves.modes import modes_below
 # Measured on two quiet cores; they serve the estimates only.
 SCATTERING_SECONDS, HEARD_SECONDS, GIGABYTES = 4e-9, 0.2, 1.0
 """Per cell and step of a scattering; per case; per worker."""
-CASE_BYTES, MATRIX_BYTES = 6.0, 300e3
-"""Of a case per sample, both source ends together; of a scattering matrix."""
+CASE_BYTES, MATRIX_BYTES = 6.0, 370e3
+"""Of a case per sample, both source ends together; of a scattering matrix with its walls."""
 RINGING = 12e-3
 """Time in s that a scattering is marched for."""
 STEP_SHARE = 0.45

@@ -144,8 +144,10 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
 
 def walls(path: Path) -> xr.Dataset | None:
     """Return the walls of the tube that the cases of a file of results share, where it has them."""
-    with xr.open_dataset(path, engine="h5netcdf") as file:
-        if file.attrs.get("walls", "no") == "no":
+    import h5py
+
+    with h5py.File(path) as content:
+        if WALLS not in content:
             return None
     with xr.open_dataset(path, engine="h5netcdf", group=WALLS) as file:
         return file.load()
