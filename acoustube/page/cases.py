@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 import xarray as xr
 
@@ -99,8 +100,9 @@ def _cases(folder: Path) -> Iterator[Found]:
     """Yield each case once."""
     seen: set[str] = set()
     for path in sorted(folder.glob(PATTERNS["press"])):
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            names, settings = file["press"].values, file["configuration"].values
+        # Without xarray, which takes a tenth of a second per file.
+        with h5py.File(path) as file:
+            names, settings = (file[name].asstr()[:] for name in ("press", "configuration"))
         for name, text in zip(names, settings, strict=True):
             if str(name) not in seen:
                 seen.add(str(name))

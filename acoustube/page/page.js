@@ -71,6 +71,7 @@ function draw(state) {
   for (const name of ["area", "spectrum"]) {
     element(`${name}-figure`).classList.toggle("whole", !group.states.some((one) => one.spectrum));
   }
+  document.querySelector(".scale").hidden = !state.signal;
   captions(state);
   document.body.dataset.drawn = `${CONTENT.groups.indexOf(group)} ${slider.value}`;
 }

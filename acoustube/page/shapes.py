@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,58 +147,97 @@ def tool_height(press: Press, outer: Array) -> float:
 
 
 def tool(press: Press, tube_diameter: float) -> Tool:
-    """Return the surface of a tool, as long as the tube is thick, or nearly twice."""
-    import pyvista
+    """Return the surface of a tool: its half x >= 0, up to `TOOL_HEIGHT`.
 
-    radius, length = press.diameter / 2, TOOL_LENGTH * tube_diameter
+    Parameters
+    ----------
+    press : Press
+    tube_diameter : float
+        Outer, in m.
+
+    Returns
+    -------
+    Tool
+    """
+    radius, top = press.diameter / 2, TOOL_HEIGHT * tube_diameter
+    reach = TOOL_LENGTH * tube_diameter / 2
     if press.shape == "rod":
-        axis = np.cos(press.yaw), 0.0, np.sin(press.yaw)
-        centre = press.x, radius, 0.0
-        solid: Any = pyvista.Cylinder(
-            center=centre, direction=axis, radius=radius, height=length,
-            resolution=2 * TOOL_RESOLUTION,
-        )  # fmt: skip
-    elif press.shape == "sphere":
-        solid = pyvista.Sphere(
-            radius=radius, center=(press.x, radius, 0.0), direction=(0, 1, 0),
-            theta_resolution=TOOL_RESOLUTION, phi_resolution=TOOL_RESOLUTION,
-        )  # fmt: skip
+        sheets = _rod(radius, press.yaw, min(top, 2 * radius), reach)
+        x = np.linspace(-reach, reach, OUTLINE_POINTS)
     else:
-        solid = _punch(press, TOOL_HEIGHT * tube_diameter)
-    half = solid.triangulate().clean().clip_closed_surface(normal=(1, 0, 0), origin=(0, 0, 0))
-    top = 0.999 * TOOL_HEIGHT * tube_diameter
-    half = half.clip_closed_surface(normal=(0, -1, 0), origin=(0, top, 0))
-    # Where two sides meet at an edge its points are doubled, so that it is drawn sharp.
-    sharp = half.triangulate().compute_normals(split_vertices=True, feature_angle=40)
-    x = np.linspace(-1.0, 1.0, OUTLINE_POINTS) * length / 2
-    if press.shape != "rod":
-        x = press.x + press.diameter / 2 * np.sin(0.5 * np.pi * np.linspace(-1, 1, OUTLINE_POINTS))
+        side = _sphere_side(radius, top) if press.shape == "sphere" else _punch_side(press, top)
+        sheets = _turned(*side, press.x)
+        x = press.x + radius * np.sin(0.5 * np.pi * np.linspace(-1, 1, OUTLINE_POINTS))
     y = underside(press, x, np.zeros_like(x))
     there = np.isfinite(y)
+    starts = np.cumsum([0, *(sheet[..., 0].size for sheet in sheets)])
+    numbers = [
+        start + np.arange(sheet[..., 0].size).reshape(sheet.shape[:2])
+        for start, sheet in zip(starts, sheets, strict=False)
+    ]
     return Tool(
-        points=np.asarray(sharp.points, float),
-        faces=np.asarray(sharp.regular_faces, np.int64),
+        points=np.concatenate([sheet.reshape(-1, 3) for sheet in sheets]),
+        faces=np.concatenate([strip(number) for number in numbers]),
         outline=np.stack([x[there], y[there]], axis=-1),
     )
 
 
-def _punch(press: Press, height: float) -> Any:
-    """Return an upright punch with a rounded edge, as a surface of revolution."""
-    import pyvista
+def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
+    """Return the sheets of a lying cylinder: its side, its end, and where it is cut at x = 0."""
+    half = np.arccos(1 - top / radius)
+    turn = np.linspace(-half, half, 2 * TOOL_RESOLUTION)
+    s = _closed(np.stack([radius * np.sin(turn), radius * (1 - np.cos(turn))], axis=-1))
+    across, y = s[:, 0], s[:, 1]
 
-    radius, edge = press.diameter / 2, press.edge
-    turn = np.linspace(0, np.pi / 2, 9)
-    r = np.concatenate([[0.0], radius - edge + edge * np.sin(turn), [radius, 0.0]])
-    y = np.concatenate([[0.0], edge - edge * np.cos(turn), [height, height]])
-    angle = np.linspace(0, 2 * np.pi, TOOL_RESOLUTION, endpoint=False)
-    rings = np.stack(
-        [
-            press.x + r[:, None] * np.cos(angle),
-            np.broadcast_to(y[:, None], (len(r), len(angle))),
-            r[:, None] * np.sin(angle),
-        ],
-        axis=-1,
-    )
-    number = np.arange(rings[..., 0].size).reshape(rings.shape[:2])
-    faces = strip(np.concatenate([number, number[:, :1]], axis=1))
-    return pyvista.PolyData.from_regular_faces(rings.reshape(-1, 3), faces.astype(int))
+    def at(t: Array) -> Array:
+        x, z = t * np.cos(yaw) - across * np.sin(yaw), t * np.sin(yaw) + across * np.cos(yaw)
+        return np.stack([x, y, z], axis=-1)
+
+    start = across * np.tan(yaw)
+    # One that is thick and turned far is longer, or the cut would be beyond its end.
+    cut, end = at(start), at(np.full_like(across, max(reach, 1.2 * start.max())))
+    # The flat top is a sheet of its own, so that its edges are sharp.
+    return [np.stack([cut, end])[:, :-1], np.stack([cut, end])[:, -2:], _cap(cut), _cap(end)]
+
+
+def _sphere_side(radius: float, top: float) -> tuple[Array, Array]:
+    """Return radius and height along the side of a sphere, from its lowest point up."""
+    turn = np.linspace(0, np.arccos(1 - min(top, 2 * radius) / radius), TOOL_RESOLUTION)
+    return radius * np.sin(turn), radius * (1 - np.cos(turn))
+
+
+def _punch_side(press: Press, top: float) -> tuple[Array, Array]:
+    """Return radius and height along the side of a punch, from its middle out and up."""
+    edge, turn = press.edge, np.linspace(0, np.pi / 2, 13)
+    flat = np.linspace(0, press.diameter / 2 - edge, 7)
+    straight = np.linspace(min(edge, top), top, 5)[1:]
+    r = [flat[:-1], press.diameter / 2 - edge + edge * np.sin(turn), np.full(4, press.diameter / 2)]
+    y = [np.zeros(6), edge * (1 - np.cos(turn)), straight]
+    return np.concatenate(r), np.concatenate(y)
+
+
+def _turned(radius: Array, y: Array, x: float) -> list[Array]:
+    """Return the sheets of a body of revolution: its side, its top, and where it is cut at x = 0.
+
+    Parameters
+    ----------
+    radius, y : array of shape (n,)
+        Along its side, in m.
+    x : float
+        Of its axis, in m.
+    """
+    # Each circle has its points where x >= 0, all of them in one place where that is nowhere.
+    share = np.divide(-x, radius, out=np.full_like(radius, -np.sign(x)), where=radius > 0)
+    reach = np.arccos(np.clip(share, -1, 1))
+    if (reach > 0).any():
+        y = np.clip(y, y[reach > 0].min(), y[reach > 0].max())
+    angle = reach[:, None] * np.linspace(-1, 1, TOOL_RESOLUTION + 1)
+    across = np.maximum(x + radius[:, None] * np.cos(angle), 0.0)
+    z = np.where(reach[:, None] > 0, radius[:, None] * np.sin(angle), 0.0)
+    side = np.stack([across, np.broadcast_to(y[:, None], z.shape), z], axis=-1)
+    return [side, side[:, [0, -1]], _cap(_closed(side[-1]))]
+
+
+def _cap(rim: Array) -> Array:
+    """Return the sheet that fills a convex rim (n, 3)."""
+    return np.stack([rim, np.broadcast_to(rim.mean(axis=0), rim.shape)])
