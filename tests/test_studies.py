@@ -205,7 +205,10 @@ def test_unreadable_mark_is_told(tmp_path):
     [
         ([], "reproduce needs the name of a study, or all"),
         (["flatt"], "flatt"),
-        (["flat", "--workers", "0"], "workers = 0 is out of range; use a whole number from 1 to 1024"),
+        (
+            ["flat", "--workers", "0"],
+            "workers = 0 is out of range; use a whole number from 1 to 1024",
+        ),
     ],
 )
 def test_wrong_words_are_refused(words, message, capsys, tmp_path, monkeypatch):
@@ -216,5 +219,6 @@ def test_wrong_words_are_refused(words, message, capsys, tmp_path, monkeypatch):
 
 
 def test_every_study_can_be_named():
-    (words,) = (a for a in app["reproduce"].assemble_argument_collection() if a.name == "STUDY")
+    arguments = app["reproduce"].assemble_argument_collection()
+    (words,) = (argument for argument in arguments if argument.name == "STUDY")
     assert {*STUDIES, "all"} == set(get_args(get_args(words.hint)[0]))
