@@ -990,6 +990,31 @@ def _check_picture(figure: Path | None) -> None:
         raise ConfigError(f"figure = {figure} must end in one of {', '.join(kinds)}")
 
 
+@app.command
+def check(
+    *,
+    json: Annotated[bool, Parameter(show_default=False)] = False,
+    quiet: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """Tell what is installed and what there is to compute on, and test what it computes.
+
+    Ends with exit code 1 if a test failed.
+
+    Parameters
+    ----------
+    json : bool
+        Print one JSON object instead of a table.
+    quiet : bool
+        Print nothing but what went wrong.
+    """
+    with _interrupts_held_back():
+        from rich.console import Console
+
+        from acoustube.checked import run_check
+
+    run_check(Console(quiet=quiet), as_json=json)
+
+
 remembered = App(name="cache", help="Presses and scattering that need not be computed again.")
 app.command(remembered)
 

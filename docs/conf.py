@@ -70,6 +70,8 @@ ORDER = (
     "studies",
     "reproduced",
     "run",
+    "selftest",
+    "checked",
     "errors",
     "cli",
 )
