@@ -6,6 +6,7 @@ imports its solvers when its settings have been accepted.
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import sys
@@ -1015,6 +1016,31 @@ def check(
     run_check(Console(quiet=quiet), as_json=json)
 
 
+@app.command
+def cite(
+    result: Path | None = None,
+    /,
+    *,
+    bibtex: Annotated[bool, Parameter(show_default=False)] = False,
+) -> None:
+    """List what a publication should cite: the program, and where its methods come from.
+
+    Parameters
+    ----------
+    result : Path
+        What a command wrote: list those methods alone that it used. A folder of simulate, indent,
+        sweep, dataset or sleeve, or a file of scatter or train.
+    bibtex : bool
+        Print BibTeX entries.
+    """
+    if result is not None and not result.exists():
+        raise ConfigError(f"{result} does not exist; name what a command wrote, or nothing")
+
+    from acoustube.cited import run_cite
+
+    run_cite(result, bibtex=bibtex)
+
+
 remembered = App(name="cache", help="Presses and scattering that need not be computed again.")
 app.command(remembered)
 
@@ -1082,12 +1108,16 @@ def main(tokens: Sequence[str] | None = None) -> int:
     """
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
     except CycloptsError as error:
         # Several sentences are joined into one.
         words = " ".join(str(error).split())
         return _refuse(re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", words), 2)
     except ConfigError as error:
         return _refuse(str(error), 2)
+    except BrokenPipeError:  # whoever reads, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (SimulationError, OSError) as error:
         return _refuse(str(error), 1)
     except KeyboardInterrupt as error:

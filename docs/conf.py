@@ -72,6 +72,8 @@ ORDER = (
     "run",
     "selftest",
     "checked",
+    "references",
+    "cited",
     "errors",
     "cli",
 )
