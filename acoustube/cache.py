@@ -14,8 +14,6 @@ import tempfile
 import zipfile
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -89,6 +87,10 @@ def key(kind: str, dependencies: Mapping[str, Any]) -> str:
 @cache
 def _code(kind: str) -> str:
     """Return the hash of the modules that a kind of result is computed by."""
+    # Slow to import, and the command line's help needs neither.
+    from importlib.metadata import version
+    from importlib.resources import files
+
     package = files("acoustube")
     parts = [package.joinpath(name) for name in CODE[kind]]
     modules = [m for part in parts for m in (part.iterdir() if part.is_dir() else [part])]

@@ -35,6 +35,8 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 
+app.register_install_completion_command(help="Let the shell complete commands and options.")
+
 
 def _option(name: str) -> Parameter:
     """Return an option that is helped by the setting's own meaning, default and range."""
