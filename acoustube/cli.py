@@ -318,15 +318,23 @@ def export(
     results: Path,
     /,
     *,
+    kind: Annotated[
+        Literal["wav", "csv", "stl", "vtp", "vtu", "lerobot"] | None, Parameter(name="--format")
+    ] = None,
     out: Path,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
-    """Write a dataset of cycles as WAV files and a Parquet table of their labels.
+    """Write results in the files that other programs read.
 
     Parameters
     ----------
     results : Path
-        A folder that ``acoustube dataset`` wrote.
+        A folder that ``simulate``, ``indent``, ``sweep`` or ``dataset`` wrote, or a file that
+        ``scatter`` wrote.
+    kind : str
+        Of datasets wav (with a Parquet table; the default), csv (labels) or lerobot (episodes as
+        robot learners keep them); of simulate and indent stl (the lumen, at each depth; the
+        default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps and scatter csv.
     out : Path
         The folder to write, which must be new or empty.
     quiet : bool
@@ -339,7 +347,7 @@ def export(
 
         from acoustube.exported import run_export
 
-    run_export(results, out, Console(quiet=quiet))
+    run_export(results, out, Console(quiet=quiet), wanted=kind)
 
 
 def _processes(workers: float | None) -> int | None:

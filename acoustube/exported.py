@@ -1,42 +1,43 @@
-"""The command ``acoustube export``: cycles as sound files and a table of their labels."""
+"""The command ``acoustube export``: results in the files that other programs read."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import pandas as pd
 import xarray as xr
 from rich.console import Console
-from scipy.io import wavfile
 
 from acoustube.errors import ConfigError
 from acoustube.io import partial_folder, publish
-from acoustube.opening import open_dataset
+from acoustube.opening import PATTERNS, open_dataset
 
-LABELS = "labels.parquet"
-TEXT = """\
-Cycles of a rangefinder, one WAV file for each press and session, its cycles one after the
-other.
+FORMATS = {
+    "cycles": ("wav", "csv", "lerobot"),
+    "sweep": ("csv",),
+    "simulate": ("stl", "vtp", "vtu", "csv"),
+    "indent": ("stl", "vtp", "vtu", "csv"),
+    "scatter": ("csv",),
+}
+"""What each kind of result can be written as; the first if nothing is said."""
+IN_WORDS = {
+    "cycles": "a dataset of cycles", "sweep": "a sweep", "simulate": "a run of simulate",
+    "indent": "a run of indent", "scatter": "a scattering matrix",
+}  # fmt: skip
 
-Samples are counts of the ADC less half its full scale, as 16-bit numbers at the ADC's own rate.
-{labels} has a row for each cycle: its file, where it starts in samples, its length, and its labels
-in SI units and degC.
-"""
 
-
-def run_export(where: Path, out: Path, console: Console) -> Path:
-    """Write a dataset of cycles as WAV files and a Parquet table.
+def run_export(where: Path, out: Path, console: Console, *, wanted: str | None = None) -> Path:
+    """Write a result for other programs.
 
     Parameters
     ----------
     where : Path
-        The dataset's folder.
+        A folder of ``simulate``, ``indent``, ``sweep`` or ``dataset``, or a file of ``scatter``.
     out : Path
         The folder to write, new or empty.
     console : rich.console.Console
         Where to print.
+    wanted : str, optional
+        One of :data:`FORMATS`.
 
     Returns
     -------
@@ -46,59 +47,71 @@ def run_export(where: Path, out: Path, console: Console) -> Path:
     Raises
     ------
     ConfigError
-        If there is no dataset, or the package for Parquet is missing.
+        If there is no result, it cannot be written so, or a package is missing.
     """
-    _check_parquet()
-    data = open_dataset(where)
-    if "cycle" not in data.dims:
-        raise ConfigError(f"{where} is a sweep; make a dataset of it with acoustube dataset")
+    data = _opened(where)
+    kind = _kind(data, where)
+    able = FORMATS[kind]
+    if wanted is not None and wanted not in able:
+        of_cycles = kind == "sweep" and wanted in FORMATS["cycles"]
+        advice = ", or make a dataset of it with acoustube dataset" if of_cycles else ""
+        raise ConfigError(
+            f"format = {wanted} does not fit {where}, which is {IN_WORDS[kind]}; use "
+            f"{' or '.join(able)}{advice}"
+        )
     with partial_folder(out) as partial:
-        table = _written(data, partial)
-        table.to_parquet(partial / LABELS, index=False)
-        (partial / "README.txt").write_text(TEXT.format(labels=LABELS), encoding="utf-8")
+        found = _write(data, wanted or able[0], partial)
         folder = publish(partial, out)
-    n_files = table["file"].nunique()
-    console.print(
-        f"{len(table)} cycles written to {n_files} files in [bold]{folder}[/].", soft_wrap=True
-    )
+    console.print(f"{found} written to [bold]{folder}[/].", soft_wrap=True, highlight=False)
     return folder
 
 
-def _check_parquet() -> None:
+def _opened(where: Path) -> xr.Dataset:
+    """Open a result of any kind."""
+    of_many = any(where.match(pattern) for pattern in PATTERNS.values())
+    path = where if where.is_file() else where / "run.nc"
+    if of_many or not path.is_file():
+        return open_dataset(where)
     try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            return file.load()
+    except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(
-            "export needs the package pyarrow for Parquet; install acoustube[parquet]"
+            f"{path} cannot be read as a result ({' '.join(str(error).split())}); name a folder "
+            "of simulate, indent, sweep or dataset, or a file of scatter"
         ) from error
 
 
-def _written(data: xr.Dataset, folder: Path) -> pd.DataFrame:
-    """Write a sound file for each press, and return the table of all cycles."""
-    table = _labels(data)
-    names = table["press"].to_numpy()
-    records = names + table["session"].to_numpy()
-    starts = np.flatnonzero(np.concatenate([[True], records[1:] != records[:-1]]))
-    n = data.sizes["time"]
-    rate, middle = round(float(data.attrs["sampling_rate"])), int(data.attrs["full_scale"]) // 2
-    files = np.empty(len(table), object)
-    offsets = np.empty(len(table), int)
-    for number, part in enumerate(np.split(np.arange(len(table)), starts[1:])):
-        counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values.astype(int)
-        file = f"{number:05d}-{names[part[0]]}.wav"
-        wavfile.write(folder / file, rate, (counts - middle).astype(np.int16).ravel())
-        files[part], offsets[part] = file, np.arange(len(part)) * n
-    table.insert(0, "file", files)
-    table.insert(1, "start", offsets)
-    table.insert(2, "length", n)
-    return table
+def _kind(data: xr.Dataset, where: Path) -> str:
+    """Return what a result is."""
+    if "cycle" in data.dims:
+        return "cycles"
+    if "press" in data.dims:
+        return "sweep"
+    if "s_real" in data:
+        return "scatter"
+    if "node_position" in data:
+        return "simulate" if "lumen_face" in data else "indent"
+    raise ConfigError(
+        f"{where} is no result of acoustube; name a folder of simulate, indent, sweep or dataset, "
+        "or a file of scatter"
+    )
 
 
-def _labels(data: xr.Dataset) -> pd.DataFrame:
-    """Return what is known of each cycle, a column each."""
-    columns: dict[str, Any] = {
-        str(name): values.values
-        for name, values in {**data.coords, **data.data_vars}.items()
-        if values.dims == ("cycle",) and name != "cycle"
-    }
-    return pd.DataFrame(columns)
+def _write(data: xr.Dataset, wanted: str, folder: Path) -> str:
+    """Write a result in one format; return what was written, in words."""
+    if wanted == "csv":
+        from acoustube.export.tables import write_tables
+
+        return write_tables(data, folder)
+    if wanted == "wav":
+        from acoustube.export.sounds import write_sounds
+
+        return write_sounds(data, folder)
+    if wanted == "lerobot":
+        from acoustube.export.lerobot import write_episodes
+
+        return write_episodes(data, folder)
+    from acoustube.export.geometry import write_meshes, write_surfaces
+
+    return write_meshes(data, folder) if wanted == "vtu" else write_surfaces(data, folder, wanted)

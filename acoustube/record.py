@@ -253,6 +253,12 @@ def _mesh(mesh: Mesh) -> dict[str, Variable]:
             "node xyz", mesh.points, "m", f"nodes of the undeformed part that is modelled, {part}"
         ),
         "element_node": variable("element corner", mesh.elements, "1", f"nodes of the {kind}"),
+        "inner_face_node": variable(
+            "inner_face face_corner", mesh.inner_faces, "1", "nodes of the faces on the inner wall"
+        ),
+        "outer_face_node": variable(
+            "outer_face face_corner", mesh.outer_faces, "1", "nodes of the faces on the outer wall"
+        ),
     }
 
 

@@ -151,7 +151,9 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
             )
             write_dataset(dataset, partial / "run.nc")
             (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
-            vtu.write(indentation, indentation.rows_at(depths), partial / "vtu")
+            rows = indentation.rows_at(depths)
+            reached, displacements = indentation.depth[rows], indentation.displacement[rows]
+            vtu.write(indentation.mesh, reached, displacements, partial / "vtu")
             plot.save(plot.press_figure(dataset), partial / "figure.png")
             check()
             folder = publish(partial, folder)

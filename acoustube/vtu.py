@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pyvista
 from numpy.typing import NDArray
 
-from acoustube.indentation import Indentation
+from acoustube.indentation import Mesh
 from acoustube.indentation.reference import HEX20, Reference
+
+Array = NDArray[np.float64]
 
 VTK_HEXAHEDRON = (
     *((0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)),
@@ -22,30 +23,33 @@ VTK_TETRAHEDRON = (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)
 """Of the mid-nodes VTK takes 01, 12, 02, 03, 13, 23; ours are 01, 02, 03, 12, 13, 23."""
 
 
-def write(indentation: Indentation, rows: Sequence[int], folder: Path) -> Path:
+def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path:
     """Write the modelled part, one file per depth, and a collection that ParaView plays.
 
     Parameters
     ----------
-    indentation : Indentation
-    rows : sequence of int
-        Which increments.
+    mesh : Mesh
+    depths : array of shape (n_depths,)
+        In m.
+    displacements : array of shape (n_depths, n_nodes, 3)
+        In m.
     folder : path
-        Where; it is made.
+        Where; it is made if need be.
 
     Returns
     -------
     Path
         The collection, ``press.pvd``, whose time is the depth in mm.
     """
-    folder.mkdir(parents=True)
-    grid, entries = _grid(indentation), []
-    for number, row in enumerate(rows, start=1):
+    folder.mkdir(parents=True, exist_ok=True)
+    grid, entries = _grid(mesh), []
+    for number, (depth, displacement) in enumerate(
+        zip(depths, displacements, strict=True), start=1
+    ):
         name = f"press-{number:04d}.vtu"
-        grid.point_data["displacement"] = indentation.displacement[row]
+        grid.point_data["displacement"] = displacement
         grid.save(folder / name)
-        depth = 1e3 * indentation.depth[row]
-        entries.append(f'<DataSet timestep="{depth:.6g}" file="{name}"/>')
+        entries.append(f'<DataSet timestep="{1e3 * depth:.6g}" file="{name}"/>')
     collection = folder / "press.pvd"
     collection.write_text(
         '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'
@@ -56,9 +60,8 @@ def write(indentation: Indentation, rows: Sequence[int], folder: Path) -> Path:
     return collection
 
 
-def _grid(indentation: Indentation) -> pyvista.UnstructuredGrid:
+def _grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
     """Return the undeformed mesh with quadratic cells."""
-    mesh = indentation.mesh
     kind = pyvista.CellType.QUADRATIC_HEXAHEDRON
     if mesh.reference is not HEX20:
         kind = pyvista.CellType.QUADRATIC_TETRA

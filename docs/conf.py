@@ -64,6 +64,7 @@ ORDER = (
     "datasets",
     "page",
     "shown",
+    "export",
     "exported",
     "trained",
     "plot_estimates",

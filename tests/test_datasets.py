@@ -199,7 +199,7 @@ def test_card_tells_what_there_is(dataset):
 
 def test_export_writes_sound_files_with_their_labels(dataset, capsys):
     assert main(["export", str(dataset), "--out", "sounds"]) == 0
-    assert "96 cycles written to 32 files" in " ".join(capsys.readouterr().out.split())
+    assert "96 cycles in 32 files written to" in " ".join(capsys.readouterr().out.split())
     table = pd.read_parquet("sounds/labels.parquet")
     data = acoustube.open_dataset(dataset).load()
     for i in (0, 17, 95):
@@ -230,7 +230,10 @@ def test_show_draws_a_sweep(sweep, capsys):
         (["show", "DATASET", "--out", "a.png"], ["is a dataset of cycles"]),
         (["show", "SWEEP", "--out", "a.txt"], ["must end in one of"]),
         (["show", ".", "--out", "a.png"], ["holds no results"]),
-        (["export", "SWEEP", "--out", "new"], ["is a sweep; make a dataset"]),
+        (
+            ["export", "SWEEP", "--format", "wav", "--out", "new"],
+            ["which is a sweep", "acoustube dataset"],
+        ),
     ],
     ids=lambda value: " ".join(value),
 )
