@@ -17,14 +17,14 @@ from math import radians
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
 from acoustube import __version__, cache
 from acoustube.config import Mechanics, check_touched, describe, load_config
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
 from acoustube.rules import Number
-from acoustube.sweep.plan import DEFAULTS, load_plan, other_settings
+from acoustube.sweep.plan import COUNT, DEFAULTS, load_plan, other_settings
 
 app = App(
     name="acoustube",
@@ -180,6 +180,8 @@ def sweep(
     over = {name: words for name, words in given.items() if words is not None}
     over |= other_settings(vary or [], over)
     processes = _processes(workers)
+    if random is not None:
+        COUNT.check("random", random)
     wanted = load_plan(plan, over, count=random, sampler=sampler, seed=seed)
     share = _share(shard)
     if out is None and not dry_run:
@@ -300,6 +302,8 @@ def show(
         check_new_file(html, "html")
         if html.suffix.lower() not in (".html", ".htm"):
             raise ConfigError(f"html = {html} must end in .html")
+    check_new_file(out)
+    _check_picture(out, "out")
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -476,6 +480,12 @@ def scatter(
             f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 whole "
             f"parts; use {(high - low) / max(1, min(5000, round(count))):.6g}"
         )
+    for name, value, rule in (
+        ("temperature", temperature, Number(-20, 60, "degC", "of the air")),
+        ("humidity", humidity, Number(0, 100, "%", "of the air")),
+        ("pressure", pressure, Number(10, 200, "kPa", "of the air")),
+    ):
+        rule.check(name, value)
     cells = Number(8, 128, "", "grid cells across the ends", whole=True)
     across = int(cells.check("resolution", resolution))
 
@@ -505,8 +515,9 @@ def process(
     prominence: float | None = None,
     rate: float | None = None,
     temperature: float | None = None,
-    channel: int | None = None,
-    samples: int | None = None,
+    # Floats, as in `simulate`.
+    channel: float | None = None,
+    samples: float | None = None,
     out: Path | None = None,
     figure: Path | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
@@ -540,10 +551,7 @@ def process(
         raise ConfigError("process needs a file or a folder; name one or more")
     if prominence is not None:
         Number(1e-6, 1, "", "share of the send pulse").check("prominence", prominence)
-    for path in (out, figure):
-        if path is not None:
-            check_new_file(path)
-    _check_picture(figure)
+    _check_files(out=out, figure=figure)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -558,8 +566,8 @@ def process(
         prominence=prominence,
         rate=rate,
         temperature=temperature,
-        channel=channel,
-        samples=samples,
+        channel=_whole("channel", channel, Number(0, 1e6, "", "counts from 0", whole=True)),
+        samples=_whole("samples", samples, Number(2, 1e12, "", "of a cycle", whole=True)),
         figure=figure,
     )
     return 0 if complete else 1
@@ -648,8 +656,9 @@ def calibrate(
     sigmas: float = 2.8,
     rate: float | None = None,
     temperature: float | None = None,
-    channel: int | None = None,
-    samples: int | None = None,
+    # Floats, as in `simulate`.
+    channel: float | None = None,
+    samples: float | None = None,
     figure: Path | None = None,
 ) -> None:
     """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
@@ -684,10 +693,7 @@ def calibrate(
             f"name = {name} must be of letters, digits, - and _; use --out for a path"
         )
     Number(0.1, 100, "", "standard deviations").check("sigmas", sigmas)
-    for path in (out, figure):
-        if path is not None:
-            check_new_file(path)
-    _check_picture(figure)
+    _check_files(out=out, figure=figure)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -703,8 +709,8 @@ def calibrate(
         sigmas=sigmas,
         rate=rate,
         temperature=temperature,
-        channel=channel,
-        samples=samples,
+        channel=_whole("channel", channel, Number(0, 1e6, "", "counts from 0", whole=True)),
+        samples=_whole("samples", samples, Number(2, 1e12, "", "of a cycle", whole=True)),
         figure=figure,
     )
 
@@ -812,11 +818,9 @@ def evaluate(
     if not data:
         raise ConfigError("evaluate needs a file or a folder; name one or more")
     if not model.is_file():
-        raise ConfigError(f"{model} does not exist; give the name of a model: train writes one")
-    for path in (out, figure):
-        if path is not None:
-            check_new_file(path)
-    _check_picture(figure)
+        what = "is a folder" if model.is_dir() else "does not exist"
+        raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
+    _check_files(out=out, figure=figure)
 
     with _interrupts_held_back():
         from rich.console import Console
@@ -994,11 +998,25 @@ def sleeve(
     run_sleeve(plan, folder, Console(quiet=quiet))
 
 
-def _check_picture(figure: Path | None) -> None:
-    """Refuse a picture of a kind that cannot be drawn, before anything is computed."""
+def _whole(name: str, value: float | None, rule: Number) -> int | None:
+    """Return a whole number, or None where it is not given."""
+    return None if value is None else int(rule.check(name, value))
+
+
+def _check_files(**files: Path | None) -> None:
+    """Refuse files that cannot be written, before anything is computed."""
+    for name, path in files.items():
+        if path is not None:
+            check_new_file(path, name)
+            if name == "figure":
+                _check_picture(path, name)
+
+
+def _check_picture(picture: Path, name: str) -> None:
+    """Refuse a picture of a kind that cannot be drawn."""
     kinds = (".png", ".pdf", ".svg")
-    if figure is not None and figure.suffix.lower() not in kinds:
-        raise ConfigError(f"figure = {figure} must end in one of {', '.join(kinds)}")
+    if picture.suffix.lower() not in kinds:
+        raise ConfigError(f"{name} = {picture} must end in one of {', '.join(kinds)}")
 
 
 @app.command
@@ -1120,9 +1138,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:
-        # Several sentences are joined into one.
-        words = " ".join(str(error).split())
-        return _refuse(re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", words), 2)
+        return _refuse(_in_one_sentence(error), 2)
     except ConfigError as error:
         return _refuse(str(error), 2)
     except BrokenPipeError:  # whoever reads, such as head, has had enough
@@ -1133,6 +1149,23 @@ def main(tokens: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return _refuse(str(error) or "interrupted; no incomplete run is left", 130)
     return code if isinstance(code, int) else 0
+
+
+def _in_one_sentence(error: CycloptsError) -> str:
+    """Return what is wrong with the command's words, and what to do."""
+    command = " ".join(["acoustube", *(error.command_chain or ())])
+    if isinstance(error, UnusedCliTokensError):
+        words = " ".join(error.unused_tokens or ())
+        return f'"{words}" is one word too many; {command} --help tells what it takes'
+    # Several sentences are joined into one.
+    words = re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", " ".join(str(error).split()))
+    words = re.sub(r"(?<!\.)\.$", "", words)
+    if "did you mean" in words or "choose from" in words:
+        return words
+    if isinstance(error, CoercionError):
+        words = re.sub(r'unable to convert (".*") into (float|int)', r"\1 is not a number", words)
+        return f"{words}; give a number without a unit"
+    return f"{words}; {command} --help tells what it takes"
 
 
 def _refuse(message: str, code: int) -> int:

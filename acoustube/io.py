@@ -67,6 +67,14 @@ def check_surface(path: str | Path) -> None:
 
 def check_new_file(path: Path, option: str = "out") -> None:
     """Refuse a file that is there already, or in a folder that is not; `option` names it.
+def check_new_file(path: Path, name: str = "out") -> None:
+    """Refuse a file that is there already, or in a folder that is not.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        Of the option that gave it.
 
     Raises
     ------
@@ -77,12 +85,17 @@ def check_new_file(path: Path, option: str = "out") -> None:
     folder = path.absolute().parent
     if not folder.is_dir():
         raise ConfigError(f"{option} = {path} is in a folder that does not exist; make it first")
+        raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"{name} = {path} is in a folder that does not exist; make it first")
     try:
         with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=folder):
             pass
     except OSError as error:
         raise ConfigError(
             f"{option} = {path} cannot be written ({error.strerror}); name a writable folder"
+            f"{name} = {path} cannot be written ({error.strerror}); name a writable folder"
         ) from error
 
 

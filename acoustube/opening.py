@@ -51,6 +51,11 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
     kinds = {
         dimension for dimension, pattern in PATTERNS.items() for p in paths if p.match(pattern)
     }
+    if not kinds:
+        raise ConfigError(
+            f"{where} is no file of acoustube sweep or dataset; name a folder that one of them "
+            "wrote"
+        )
     if len(kinds) != 1:
         raise ConfigError(
             f"{where} holds sweeps and datasets, which have different dimensions; open one kind"

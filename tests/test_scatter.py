@@ -181,11 +181,14 @@ def call(*words):
         (["lumen.stl", "--band", "60", "5"], "must rise"),
         (["lumen.stl", "--band", "5", "10", "--step", "3"], "whole parts; use 2.5"),
         (["lumen.stl", "--band", "5", "inf"], "must rise from over 0, and end"),
-        (["lumen.stl", "--humidity", "120"], "humidity = 120 %"),
+        (["lumen.stl", "--humidity", "120"], "humidity = 120 is out of range; use 0 to 100 %"),
         (["lumen.stl", "--band", "5", "600", "--step", "5"], "cells per wavelength"),
         (["lumen.stl", "--resolution", "4"], "resolution = 4 is out of range; use a whole number"),
         (["lumen.stl", "--resolution", "12.7"], "resolution = 12.7 is not a whole number"),
-        (["lumen.stl", "--temperature", "99"], "temperature = 99 degC"),
+        (
+            ["lumen.stl", "--temperature", "99"],
+            "temperature = 99 is out of range; use -20 to 60 degC",
+        ),
     ],
 )
 def test_what_cannot_be_computed_is_refused_in_one_sentence(words, part):

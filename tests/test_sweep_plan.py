@@ -186,7 +186,7 @@ def test_shares_are_disjoint_and_complete(count):
         (["--position", "20", "39"], ["case 2", "too near the far end"]),
         (["--vary", "wall=1,2"], ["wall is not a setting", "did you mean wall_mm"]),
         (["--vary", "wall_mm"], ["vary = wall_mm gives no values"]),
-        (["--random", "0", "--depth", "1:8"], ["count = 0 is out of range"]),
+        (["--random", "0", "--depth", "1:8"], ["random = 0 is out of range"]),
         (["--random", "8"], ["needs a range"]),
         (["--random", "2.5", "--depth", "1:8"], ["2.5 is not a whole number"]),
         (["--random", "2", "--depth", "8:1"], ["depth_mm = 8:1 must rise"]),

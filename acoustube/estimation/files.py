@@ -83,8 +83,12 @@ def load(path: str | Path) -> Model:
         If it is no model, or one that another version wrote in another format.
     """
     try:
+        if not zipfile.is_zipfile(path):  # of which NumPy says how to load it, and run it
+            raise ValueError("no NumPy archive")
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+        if "header" not in arrays:
+            raise ValueError("an archive without a header")
         header = json.loads(str(arrays.pop("header")))
         if header["kind"] != KIND:
             raise ValueError(f"it is a {header['kind']}")

@@ -40,8 +40,9 @@ def load(path: Path) -> Contents:
         raise
     # The readers raise whatever their parsing trips over.
     except Exception as error:
+        reason = " ".join(str(error).split()) or "nothing is in it"
         raise ConfigError(
-            f"{path} cannot be read as {kind} ({' '.join(str(error).split())}); it is cut short, "
+            f"{path} cannot be read as {kind} ({reason}); it is cut short, "
             "damaged or a file of another kind: export it again"
         ) from error
 

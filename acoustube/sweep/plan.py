@@ -339,6 +339,12 @@ def load_plan(
     numbers = {name: sweep[name] for name in RANDOM if name in sweep}
     numbers |= {name: value for name, value in given.items() if value is not None}
     numbers = {name: RANDOM[name].check(name, value) for name, value in numbers.items()}
+    for name in ("sampler", "seed"):
+        if name in numbers and "count" not in numbers:
+            raise ConfigError(
+                f"{name} = {numbers[name]} is of a random plan; give --random and a number of "
+                "cases, or leave it out"
+            )
     for section, defaults in DEFAULTS.items():
         shared[section] = defaults | shared.get(section, {})
     for section in shared:
