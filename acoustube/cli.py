@@ -297,13 +297,11 @@ def show(
         raise ConfigError("There is nothing to write; give --html FILE, --out FILE or both")
     if out is not None:
         check_new_file(out)
-        _check_picture(out)
+        _check_picture(out, "out")
     if html is not None:
         check_new_file(html, "html")
         if html.suffix.lower() not in (".html", ".htm"):
             raise ConfigError(f"html = {html} must end in .html")
-    check_new_file(out)
-    _check_picture(out, "out")
 
     with _interrupts_held_back():
         from rich.console import Console

@@ -65,8 +65,6 @@ def check_surface(path: str | Path) -> None:
         )
 
 
-def check_new_file(path: Path, option: str = "out") -> None:
-    """Refuse a file that is there already, or in a folder that is not; `option` names it.
 def check_new_file(path: Path, name: str = "out") -> None:
     """Refuse a file that is there already, or in a folder that is not.
 
@@ -81,10 +79,6 @@ def check_new_file(path: Path, name: str = "out") -> None:
     ConfigError
     """
     if path.exists():
-        raise ConfigError(f"{option} = {path} exists and nothing is overwritten; name a new file")
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise ConfigError(f"{option} = {path} is in a folder that does not exist; make it first")
         raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
     folder = path.absolute().parent
     if not folder.is_dir():
@@ -94,7 +88,6 @@ def check_new_file(path: Path, name: str = "out") -> None:
             pass
     except OSError as error:
         raise ConfigError(
-            f"{option} = {path} cannot be written ({error.strerror}); name a writable folder"
             f"{name} = {path} cannot be written ({error.strerror}); name a writable folder"
         ) from error
 
