@@ -186,7 +186,7 @@ def page(study: Study, pictures: Mapping[str, bytes]) -> str:
 
 
 def _html_row(row: Row) -> str:
-    far = abs(row.difference) > FAR
+    far = bool(abs(row.difference) > FAR)
     cells = (
         _plain(row.published), _plain(row.ours), _percent(row.difference), _plain(row.coarser),
         _percent(row.change),
