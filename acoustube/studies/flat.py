@@ -136,7 +136,7 @@ def recorded(
 
 def recorded_again(level: Level, scale: Scale, work: Path, console: Console) -> xr.Dataset:
     """Return what the processing makes of the second dataset; see :func:`recorded`."""
-    depths = ["3:7:2"] if scale.quick else [",".join(SECOND_DEPTHS)]
+    depths = ["3:7:2"] if scale.quick else SECOND_DEPTHS
     places = SECOND_FEW if scale.quick else SECOND_PLACES
     over = {**ROD, "depth_mm": depths, "position_cm": [places]}
     n_cycles = FEWER_CYCLES if scale.quick else CYCLES

@@ -209,7 +209,7 @@ def _only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return how far the direct echo moves with depth, while it is the highest."""
     why = (
-        "The wall is rigid for sound at 42 kHz, and the speed of sound the same at all depths: what "
+        "The wall is rigid for sound at 42 kHz, the speed of sound the same at all depths: what "
         "moves is the part of the press that reflects. The paper suspects a speed that depends on "
         "depth, and finds little of it in its simulations too."
     )
