@@ -72,9 +72,9 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
         text=TEXT,
         rows=rows,
         figures={
-            "True against estimated distance of single cycles, coloured by depth; dashed the window "
-            "of the search (left). Mean absolute error of each press, along the tube and over the "
-            "skin (right).": _places(table, helix),
+            "True against estimated distance of single cycles, coloured by depth; dashed the "
+            "search window (left). Mean absolute error of each press, along the tube and over "
+            "the skin (right).": _places(table, helix),
             "Force against depth: truth and the network's estimates, by distance (left); mean "
             "absolute relative error of each press (right).": _forces(table, forces),
             "Highest peak of the deep presses at each place: straight tube, wrapped, and wrapped "
@@ -83,20 +83,20 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     )
 
 
-TEXT = (
-    "A 25 mm rod presses one tube of a sleeve at seven places to 15 depths, and 50 cycles of each "
-    "are recorded. The sleeve is a helix of 9 loops on a cone of the size of a forearm, which takes "
-    "250 cm of tube. The arm is rigid, and the sleeve's pocket holds the tube on it. The tube bends "
-    "away from the rod, which is as if a thinner one met a straight tube. Between the presses the "
-    "tube is bent: its curvature and torsion convert the plane wave into (1,1) and back, so that "
-    "what meets a press depends on where on the arm it stands.",
-    "The calibration and the force network are those of the flat table, as published: made with "
-    "the tube straight, and of the 25 mm rod on it.",
-    "What the simulation cannot know: how the fabric stretches and narrows the tube, how much "
-    "of a free tube's flattening it allows (the last rows tell what all of it would do), how the "
-    "tubes differ, where the test machine's rod slid, and how the arm's curved surface took the "
-    "deep presses.",
-)
+TEXT = """\
+A 25 mm rod presses one tube of a sleeve at seven places to 15 depths, and 50 cycles of each are
+recorded. The sleeve is a helix of 9 loops on a cone of the size of a forearm, which takes 250 cm of
+tube. The arm is rigid, and the sleeve's pocket holds the tube on it. The tube bends away from the
+rod, which is as if a thinner one met a straight tube. Between the presses the tube is bent: its
+curvature and torsion convert the plane wave into (1,1) and back, so that what meets a press depends
+on where on the arm it stands.
+
+The calibration and the force network are those of the flat table, as published: made with the tube
+straight, and of the 25 mm rod on it.
+
+What the simulation cannot know: how the fabric stretches and narrows the tube, how much of a free
+tube's flattening it allows (the last rows tell what all of it would do), how the tubes differ,
+where the test machine's rod slid, and how the arm's curved surface took the deep presses."""
 
 
 def flat_network(scale: Scale, work: Path, console: Console) -> Model:
@@ -326,7 +326,7 @@ def _histogram(axes: Axes, table: xr.Dataset, errors: dict[str, Array]) -> None:
         [CM * np.mean(e[p & np.isfinite(e)]) for p in _presses(table) if np.isfinite(e[p]).any()]
         for e in errors.values()
     ]
-    axes.hist([np.clip(m, 0, 39.9) for m in means], edges, label=list(errors))
+    axes.hist([np.clip(m, 0, 39.9) for m in means], list(edges), label=list(errors))
     axes.set(
         xlabel="mean absolute error of a press (cm); 38 and more in the last", ylabel="presses"
     )
