@@ -830,7 +830,7 @@ def evaluate(
 
 @app.command
 def reproduce(
-    *study: Literal["simulation", "calibration", "flat", "echotube", "all"],
+    *study: Literal["simulation", "calibration", "flat", "mannequin", "human", "echotube", "all"],
     out: Path = Path("studies"),
     quick: Annotated[bool, Parameter(show_default=False)] = False,
     # A float, as in `simulate`.
@@ -843,7 +843,8 @@ def reproduce(
     ----------
     study : str
         The simulations of Fig. 2, the calibration of Fig. 3, the flat table of Figs. 4 and 5 and of
-        Tables I and II, EchoTube's reach by bore, or all.
+        Tables I and II, the sleeve on a mannequin's and on a human arm of Figs. 6 and 7, EchoTube's
+        reach by bore, or all.
     out : Path
         The folder to write; one that was begun by this command is finished.
     quick : bool

@@ -285,8 +285,8 @@ def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: s
     return [
         Row(
             quantity=f"presses told to 25 cm, {words}", unit=f"of {total}", ours=counts[0] or 0.0,
-            coarser=counts[1], why="Published as a figure: fewer of the lower two levels, and fewer "
-            "with distance.",
+            coarser=counts[1],
+            why="Published as a figure: fewer of the lower two levels, and fewer with distance.",
         )
     ]  # fmt: skip
 
