@@ -37,6 +37,7 @@ ORDER = (
     "cache",
     "lumen",
     "walls",
+    "by_force",
     "surfaces",
     "waves",
     "ranging",

@@ -9,7 +9,15 @@ import pytest
 from acoustube.air import air_at
 from acoustube.errors import ConfigError
 from acoustube.sleeve.ovalisation import cut_on_shift
-from acoustube.waves import Bent, Placed, axial_wavenumber, bend, bends, cut_on_frequency, transfer
+from acoustube.waves import (
+    Bent,
+    Placed,
+    axial_wavenumber,
+    bend,
+    cut_on_frequency,
+    joined_bends,
+    transfer,
+)
 
 AIR = air_at(20.0)
 RADIUS = 3.95e-3
@@ -154,8 +162,8 @@ def test_parts_of_one_curvature_make_one_bend():
     """To rounding: the parts are joined with all their modes, near fields included."""
     part = {"curvature": 25.0, "torsion": 3.4, "ovality": 0.05}
     lengths = (0.03, 0.11, 0.06)
-    parts = bends(AIR, BAND, [Bent(length=n, **part) for n in lengths], radius=RADIUS)
-    whole = bends(AIR, BAND, [Bent(length=sum(lengths), **part)], radius=RADIUS)
+    parts = joined_bends(AIR, BAND, [Bent(length=n, **part) for n in lengths], radius=RADIUS)
+    whole = joined_bends(AIR, BAND, [Bent(length=sum(lengths), **part)], radius=RADIUS)
     assert parts.s == pytest.approx(whole.s, abs=1e-9)
     assert parts.extent == pytest.approx(whole.extent)
 
@@ -164,7 +172,7 @@ def test_parts_of_one_curvature_make_one_bend():
 def test_flattened_straight_bore_delays_its_modes_as_their_cut_ons_move(side):
     """The phase of (1,1) over 5 cm; an ovality of 1 % leaves what is of second order under 1 %."""
     f, length, ovality = 42e3, 0.05, 0.01
-    found = bends(
+    found = joined_bends(
         AIR,
         [f],
         [Bent(length=length, curvature=0.0, ovality=ovality)],

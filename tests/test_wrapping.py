@@ -7,7 +7,7 @@ from acoustube.air import air_at
 from acoustube.errors import ConfigError
 from acoustube.sleeve import Helix, winding, wrapped
 from acoustube.tube import Tube
-from acoustube.waves import Bent, Placed, bends, cut_on_frequency, transfer
+from acoustube.waves import Bent, Placed, cut_on_frequency, joined_bends, transfer
 from acoustube.waves.scattering import ModalScattering
 
 AIR, BORE, REACH = air_at(20.0), 3.95e-3, 0.03
@@ -73,7 +73,7 @@ def test_loops_in_a_row_pass_the_plane_wave_as_one_bend_does():
     curvature, torsion = (float(value) for value in even.bend(0.0))
     pieces = winding(even, AIR, BAND, 0.0, even.tube_length, radius=BORE, modes=MODES)
     part = Bent(length=n * step, curvature=curvature, torsion=torsion)
-    whole = bends(AIR, BAND, [part], radius=BORE, modes=MODES, highest=8.0)
+    whole = joined_bends(AIR, BAND, [part], radius=BORE, modes=MODES, highest=8.0)
     assert len(pieces) == n
     at = even.tube_length + 0.01
     there = passed([Placed(whole, even.tube_length / 2 + 1e-6)], at)

@@ -18,7 +18,7 @@ from acoustube.errors import ConfigError
 from acoustube.sleeve.helix import Helix
 from acoustube.sleeve.ovalisation import ovality
 from acoustube.tube import Tube
-from acoustube.waves import Bent, Placed, bends
+from acoustube.waves import Bent, Placed, joined_bends
 
 HIGHEST = 6.0
 """Largest j'mn of the modes in a bend: with 10 a loop of the paper's tube changes by 1.4e-3."""
@@ -55,8 +55,8 @@ def winding(
     modes : sequence of str
         Those of the presses beside it.
     tube : Tube, optional
-        The tube that the bend flattens, see :func:`acoustube.sleeve.ovalisation.ovality`; it stays
-        round without.
+        The tube that the wrap flattens, see :func:`acoustube.sleeve.ovalisation.ovality`; it stays
+        round without. All along as at the helix's middle: steps from loop to loop would echo.
 
     Returns
     -------
@@ -83,15 +83,16 @@ def winding(
     n_parts = ceil(abs(float(np.diff(helix.angle(ends))[0])) / (2 * np.pi))
     edges = np.linspace(start, stop, n_parts + 1)
     middles, length = (edges[1:] + edges[:-1]) / 2, (stop - start) / n_parts
+    flat = 0.0 if tube is None else ovality(tube, float(helix.bend(helix.length / 2)[0]))
     found = []
     for middle, curvature, torsion in zip(middles, *helix.bend(helix.height(middles)), strict=True):
         part = Bent(
             length=length - 2 * CLEARANCE,
             curvature=float(curvature),
             torsion=float(torsion),
-            ovality=0.0 if tube is None else ovality(tube, float(curvature)),
+            ovality=flat,
         )
-        bent = bends(air, frequency, [part], radius=radius, modes=modes, highest=HIGHEST)
+        bent = joined_bends(air, frequency, [part], radius=radius, modes=modes, highest=HIGHEST)
         found.append(Placed(bent, float(middle)))
     return found
 
@@ -128,14 +129,14 @@ def windings(
     ConfigError
         See :func:`wrapped`.
     """
-    places = np.asarray(places, float)
-    if np.any(np.diff(places) < 2 * reach):
+    at = np.asarray(places, float)
+    if np.any(np.diff(at) < 2 * reach):
         raise ConfigError(
-            f"presses at {', '.join(f'{100 * place:.4g}' for place in places)} cm are nearer to "
+            f"presses at {', '.join(f'{100 * place:.4g}' for place in at)} cm are nearer to "
             f"each other than twice the reach, {200 * reach:.3g} cm, or do not rise; move them"
         )
-    starts = [helix.lead, *(places + reach)]
-    stops = [*(places - reach), helix.tube_length]
+    starts = [helix.lead, *(at + reach)]
+    stops = [*(at - reach), helix.tube_length]
     return [
         bend
         for start, stop in zip(starts, stops, strict=True)

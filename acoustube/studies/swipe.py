@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from acoustube import signals
+from acoustube import signals, sleeve
 from acoustube.plot import CM, PRESS
 from acoustube.ranging import Rangefinder, record
-from acoustube.sleeve import Contacts, ContactTracker, Following
+from acoustube.sleeve import ContactTracker, Following
 from acoustube.studies.arm import TUBE_SEEDS, processing_of
 from acoustube.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.studies.report import Row
@@ -29,6 +29,9 @@ PAIR, HELD = (0.60, 0.80), 2.0
 """Places of two presses in m, and how long they last in s."""
 FORCES = (5.0, 7.0)
 """In N: of the nearer press, and of the farther or of the swipe."""
+LEAST = 0.2
+"""Height of an echo, as a share of the highest, from which it is a candidate: a hard press rings,
+and is heard again by way of the sensor's face."""
 HOW = Following(deviation=0.015)
 """What echoes scatter by that are late by trapped sound now and then."""
 
@@ -44,8 +47,8 @@ class Track(NamedTuple):
         Places in m.
     candidates : list of array
         Of each cycle, the places of all echoes in m.
-    contacts : list of Contacts
-        Of each cycle.
+    contacts : list
+        Of each cycle, those that count; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)
         Of the processor, that processing and following took.
     """
@@ -53,7 +56,7 @@ class Track(NamedTuple):
     times: Array
     true: Array
     candidates: list[Array]
-    contacts: list[Contacts]
+    contacts: list[sleeve.contacts.Contacts]
     seconds: Array
 
 
@@ -104,7 +107,8 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
         warmth = float(cycle["temperature"].values[0])
         begun = time.thread_time()
         ranging = known.update(cycle["signal"].values[0], warmth)
-        found = signals.distance(ranging.echoes.times - ranging.send_time, warmth)
+        loud = ranging.echoes.amplitudes >= LEAST * ranging.amplitude
+        found = signals.distance(ranging.echoes.times[loud] - ranging.send_time, warmth)
         contacts.append(following.update(float(at), found))
         seconds.append(time.thread_time() - begun)
         candidates.append(found[np.isfinite(found)])
@@ -139,6 +143,10 @@ def swipe_rows(tracks: tuple[Track, Track]) -> list[Row]:
             ours=CM * float(np.median(speeds)) if speeds else float("nan"), why=why),
         Row(quantity="swipe of 5 cm/s: cycles with a contact", unit="%",
             ours=100 * float(np.mean(np.isfinite(off))), why="It counts from the fourth cycle on."),
+        Row(quantity="swipe of 5 cm/s: contacts that count at its end", unit="1",
+            ours=float(len(swipe.contacts[-1].number)), why="One is there."),
+        Row(quantity="two presses 20 cm apart: contacts that count", unit="1",
+            ours=float(len(pair.contacts[-1].number)), why="Two are there."),
         *(
             Row(quantity=f"two presses 20 cm apart: RMSE of the {which}", unit="cm",
                 ours=CM * float(np.sqrt(np.nanmean(part**2))), why=why)

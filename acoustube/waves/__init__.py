@@ -1,6 +1,6 @@
 """Sound in a lumen: cut-cell finite differences in the time domain."""
 
-from acoustube.waves.bends import Bent, bend, bends
+from acoustube.waves.bends import Bent, bend, joined_bends
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.cascade import Placed, heard, transfer
 from acoustube.waves.cells import CutCells, cut_cells
@@ -36,13 +36,13 @@ __all__ = [
     "attenuation",
     "axial_wavenumber",
     "bend",
-    "bends",
     "cut_cells",
     "cut_on_frequency",
     "cut_ons_in_band",
     "error_budget",
     "grid_spacing",
     "heard",
+    "joined_bends",
     "modes_below",
     "propagate",
     "scatter",

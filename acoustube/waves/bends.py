@@ -178,10 +178,12 @@ def bend(
     """
     _check_bend(radius, bend_radius, angle)
     part = Bent(length=angle * bend_radius, curvature=1 / bend_radius, torsion=torsion)
-    return bends(air, frequency, [part], radius=radius, lossy=lossy, modes=modes, highest=highest)
+    return joined_bends(
+        air, frequency, [part], radius=radius, lossy=lossy, modes=modes, highest=highest
+    )
 
 
-def bends(
+def joined_bends(
     air: Air,
     frequency: ArrayLike,
     parts: Sequence[Bent],
