@@ -48,8 +48,8 @@ SEARCHED = 0.10
 """Distance in m from which a closure is looked for: nearer there is the send pulse itself."""
 FIRST, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
 """Place of the nearer of two presses in m, and distances to the other."""
-PRESSED = 7e-3
-"""Depth in m of both."""
+PRESSED = (7.5e-3, 8e-3)
+"""Depths in m of the nearer, which must let sound pass, and the farther, which closes the lumen."""
 APART = 0.1
 """Distance in m between peaks that count as two."""
 DECIBEL = 20 / np.log(10)
@@ -94,8 +94,8 @@ The widest was located beyond 390 cm, where its tube ended.
 The dead zone is where a closure has no peak of its own yet in the ringing of the transducer, with
 the default rangefinder: the transducer's property, whatever the bore.
 
-For two presses, both are 25 mm rods of 7 mm depth in the paper's tube; the cycles of one place are
-averaged, as a sensor at rest would."""
+Two presses are 25 mm rods on the paper's tube, the nearer 7.5 mm deep, so that sound passes, the
+farther until the lumen is closed; 50 cycles are averaged, as a sensor at rest would."""
 
 
 def attenuation(bore_mm: float) -> float:
@@ -146,7 +146,7 @@ def dead_zone(bore_mm: float) -> float:
 
 def two_presses(scale: Scale, work: Path, console: Console) -> list[xr.Dataset]:
     """Return the cycles of pairs of presses, one dataset for each distance between them."""
-    over = {"indenter_mm": ["25"], "depth_mm": ["3:7:4" if scale.quick else DEPTHS]}
+    over = {"indenter_mm": ["25"], "depth_mm": ["7.5:8:0.5" if scale.quick else DEPTHS]}
     swept(work / "press", {**over, "length_cm": ["250"]}, scale.level, scale, console)
     press = next(
         matrix
@@ -234,8 +234,8 @@ def _pair_rows(pairs: Sequence[xr.Dataset]) -> list[Row]:
             Row(
                 quantity=f"two presses {CM * gap:g} cm apart: the {which} is told too far by",
                 unit="cm", published=2.5, ours=CM * offset,
-                why="Published as 1 to 4 cm, by hand. A rod of 7 mm depth tells 0 or 5 cm, the "
-                "latter where trapped sound is the higher.",
+                why="Published as 1 to 4 cm, by hand. A closed lumen sends sound back from where "
+                "it is; beside a rod that nearly closes it sound is trapped, and comes back late.",
             )
             for which, offset in zip(("nearer", "farther"), offsets, strict=True)
         ]  # fmt: skip
@@ -271,7 +271,7 @@ def _pair_figure(pairs: Sequence[xr.Dataset]) -> Figure:
         for place in (FIRST, FIRST + gap):
             panel.axvline(CM * place, color=RETURN, lw=0.8, ls=":")
         panel.set_xlim(20, 150)
-        panel.set_ylim(0, 3)
+        panel.set_ylim(0, 4.5)
         panel.set_ylabel("%")
     axes[-1].set_xlabel("distance (cm)")
     return sheet
