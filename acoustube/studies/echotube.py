@@ -148,12 +148,14 @@ def two_presses(scale: Scale, work: Path, console: Console) -> list[xr.Dataset]:
     """Return the cycles of pairs of presses, one dataset for each distance between them."""
     over = {"indenter_mm": ["25"], "depth_mm": ["7.5:8:0.5" if scale.quick else DEPTHS]}
     swept(work / "press", {**over, "length_cm": ["250"]}, scale.level, scale, console)
-    press = next(
-        matrix
+    by_depth = {
+        round(float(cases["depth"].values[0]), 6): matrix
         for cases, matrix in matrices(work / "press")
-        if np.isclose(cases["depth"].values[0], PRESSED)
-    )
-    return [record([Placed(press, FIRST), Placed(press, FIRST + gap)], n_cycles=50) for gap in GAPS]
+    }
+    nearer, farther = (by_depth[depth] for depth in PRESSED)
+    return [
+        record([Placed(nearer, FIRST), Placed(farther, FIRST + gap)], n_cycles=50) for gap in GAPS
+    ]
 
 
 def averaged(cycles: xr.Dataset) -> signals.Ranging:
