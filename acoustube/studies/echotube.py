@@ -273,7 +273,7 @@ def _pair_figure(pairs: Sequence[xr.Dataset]) -> Figure:
         for place in (FIRST, FIRST + gap):
             panel.axvline(CM * place, color=RETURN, lw=0.8, ls=":")
         panel.set_xlim(20, 150)
-        panel.set_ylim(0, 4.5)
+        panel.set_ylim(0, 2)
         panel.set_ylabel("%")
     axes[-1].set_xlabel("distance (cm)")
     return sheet
