@@ -1,5 +1,6 @@
 """`acoustube export`: what is written is read back by the programs it is for."""
 
+import csv
 import dataclasses
 import json
 import sys
@@ -39,6 +40,22 @@ def squeezed(points, share):
     less = share * np.cos(0.5 * np.pi * points[:, 2] / REACH) ** 2
     height = points[:, 1] + TUBE.outer_diameter / 2
     return np.stack([0 * less, -less * height, 0 * less], axis=-1)
+
+
+def numbers_of(path):
+    """The columns of a table; Python reads every digit, which pandas did not always do."""
+    with Path(path).open(newline="") as file:
+        header, *rows = csv.reader(file)
+    return {
+        name: [number(cell) for cell in column] for name, *column in zip(header, *rows, strict=True)
+    }
+
+
+def number(cell):
+    try:
+        return float(cell or "nan")
+    except ValueError:
+        return cell
 
 
 def area():
@@ -179,12 +196,12 @@ def test_lumen_of_a_run_is_the_whole_tube(tmp_path, press):
 
 def test_tables_hold_every_number_exactly_with_its_unit(press):
     assert main(["export", "press", "--format", "csv", "--out", "out"]) == 0
-    table = pd.read_csv("out/press.csv")
+    table = numbers_of("out/press.csv")
     for name in ("contact_force", "indentation_depth", "converged"):
-        np.testing.assert_array_equal(table[name].values, press[name].values)
+        np.testing.assert_array_equal(table[name], press[name].values)
     columns = pd.read_csv("out/columns.csv").set_index("column")
     assert columns.loc["indentation_depth", "unit"] == "m"
-    assert set(columns.index) == set(table.columns)
+    assert set(columns.index) == set(table)
 
 
 def test_table_of_a_sweep_has_a_column_for_each_source_end(tmp_path):
@@ -227,7 +244,7 @@ def test_sounds_are_the_counts(cycles):
 
 def test_labels_of_cycles_are_a_table(cycles):
     assert main(["export", "cycles", "--format", "csv", "--out", "out"]) == 0
-    table = pd.read_csv("out/cycles.csv")
+    table = numbers_of("out/cycles.csv")
     np.testing.assert_array_equal(table["temperature"], cycles["temperature"].values)
     assert list(table["session"][:4]) == ["s1", "s1", "s1", "s2"]
 
