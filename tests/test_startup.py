@@ -15,6 +15,7 @@ FORBIDDEN = (
     "vtk", "trimesh", "ipctk", "sklearn", "pyarrow", "importlib.metadata",
 )  # fmt: skip
 """Each takes longer to import than help to be printed; the last pulls in the e-mail package."""
+OPTIONAL = ("pyarrow", "soundfile", "serial", "cobs", "ezc3d", "distributed", "pypardiso")
 COMMANDS = [name for name in cli.app if not name.startswith("-")]
 
 
@@ -36,6 +37,22 @@ def test_help_of_no_command_imports_anything_heavy():
     assert len(words) > 15
     code = "from acoustube.cli import main\n" + "\n".join(f"main({w!r})" for w in words)
     assert loaded_after(code) == []
+
+
+def test_every_module_loads_without_the_optional_packages():
+    code = (
+        "import pkgutil, sys\n"
+        f"sys.modules.update(dict.fromkeys({OPTIONAL!r}))\n"
+        "import acoustube\n"
+        "for module in pkgutil.walk_packages(acoustube.__path__, 'acoustube.'):\n"
+        "    if module.name != 'acoustube.__main__':\n"
+        "        __import__(module.name)\n"
+        "print(len(sys.modules))\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize("name", COMMANDS)
