@@ -32,6 +32,7 @@ PURPOSES = {
     "audio": "reads FLAC files",
     "c3d": "reads markers of motion capture",
     "dask": "sweeps on a cluster",
+    "page": "writes pages of results",
     "parquet": "writes Parquet tables",
     "pardiso": "factorises large meshes faster",
     "serial": "reads the board of `acoustube live`",

@@ -336,7 +336,8 @@ def export(
     kind : str
         Of datasets wav (with a Parquet table; the default), csv (labels) or lerobot (episodes as
         robot learners keep them); of simulate and indent stl (the lumen, at each depth; the
-        default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps and scatter csv.
+        default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps csv (the default),
+        stl or vtp; of scatter csv.
     out : Path
         The folder to write, which must be new or empty.
     quiet : bool

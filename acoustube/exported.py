@@ -9,11 +9,11 @@ from rich.console import Console
 
 from acoustube.errors import ConfigError
 from acoustube.io import partial_folder, publish
-from acoustube.opening import PATTERNS, open_dataset
+from acoustube.opening import PATTERNS, files_of, open_dataset
 
 FORMATS = {
     "cycles": ("wav", "csv", "lerobot"),
-    "sweep": ("csv",),
+    "sweep": ("csv", "stl", "vtp"),
     "simulate": ("stl", "vtp", "vtu", "csv"),
     "indent": ("stl", "vtp", "vtu", "csv"),
     "scatter": ("csv",),
@@ -60,7 +60,7 @@ def run_export(where: Path, out: Path, console: Console, *, wanted: str | None =
             f"{' or '.join(able)}{advice}"
         )
     with partial_folder(out) as partial:
-        found = _write(data, wanted or able[0], partial)
+        found = _write(data, where, wanted or able[0], partial)
         folder = publish(partial, out)
     console.print(f"{found} written to [bold]{folder}[/].", soft_wrap=True, highlight=False)
     return folder
@@ -98,7 +98,7 @@ def _kind(data: xr.Dataset, where: Path) -> str:
     )
 
 
-def _write(data: xr.Dataset, wanted: str, folder: Path) -> str:
+def _write(data: xr.Dataset, where: Path, wanted: str, folder: Path) -> str:
     """Write a result in one format; return what was written, in words."""
     if wanted == "csv":
         from acoustube.export.tables import write_tables
@@ -112,6 +112,8 @@ def _write(data: xr.Dataset, wanted: str, folder: Path) -> str:
         from acoustube.export.lerobot import write_episodes
 
         return write_episodes(data, folder)
-    from acoustube.export.geometry import write_meshes, write_surfaces
+    from acoustube.export.geometry import write_meshes, write_surfaces, write_swept
 
+    if "press" in data.dims:
+        return write_swept(files_of(where), folder, wanted)
     return write_meshes(data, folder) if wanted == "vtu" else write_surfaces(data, folder, wanted)

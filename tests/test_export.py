@@ -22,9 +22,12 @@ from acoustube.export.geometry import closed_wall
 from acoustube.indentation.mesh import sweep
 from acoustube.io import write_dataset
 from acoustube.limits import pressed_reach
-from acoustube.lumen import profile, ring_faces
+from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.mechanics import SIZES, press_from, tube_from
+from acoustube.opening import ORDER
 from acoustube.surfaces import read_lumen
+from acoustube.sweep import store
+from acoustube.walls import walls
 
 CONFIG = load_config(None, Mechanics, mesh="coarse", depth_mm=2.0, steps=3)
 TUBE = tube_from(CONFIG)
@@ -229,6 +232,40 @@ def test_table_of_a_sweep_has_a_column_for_each_source_end(tmp_path):
         "cases.csv",
         "columns.csv",
     ]
+
+
+def case_file(folder, name, walls):
+    """A file of a sweep with one case."""
+    data = xr.Dataset(
+        {label: ("press", [1.0]) for label in ORDER if label not in ("press", "support", "shape")}
+        | {"support": ("press", ["held"]), "shape": ("press", ["rod"])}
+        | {"lumen_area": ("press", [40e-6])},
+        {"press": [name]},
+    )
+    store.write_file(folder / f"cases-{name}.nc", data, None, walls)
+
+
+def test_lumens_of_a_sweep_are_those_of_its_files(tmp_path):
+    """A straight bore of 4 mm by 100 mm, of 64 corners; coordinates are kept to 1e-4."""
+    ring = np.stack([np.cos(a := np.arange(64) * np.pi / 32), np.sin(a), 0 * a], axis=-1)
+    rings = 4e-3 * ring + np.array([0.0, 0.0, 1.0]) * np.linspace(-0.05, 0.05, 5)[:, None, None]
+    part = Lumen(rings=rings + np.array([0.0, 0.0, 0.05]), outer_rings=1.4 * rings, position=0.05)
+    case_file(tmp_path, "a", walls(part))
+    case_file(tmp_path, "b", None)
+    assert main(["export", ".", "--format", "stl", "--out", "out"]) == 0
+    table = pd.read_csv("out/lumens.csv")
+    assert list(table["press"]) == ["a"]
+    surface = trimesh.load_mesh(f"out/{table['file'][0]}")
+    assert surface.is_watertight
+    expected = 32 * np.sin(np.pi / 32) * 16 * 100
+    assert surface.volume == pytest.approx(expected, rel=4e-4)
+
+
+def test_sweep_without_walls_is_refused(tmp_path, capsys):
+    case_file(tmp_path, "b", None)
+    assert main(["export", ".", "--format", "stl", "--out", "out"]) == 2
+    assert "no case is pressed" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_sounds_are_the_counts(cycles):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +17,8 @@ from acoustube.errors import ConfigError, SimulationError
 from acoustube.export.press import indentation_of, mesh_of, reached, settings_of
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
-from acoustube.lumen import pressed_part
+from acoustube.lumen import pressed_part, ring_faces
+from acoustube.sweep import store
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -31,6 +34,7 @@ The air space of a pressed tube as closed surfaces, in mm, z along the tube, y u
 """
 WHOLE = "The whole tube at the last depth, its source end at z = 0"
 PRESSED = "The pressed part of the tube, the press at z = 0; a file for each depth, see lumens.csv:"
+SWEPT = "The pressed parts of tubes, the press at z = 0; see lumens.csv for their cases:"
 STRAIGHTENED = "straightened between ends of straight tube, as acoustube scatter takes it"
 AS_IT_LIES = "as it lies, with flat ends"
 
@@ -78,6 +82,59 @@ def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]
     table["lumen_area_mm2"] = 1e6 * run["lumen_area"].values[rows]
     pd.DataFrame(table).to_csv(folder / "lumens.csv", index=False)
     return len(rows), what
+
+
+def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
+    """Write the lumens of a sweep, one for all cases that share a press.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Of the sweep, from :func:`acoustube.opening.files_of`.
+    folder : Path
+        An empty one.
+    suffix : {"stl", "vtp"}
+
+    Returns
+    -------
+    str
+        What was written, in words.
+
+    Raises
+    ------
+    ConfigError
+        If no file has walls.
+    """
+    rows: list[dict[str, Any]] = []
+    count = 0
+    for path in files:
+        walls = store.walls(path)
+        if walls is None:
+            continue  # of an untouched tube, or written by an earlier version
+        count += 1
+        rings, file = walls["inner_wall"].values.astype(float), f"lumen-{count:04d}.{suffix}"
+        _save(_surface(rings.reshape(-1, 3), ring_faces(*rings.shape[:2])), folder / file)
+        cases, _ = store.read(path)
+        known = cases[["depth", "lumen_area"]].to_dataframe()
+        rows += [
+            {
+                "press": name,
+                "file": file,
+                "depth_mm": 1e3 * case["depth"],
+                "lumen_area_mm2": 1e6 * case["lumen_area"],
+            }
+            for name, case in known.iterrows()
+        ]
+    if not rows:
+        raise ConfigError(
+            "the sweep has no walls: no case is pressed, or it was written by an earlier version; "
+            "sweep into a new folder, which remembers the presses"
+        )
+    pd.DataFrame(rows).to_csv(folder / "lumens.csv", index=False)
+    (folder / "README.txt").write_text(
+        TEXT.format(what=f"{SWEPT} {STRAIGHTENED}"), encoding="utf-8"
+    )
+    return f"{count} lumens of {len(rows)} cases"
 
 
 def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
