@@ -36,7 +36,7 @@ DEPTHS = "0.5:8:0.5"
 """In mm: those of the simulations, which share their presses. The study itself begins at 1 mm."""
 SHALLOWEST = 0.9e-3
 """In m, from which cases of the first dataset are recorded."""
-PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:180:75"
+PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
 CYCLES, FEWER_CYCLES = 50, 5
