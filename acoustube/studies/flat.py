@@ -223,7 +223,7 @@ def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
     """
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))
-    depths, number = np.unique(inside["depth"].values.round(6), return_inverse=True)
+    depths, number = np.unique(inside["depth"].values.round(9), return_inverse=True)
     good = [np.mean(told(inside)[number == i]) > RELIABLE for i in range(len(depths))]
     if not good or not good[-1]:
         return float("nan")
@@ -347,7 +347,7 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
         nan where there is none.
     """
     edges, column = estimation.bins(table["true_distance"].values, BIN)
-    depths, row = np.unique(table["depth"].values.round(6), return_inverse=True)
+    depths, row = np.unique(table["depth"].values.round(9), return_inverse=True)
     good = np.isfinite(values)
     shape = (len(depths), len(edges))
     number = np.ravel_multi_index((row[good], column[good]), shape)
@@ -404,8 +404,8 @@ def _forces(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     truth, found = table["force"].values, estimates["force"].values
-    places = np.unique(table["true_distance"].values.round(6))
-    depths = np.unique(table["depth"].values.round(6))
+    places = np.unique(table["true_distance"].values.round(9))
+    depths = np.unique(table["depth"].values.round(9))
     by_depth = [truth[np.isclose(table["depth"].values, depth)][0] for depth in depths]
     left.plot(MM * depths, by_depth, color="0.5", lw=3, label="truth")
     for i, place in enumerate(places):
