@@ -23,7 +23,9 @@ FACETS_PER_ELEMENT = 6
 RINGS_PER_ELEMENT = 6
 TRIANGLES_PER_EDGE = 8
 """Of an element's face, where sections are measured."""
-PROJECTION_STEPS = 20
+PROJECTION_STEPS = 30
+LEAST_STEEPNESS = 0.1
+"""Least distance to the centre of curvature, as a share of the radius, that a step is taken for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,13 +163,16 @@ def straighten(points: Array, line: Array) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     # The chord is shorter than the arc by a relative (h kappa)^2 / 24, under 1e-5 here.
     curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]), (2, [0.0, 0.0])))
-    tangent, y, z = curve.derivative(), points[..., 1], points[..., 2]
+    tangent, turn = curve.derivative(), curve.derivative(2)
+    y, z = points[..., 1], points[..., 2]
     s = z.copy()
     for _ in range(PROJECTION_STEPS):
         offset = np.stack([y, z], axis=-1) - curve(s)
         error = np.sum(offset * tangent(s), axis=-1)
-        s = s + error
-        if np.abs(error).max() < 1e-12:
+        # Newton's step; the share of the way to the centre of curvature slows a plain one.
+        step = error / np.maximum(1 - np.sum(offset * turn(s), axis=-1), LEAST_STEEPNESS)
+        s = s + step
+        if np.abs(step).max() < 1e-12:
             break
     else:
         raise SimulationError("The pressed tube is bent too sharply to be straightened.")

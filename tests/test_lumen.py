@@ -248,6 +248,21 @@ def test_straightening_maps_an_arc_back_to_the_straight_tube():
     assert np.abs(straight[..., 2] - bend * turn).max() < 1e-9
 
 
+def test_sharp_bend_is_straightened_up_to_near_its_centre():
+    """Radius 12 mm, points up to 9 mm inwards, as deep presses of a free tube bend it.
+
+    h = 24 um: h^3 / R_c^2 and h^2 / 24 of the length are under 1e-8 m; 1e-8 is allowed.
+    """
+    bend = 12e-3
+    angle = np.linspace(0, 1.2, 600)
+    line = np.stack([0 * angle, bend * (1 - np.cos(angle)), bend * np.sin(angle)], axis=-1)
+    turn, offset = np.linspace(0.1, 1.0, 50)[:, None], np.linspace(-3e-3, 9e-3, 5)
+    y, z = bend - (bend - offset) * np.cos(turn), (bend - offset) * np.sin(turn)
+    straight = straighten(np.stack([0 * y, y, z], axis=-1), line)
+    assert np.abs(straight[..., 1] - offset).max() < 1e-8
+    assert np.abs(straight[..., 2] - bend * turn).max() < 1e-8
+
+
 def test_straightening_leaves_a_straight_tube_alone():
     z = np.linspace(0, 60e-3, 50)
     line = np.stack([0 * z, 0 * z - 5e-3, z], axis=-1)
