@@ -14,7 +14,7 @@ from acoustube.cli import app, main
 from acoustube.errors import ConfigError
 from acoustube.reproduced import STUDIES, run_reproduce
 from acoustube.signals import Echoes, Ranging
-from acoustube.studies import calibration, echotube, flat, simulation
+from acoustube.studies import calibration, echotube, flat_figures, ranged, simulation
 from acoustube.studies.report import COLUMNS, Row, Scale, Study, page, write
 
 
@@ -83,19 +83,21 @@ def test_contacts_are_reliable_from_the_depth_beyond_which_none_is_missed():
     near = [(0.3, d, 0.3 + off) for d, off in ((1e-3, 0.0), (2e-3, 0.5), (3e-3, 0.1), (4e-3, 0.0))]
     far = [(2.0, d, np.nan) for d in (1e-3, 2e-3, 3e-3, 4e-3)]
     cycles = table(near + far)
-    assert flat.shallowest(cycles, 0.0, 0.6) == pytest.approx(3e-3)
-    assert np.isnan(flat.shallowest(cycles, 1.95, 3.0))
+    assert ranged.shallowest(cycles, 0.0, 0.6) == pytest.approx(3e-3)
+    assert np.isnan(ranged.shallowest(cycles, 1.95, 3.0))
 
 
 def test_errors_of_the_distance_leave_out_what_is_not_detected():
-    found = flat.distance_errors(table([(0.5, 1e-3, 0.54), (0.5, 1e-3, 0.46), (1.0, 1e-3, np.nan)]))
+    found = ranged.distance_errors(
+        table([(0.5, 1e-3, 0.54), (0.5, 1e-3, 0.46), (1.0, 1e-3, np.nan)])
+    )
     assert found.n == 2
     assert found.rmse == pytest.approx(0.04)
 
 
 def test_map_averages_each_press_in_its_bin():
     cycles = table([(0.21, 1e-3, 0.3), (0.24, 1e-3, 0.3), (0.26, 1e-3, 0.3), (0.21, 2e-3, 0.3)])
-    places, depths, mean = flat.over_map(cycles, np.array([1.0, 3.0, 7.0, np.nan]))
+    places, depths, mean = flat_figures.over_map(cycles, np.array([1.0, 3.0, 7.0, np.nan]))
     np.testing.assert_allclose(places, [0.20, 0.25])
     np.testing.assert_allclose(depths, [1e-3, 2e-3])
     np.testing.assert_array_equal(mean, [[2.0, 7.0], [np.nan, np.nan]])
@@ -104,7 +106,7 @@ def test_map_averages_each_press_in_its_bin():
 def test_smoothing_keeps_a_constant_and_what_is_missing():
     values = np.full((6, 6), 0.02)
     values[2, 3] = np.nan
-    found = flat._smoothed(values)
+    found = flat_figures.smoothed(values)
     assert np.isnan(found[2, 3])
     np.testing.assert_allclose(found[np.isfinite(values)], 0.02)
 

@@ -17,7 +17,7 @@ from acoustube.by_force import ByForce, by_force
 from acoustube.config import Config, configured
 from acoustube.plot import CM, PRESS
 from acoustube.sleeve import layout
-from acoustube.studies import flat
+from acoustube.studies import ranged
 from acoustube.studies.arm import (
     PLACES,
     bent_around,
@@ -234,8 +234,8 @@ def substrates(*, quick: bool = False) -> dict[str, ByForce]:
 
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return the human arm's row of Table I, counts, and errors over the skin."""
-    ours = flat.distance_errors(table)
-    other = None if coarser is None else flat.distance_errors(coarser)
+    ours = ranged.distance_errors(table)
+    other = None if coarser is None else ranged.distance_errors(coarser)
     why = (
         "A wrapped tube delays echoes by 3.4 cm per metre, and a press is told so or missed; what "
         "the paper adds is a hand, whose place is itself known to some centimetres, and a sleeve "
@@ -279,7 +279,7 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
 def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> list[Row]:
     """Return how many presses of a level are told."""
     counts = [
-        None if t is None else float((flat.told(t) & (t["level"].values == low)).sum())
+        None if t is None else float((ranged.told(t) & (t["level"].values == low)).sum())
         for t in (table, coarser)
     ]
     total = int((table["level"].values == low).sum())
@@ -293,17 +293,17 @@ def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: s
 
 
 def _wrong(table: xr.Dataset) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(flat.found_distance(table)) & ~flat.told(table))
+    return np.asarray(np.isfinite(ranged.found_distance(table)) & ~ranged.told(table))
 
 
 def _reach(table: xr.Dataset) -> float:
-    good = flat.told(table)
+    good = ranged.told(table)
     return CM * float(table["true_distance"].values[good].max()) if good.any() else float("nan")
 
 
 def _skin(table: xr.Dataset, tube: int) -> Array:
     part = table.isel(cycle=table["number"].values == tube)
-    return over_skin(sleeve()[tube], flat.found_distance(part), part["true_distance"].values)
+    return over_skin(sleeve()[tube], ranged.found_distance(part), part["true_distance"].values)
 
 
 def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
@@ -328,7 +328,7 @@ def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
 def _distances(table: xr.Dataset) -> Figure:
     sheet = Figure(figsize=(12, 5), layout="constrained")
     left, right = sheet.subplots(1, 2)
-    true, found = CM * table["true_distance"].values, CM * flat.found_distance(table)
+    true, found = CM * table["true_distance"].values, CM * ranged.found_distance(table)
     level, number = table["level"].values, table["number"].values
     for (low, high), colour in zip(LEVELS, COLOURS, strict=True):
         for tube, marker in enumerate("os"):
@@ -346,7 +346,7 @@ def _distances(table: xr.Dataset) -> Figure:
         at = edges[:-1] + 15 + (i - 1) * width
         good, bad = (
             np.histogram(true[(level == low) & which], edges)[0]
-            for which in (flat.told(table), false)
+            for which in (ranged.told(table), false)
         )
         right.bar(at, good, width, color=colour, label=f"{low:g}-{high:g} N")
         right.bar(at, bad, width, bottom=good, color="0.6")
@@ -374,7 +374,7 @@ def _arm(table: xr.Dataset) -> Figure | None:
     tube = sleeve()[0]
     hard = (table["number"].values == 0) & (table["level"].values == LEVELS[-1][0])
     part = table.isel(cycle=hard)
-    found = flat.found_distance(part)
+    found = ranged.found_distance(part)
     picture = scene_sleeve.Picture(
         tubes=(tube,),
         heard=layout([tube]).heard,

@@ -15,7 +15,7 @@ from acoustube import estimation
 from acoustube.estimation import Model
 from acoustube.plot import CM
 from acoustube.sleeve import Helix
-from acoustube.studies import flat
+from acoustube.studies import flat, ranged
 from acoustube.studies.arm import (
     PLACES,
     bent_around,
@@ -171,8 +171,8 @@ def recorded(
 
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -> list[Row]:
     """Return the mannequin's row of Table I, and errors over the skin."""
-    ours = flat.distance_errors(table)
-    other = None if coarser is None else flat.distance_errors(coarser)
+    ours = ranged.distance_errors(table)
+    other = None if coarser is None else ranged.distance_errors(coarser)
     why = (
         "A wrapped tube delays echoes by 3.4 cm per metre, and shallow ones, heard by way of the "
         "slow (1,1), by up to 12 cm; what does not rise over the clutter is missed, not "
@@ -188,8 +188,8 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -
             ("median", "median", 8.48), ("rmse", "RMSE of the", 14.0), ("iqr", "IQR of the", 12.9),
         )
     ]  # fmt: skip
-    skin = over_skin(helix, flat.found_distance(table), table["true_distance"].values)
-    deep = np.abs(flat.found_distance(table) - table["true_distance"].values)[
+    skin = over_skin(helix, ranged.found_distance(table), table["true_distance"].values)
+    deep = np.abs(ranged.found_distance(table) - table["true_distance"].values)[
         table["depth"].values > 6.5e-3
     ]
     return [
@@ -228,7 +228,7 @@ def farthest(table: xr.Dataset) -> float:
         for place in np.unique(table["true_distance"].values)
         for depth in np.unique(table["depth"].values)
         for here in [(table["true_distance"].values == place) & (table["depth"].values == depth)]
-        if np.mean(flat.told(table)[here]) > flat.RELIABLE
+        if np.mean(ranged.told(table)[here]) > ranged.RELIABLE
     ]
     return max(good, default=float("nan"))
 
@@ -286,7 +286,7 @@ def peaks(table: xr.Dataset) -> Array:
     """Return the mean highest peak of each press that is told to 25 cm, and nan of others."""
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values
-    good = flat.told(table)
+    good = ranged.told(table)
     return np.array([heights[p & good].mean() if (p & good).any() else np.nan for p in presses])
 
 
@@ -305,7 +305,7 @@ def _presses(table: xr.Dataset) -> list[NDArray[np.bool_]]:
 def _places(table: xr.Dataset, helix: Helix) -> Figure:
     sheet = Figure(figsize=(12, 5), layout="constrained")
     left, right = sheet.subplots(1, 2)
-    found, true = flat.found_distance(table), table["true_distance"].values
+    found, true = ranged.found_distance(table), table["true_distance"].values
     points = left.scatter(
         CM * true, CM * found, s=6, c=MM * table["depth"].values, cmap="viridis_r", lw=0
     )

@@ -1,0 +1,87 @@
+"""The flat table again, by an estimator that is told the whole echo, on the same test cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from rich.console import Console
+
+from acoustube import estimation
+from acoustube.chain import Report
+from acoustube.estimation import Describing, Model
+from acoustube.opening import open_dataset
+from acoustube.run import heard_interrupts, stage_progress
+from acoustube.studies.report import Row, Scale
+from acoustube.trained import HUMAN
+
+EVERY = 10
+"""Of the cycles one is taken: those of a press differ by noise alone."""
+WORDS = {"true_distance": "distance", "depth": "depth", "force": "force"}
+SHALLOWEST = 0.9e-3
+"""In m, from which presses of the first dataset are learned, as by the force network."""
+
+
+def rows(work: Path, how: Describing, scale: Scale, console: Console) -> list[Row]:
+    """Return the errors of the whole-echo networks on the second dataset of the flat table.
+
+    Parameters
+    ----------
+    work : Path
+        The flat study's, with the cycles of both datasets.
+    how : Describing
+    scale : Scale
+    console : rich.console.Console
+
+    Returns
+    -------
+    list of Row
+    """
+    every = 1 if scale.quick else EVERY
+    with heard_interrupts() as check, stage_progress(console) as show:
+
+        def report(stage: str, share: float) -> None:
+            check()
+            show(stage, share)
+
+        first, second = (
+            _described(work / name, how, every, report) for name in ("first", "second")
+        )
+        first = first.isel(cycle=first["depth"].values > SHALLOWEST)
+        model = _trained(first, how, scale, report)
+    return list(_rows(model, second))
+
+
+def _described(work: Path, how: Describing, every: int, report: Report) -> xr.Dataset:
+    cycles = open_dataset(work / "cycles").isel(cycle=slice(None, None, every)).load()
+    return estimation.described(cycles, how, lambda share: report("whole echoes", share))
+
+
+def _trained(table: xr.Dataset, how: Describing, scale: Scale, report: Report) -> Model:
+    settings: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
+    total = settings.get("epochs", 25)
+
+    def learned(step: float, *_losses: float) -> None:
+        report("training", min(step / total, 1.0))
+
+    return estimation.train(table, "echo", how, progress=learned, **settings)
+
+
+def _rows(model: Model, table: xr.Dataset) -> Iterator[Row]:
+    estimates = estimation.estimate(model, table)
+    for target in model.targets:
+        unit, scale = HUMAN[target]
+        truth, name = table[target].values.astype(float), WORDS[target]
+        columns = [estimates[name + end].values for end in ("", "_deviation", "_half_width")]
+        found = estimation.errors(truth, *columns)
+        why = "Of the whole echo; second dataset, learned from the first."
+        for words, value in (("median", found.median), ("RMSE of the", found.rmse),
+                             ("IQR of the", found.iqr)):  # fmt: skip
+            yield Row(quantity=f"{name}, whole echo: {words} absolute error", unit=unit,
+                      ours=scale * value, why=why)  # fmt: skip
+        yield Row(quantity=f"{name}, whole echo: median relative error", unit="%",
+                  ours=100 * found.relative, why=why)  # fmt: skip
+        yield Row(quantity=f"{name}, whole echo: truths in the intervals of 90 %", unit="%",
+                  ours=100 * found.covered_wide, why="90 is stated.")  # fmt: skip
