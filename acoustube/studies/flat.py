@@ -206,7 +206,7 @@ def localisation_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row
     other = None if coarser is None else distance_errors(coarser)
     why = (
         "Ours are of two kinds: under 1 cm, and 5 to 8 cm where trapped sound is the highest. The "
-        "paper's own complete closures scatter by 3.6 cm about their line (Fig. 3), ours by 0.1 cm: "
+        "paper's own complete closures scatter by 3.6 cm about a line (Fig. 3), ours by 0.1 cm: "
         "of its tube and bench there is more in its errors than of the presses."
     )
     rows = [
