@@ -64,10 +64,11 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
         coarser = recorded(scale.coarser, scale, work / "coarser", console, few=True)
     network = trained_network(first, scale, console)
     forces = estimation.estimate(network, second)
+    heard = np.isfinite(found_distance(second))
     rows = [
         *localisation_rows(first, coarser),
         *force_rows(second, forces, network),
-        *whole_echo.rows(work, describing_of(work), scale, console),
+        *whole_echo.rows(work, describing_of(work), heard, scale, console),
     ]
     figures = {
         "True against estimated distance of single cycles, coloured by depth; dashed the window of "

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from rich.console import Console
 
 from acoustube import estimation
@@ -24,7 +26,9 @@ SHALLOWEST = 0.9e-3
 """In m, from which presses of the first dataset are learned, as by the force network."""
 
 
-def rows(work: Path, how: Describing, scale: Scale, console: Console) -> list[Row]:
+def rows(
+    work: Path, how: Describing, heard: NDArray[np.bool_], scale: Scale, console: Console
+) -> list[Row]:
     """Return the errors of the whole-echo networks on the second dataset of the flat table.
 
     Parameters
@@ -32,6 +36,9 @@ def rows(work: Path, how: Describing, scale: Scale, console: Console) -> list[Ro
     work : Path
         The flat study's, with the cycles of both datasets.
     how : Describing
+    heard : array of bool of shape (cycle,)
+        In which cycles of the second dataset the paper's processing finds an echo: where both can
+        be compared.
     scale : Scale
     console : rich.console.Console
 
@@ -51,7 +58,10 @@ def rows(work: Path, how: Describing, scale: Scale, console: Console) -> list[Ro
         )
         first = first.isel(cycle=first["depth"].values > SHALLOWEST)
         model = _trained(first, how, scale, report)
-    return list(_rows(model, second))
+    return [
+        *_rows(model, second, heard[::every], "where the highest peak is found"),
+        *_rows(model, second, np.ones_like(heard[::every]), "of all cycles"),
+    ]
 
 
 def _described(work: Path, how: Describing, every: int, report: Report) -> xr.Dataset:
@@ -69,19 +79,20 @@ def _trained(table: xr.Dataset, how: Describing, scale: Scale, report: Report) -
     return estimation.train(table, "echo", how, progress=learned, **settings)
 
 
-def _rows(model: Model, table: xr.Dataset) -> Iterator[Row]:
+def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) -> Iterator[Row]:
+    table = table.isel(cycle=some)
     estimates = estimation.estimate(model, table)
     for target in model.targets:
         unit, scale = HUMAN[target]
         truth, name = table[target].values.astype(float), WORDS[target]
         columns = [estimates[name + end].values for end in ("", "_deviation", "_half_width")]
         found = estimation.errors(truth, *columns)
-        why = "Of the whole echo; second dataset, learned from the first."
+        why = f"Second dataset, {which}; learned from the first."
         for words, value in (("median", found.median), ("RMSE of the", found.rmse),
                              ("IQR of the", found.iqr)):  # fmt: skip
-            yield Row(quantity=f"{name}, whole echo: {words} absolute error", unit=unit,
+            yield Row(quantity=f"{name}, whole echo, {which}: {words} absolute error", unit=unit,
                       ours=scale * value, why=why)  # fmt: skip
-        yield Row(quantity=f"{name}, whole echo: median relative error", unit="%",
+        yield Row(quantity=f"{name}, whole echo, {which}: median relative error", unit="%",
                   ours=100 * found.relative, why=why)  # fmt: skip
-        yield Row(quantity=f"{name}, whole echo: truths in the intervals of 90 %", unit="%",
+        yield Row(quantity=f"{name}, whole echo, {which}: in the intervals of 90 %", unit="%",
                   ours=100 * found.covered_wide, why="90 is stated.")  # fmt: skip
