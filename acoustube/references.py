@@ -73,6 +73,7 @@ TOPICS = {
     "rangefinder": "the rangefinder",
     "arm": "the axis of an arm from markers",
     "flattening": "the flattening of a wrapped tube",
+    "tissue": "the tissue of an arm",
     "contacts": "contacts followed from cycle to cycle",
     "network": "networks",
     "ensemble": "ensembles of networks",
@@ -201,6 +202,20 @@ REFERENCES = (
         "On the flexure of thin cylindrical shells and other \"thin\" sections",
         {"journal": "Proceedings of the Royal Society A", "volume": "116", "pages": "104--114",
          "year": "1927", "doi": "10.1098/rspa.1927.0125"},
+    ),
+    Reference(
+        "iivarinen2011", "article", "tissue", "Iivarinen, J. T. and others",
+        "Experimental and computational analysis of soft tissue stiffness in forearm using a manual "
+        "indentation device",
+        {"journal": "Medical Engineering and Physics", "volume": "33", "pages": "1245--1253",
+         "year": "2011", "doi": "10.1016/j.medengphy.2011.05.015"},
+    ),
+    Reference(
+        "isogai2022", "article", "tissue", "Isogai, K. and others",
+        "Young's moduli of subcutaneous tissues and muscles under different loads at the gluteal "
+        "region calculated using ultrasonography",
+        {"journal": "Journal of Physical Therapy Science", "volume": "34", "pages": "777--783",
+         "year": "2022", "doi": "10.1589/jpts.34.777"},
     ),
     Reference(
         "barshalom2001", "book", "contacts",

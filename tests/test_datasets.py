@@ -107,8 +107,9 @@ def test_specimens_sessions_and_cycles_differ(dataset):
         tube: counts[one["tube"].values == tube].mean(axis=0) for tube in np.unique(one["tube"])
     }
     first, second = means.values()
-    # Between 2 and 5 ms, behind the ring-down; noise of 0.9 counts in means of 6 cycles is 0.5.
-    assert (first - second)[400:1000].std() > 1.0
+    # Between 2 and 5 ms, behind the ring-down: noise of 0.2 counts and its rounding, 0.37 together,
+    # make 0.21 in the difference of two means of 6 cycles.
+    assert (first - second)[400:1000].std() > 0.35
 
 
 def test_cycles_of_a_session_share_its_drift(dataset):
