@@ -205,8 +205,8 @@ REFERENCES = (
     ),
     Reference(
         "iivarinen2011", "article", "tissue", "Iivarinen, J. T. and others",
-        "Experimental and computational analysis of soft tissue stiffness in forearm using a manual "
-        "indentation device",
+        "Experimental and computational analysis of soft tissue stiffness in forearm using a "
+        "manual indentation device",
         {"journal": "Medical Engineering and Physics", "volume": "33", "pages": "1245--1253",
          "year": "2011", "doi": "10.1016/j.medengphy.2011.05.015"},
     ),
