@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +73,6 @@ def tool(tube: Helix) -> str:
     return f"{1e3 * rod_on_a_bend(ROD, curvature):.1f}"
 
 
-@cache
 def processing_of(tube: int) -> Processing:
     """Return the processing of a tube's cycles, calibrated with the tube straight."""
     return calibrated(TUBE_SEEDS[tube])[0].processing

@@ -19,10 +19,10 @@ from acoustube.opening import open_dataset
 from acoustube.plot import CM
 from acoustube.run import heard_interrupts, stage_progress
 from acoustube.signals import Processing
-from acoustube.studies import flat_figures, whole_echo
+from acoustube.studies import flat_figures, ranged, whole_echo
 from acoustube.studies.calibration import calibrated
 from acoustube.studies.presses import swept
-from acoustube.studies.ranged import distance_errors, found_distance, shallowest
+from acoustube.studies.ranged import SHALLOWEST, found_distance, shallowest
 from acoustube.studies.report import Level, Row, Scale, Study
 from acoustube.sweep.cycles import Recipe, seed_of
 from acoustube.sweep.pieces import tube_of
@@ -33,8 +33,6 @@ MM = 1e3
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
 DEPTHS = "0.5:8:0.5"
 """In mm: those of the simulations, which share their presses. The study itself begins at 1 mm."""
-SHALLOWEST = 0.9e-3
-"""In m, from which cases of the first dataset are recorded."""
 PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
@@ -203,31 +201,16 @@ def trained_network(table: xr.Dataset, scale: Scale, console: Console) -> Model:
 
 def localisation_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return Table I and what the text says of reach."""
-    ours = distance_errors(table)
-    other = None if coarser is None else distance_errors(coarser)
     why = (
         "Ours are of two kinds: under 1 cm, and 5 to 8 cm where trapped sound is the highest. The "
         "paper's own complete closures scatter by 3.6 cm about a line (Fig. 3), ours by 0.1 cm: "
         "of its tube and bench there is more in its errors than of the presses."
     )
-    rows = [
-        Row(
-            quantity=f"distance: {words} absolute error", unit="cm", published=published,
-            ours=CM * getattr(ours, name),
-            coarser=None if other is None else CM * getattr(other, name), why=why,
-        )
-        for name, words, published in (
-            ("median", "median", 5.23), ("rmse", "RMSE of the", 13.1), ("iqr", "IQR of the", 9.31),
-        )
-    ]  # fmt: skip
+    rows = ranged.distance_rows(table, coarser, (5.23, 13.1, 9.31), why)
     deep = table["depth"].values > 6.5e-3
     off = np.abs(found_distance(table) - table["true_distance"].values)
     rows += [
-        Row(
-            quantity="cycles with an echo", unit="%", ours=100 * ours.n / table.sizes["cycle"],
-            coarser=None if other is None or coarser is None
-            else 100 * other.n / coarser.sizes["cycle"], why="Not published.",
-        ),
+        ranged.heard_row(table, coarser),
         Row(
             quantity="depth from which contacts up to 0.6 m are reliable", unit="mm",
             published=2.5, ours=MM * shallowest(table, 0.0, NEAR),

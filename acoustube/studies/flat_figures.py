@@ -25,7 +25,12 @@ BIN = 0.05
 def distances(table: xr.Dataset) -> Figure:
     """Draw estimated against true distance of cycles, coloured by depth."""
     sheet = Figure(figsize=(7.5, 6), layout="constrained")
-    axes = sheet.subplots()
+    draw_distances(sheet.subplots(), table)
+    return sheet
+
+
+def draw_distances(axes: Axes, table: xr.Dataset) -> None:
+    """Draw the same on axes; of many cycles evenly chosen ones."""
     some = table.isel(cycle=slice(None, None, max(1, table.sizes["cycle"] // 8000)))
     points = axes.scatter(
         CM * some["true_distance"].values, CM * found_distance(some), s=5,
@@ -36,8 +41,7 @@ def distances(table: xr.Dataset) -> Figure:
         axes.axhline(bound, color="0.5", lw=0.8, ls="--")
     axes.set_xlabel("true distance (cm)")
     axes.set_ylabel("estimated distance (cm)")
-    sheet.colorbar(points, ax=axes, label="depth (mm)")
-    return sheet
+    axes.figure.colorbar(points, ax=axes, label="depth (mm)")
 
 
 def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Array]:

@@ -234,23 +234,12 @@ def substrates(*, quick: bool = False) -> dict[str, ByForce]:
 
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return the human arm's row of Table I, counts, and errors over the skin."""
-    ours = ranged.distance_errors(table)
-    other = None if coarser is None else ranged.distance_errors(coarser)
     why = (
         "A wrapped tube delays echoes by 3.4 cm per metre, and a press is told so or missed; what "
         "the paper adds is a hand, whose place is itself known to some centimetres, and a sleeve "
         "that shifts on the skin."
     )
-    rows = [
-        Row(
-            quantity=f"distance: {words} absolute error", unit="cm", published=published,
-            ours=CM * getattr(ours, name),
-            coarser=None if other is None else CM * getattr(other, name), why=why,
-        )
-        for name, words, published in (
-            ("median", "median", 3.8), ("rmse", "RMSE of the", 14.5), ("iqr", "IQR of the", 11.7),
-        )
-    ]  # fmt: skip
+    rows = ranged.distance_rows(table, coarser, (3.8, 14.5, 11.7), why)
     for low, high in LEVELS:
         rows += _counted(table, coarser, low, f"{low:g}-{high:g} N")
     false = [None if t is None else float(_wrong(t).sum()) for t in (table, coarser)]

@@ -15,7 +15,7 @@ from acoustube import estimation
 from acoustube.estimation import Model
 from acoustube.plot import CM
 from acoustube.sleeve import Helix
-from acoustube.studies import flat, ranged
+from acoustube.studies import flat, flat_figures, ranged
 from acoustube.studies.arm import (
     PLACES,
     bent_around,
@@ -61,7 +61,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     network = flat_network(scale, work / "flat", console)
     table = tables["wrapped"]
     helix = sleeve()[TUBE]
-    forces = estimation.estimate(network, table)["force"].values
+    forces = estimation.estimate(network, table)
     rows = [
         *distance_rows(table, coarser, helix),
         *force_rows(table, coarser, network),
@@ -76,7 +76,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
             "search window (left). Mean absolute error of each press, along the tube and over "
             "the skin (right).": _places(table, helix),
             "Force against depth: truth and the network's estimates, by distance (left); mean "
-            "absolute relative error of each press (right).": _forces(table, forces),
+            "absolute relative error of each press (right).": flat_figures.forces(table, forces),
             "Highest peak of presses 5 mm (left) and 8 mm deep at each place: straight tube, "
             "wrapped, and wrapped and flattened.": _heights(tables),
         },
@@ -171,23 +171,12 @@ def recorded(
 
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -> list[Row]:
     """Return the mannequin's row of Table I, and errors over the skin."""
-    ours = ranged.distance_errors(table)
-    other = None if coarser is None else ranged.distance_errors(coarser)
     why = (
         "A wrapped tube delays echoes by 3.4 cm per metre, and shallow ones, heard by way of the "
         "slow (1,1), by up to 12 cm; what does not rise over the clutter is missed, not "
         "misplaced. The paper's arm adds what its fabric does to the tube."
     )
-    rows = [
-        Row(
-            quantity=f"distance: {words} absolute error", unit="cm", published=published,
-            ours=CM * getattr(ours, name),
-            coarser=None if other is None else CM * getattr(other, name), why=why,
-        )
-        for name, words, published in (
-            ("median", "median", 8.48), ("rmse", "RMSE of the", 14.0), ("iqr", "IQR of the", 12.9),
-        )
-    ]  # fmt: skip
+    rows = ranged.distance_rows(table, coarser, (8.48, 14.0, 12.9), why)
     skin = over_skin(helix, ranged.found_distance(table), table["true_distance"].values)
     deep = np.abs(ranged.found_distance(table) - table["true_distance"].values)[
         table["depth"].values > 6.5e-3
@@ -207,11 +196,7 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -
             quantity="place on the skin: RMSE", unit="cm",
             ours=CM * float(np.sqrt(np.nanmean(skin**2))), why="Not published.",
         ),
-        Row(
-            quantity="cycles with an echo", unit="%", ours=100 * ours.n / table.sizes["cycle"],
-            coarser=None if other is None or coarser is None
-            else 100 * other.n / coarser.sizes["cycle"], why="Not published.",
-        ),
+        ranged.heard_row(table, coarser),
         Row(
             quantity="farthest press that is told to 25 cm", unit="cm", published=210.0,
             ours=CM * farthest(table),
@@ -306,14 +291,7 @@ def _places(table: xr.Dataset, helix: Helix) -> Figure:
     sheet = Figure(figsize=(12, 5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     found, true = ranged.found_distance(table), table["true_distance"].values
-    points = left.scatter(
-        CM * true, CM * found, s=6, c=MM * table["depth"].values, cmap="viridis_r", lw=0
-    )
-    left.plot([15, 215], [15, 215], "k", lw=0.8)
-    for bound in (15, 215):
-        left.axhline(bound, color="0.5", lw=0.8, ls="--")
-    left.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
-    sheet.colorbar(points, ax=left, label="depth (mm)")
+    flat_figures.draw_distances(left, table)
     along, skin = np.abs(found - true), over_skin(helix, found, true)
     _histogram(right, table, {"along the tube": along, "over the skin": skin})
     return sheet
@@ -331,32 +309,6 @@ def _histogram(axes: Axes, table: xr.Dataset, errors: dict[str, Array]) -> None:
         xlabel="mean absolute error of a press (cm); 38 and more in the last", ylabel="presses"
     )
     axes.legend()
-
-
-def _forces(table: xr.Dataset, estimate: Array) -> Figure:
-    sheet = Figure(figsize=(12, 4.5), layout="constrained")
-    left, right = sheet.subplots(1, 2)
-    place, depth, truth = (table[n].values for n in ("true_distance", "depth", "force"))
-    depths, places = np.unique(depth), np.unique(place)
-    left.plot(MM * depths, [truth[depth == d][0] for d in depths], color="0.5", lw=3, label="truth")
-    relative = np.full((len(places), len(depths)), np.nan)
-    for i, z in enumerate(places):
-        cells = [estimate[(place == z) & (depth == d)] for d in depths]
-        mean = [np.nanmean(c) if np.isfinite(c).any() else np.nan for c in cells]
-        left.plot(MM * depths, mean, ".-", lw=0.8, color=f"C{i}", label=f"{CM * z:g} cm")
-        relative[i] = [
-            np.nanmean(np.abs(c / truth[depth == d][0] - 1)) if np.isfinite(c).any() else np.nan
-            for c, d in zip(cells, depths, strict=True)
-        ]
-    left.set(xlabel="depth (mm)", ylabel="force (N)", ylim=(0, None))
-    left.legend(fontsize="small")
-    right.set_facecolor("0.8")
-    drawn = right.pcolormesh(
-        MM * depths, CM * places, 100 * relative, shading="nearest", vmin=0, vmax=100
-    )
-    right.set(xlabel="depth (mm)", ylabel="true distance (cm)")
-    sheet.colorbar(drawn, ax=right, label="mean absolute relative error (%)")
-    return sheet
 
 
 def _heights(tables: dict[str, xr.Dataset]) -> Figure:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube import estimation
 from acoustube.estimation import Errors
+from acoustube.plot import CM
+from acoustube.studies.report import Row
 
 Array = NDArray[np.float64]
 FALSE = 0.25
 """Error of the distance in m from which a detection is a false positive."""
+SHALLOWEST = 0.9e-3
+"""Depth in m from which cases of the flat table's first dataset are taken."""
 RELIABLE = 0.5
 """Share of the cycles that must tell the distance to 25 cm for a contact to be reliable."""
 
@@ -44,3 +50,64 @@ def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
         return float("nan")
     unreliable = np.flatnonzero(~np.array(good))
     return float(depths[unreliable[-1] + 1] if unreliable.size else depths[0])
+
+
+def measure_rows(
+    what: str,
+    unit: str,
+    ours: Errors,
+    *,
+    why: str,
+    scale: float = 1.0,
+    published: Sequence[float | None] = (None, None, None),
+    coarser: Errors | None = None,
+) -> list[Row]:
+    """Return median, RMSE and IQR of absolute errors: the columns of the paper's tables.
+
+    Parameters
+    ----------
+    what, unit : str
+        What is estimated, and its unit in the report.
+    ours : Errors
+    why : str
+    scale : float
+        Of that unit to the errors' own.
+    published : sequence of float or None
+        In the unit of the report.
+    coarser : Errors, optional
+        On the coarser level.
+    """
+    return [
+        Row(
+            quantity=f"{what}: {words} absolute error", unit=unit, published=number,
+            ours=scale * getattr(ours, name),
+            coarser=None if coarser is None else scale * getattr(coarser, name), why=why,
+        )
+        for name, words, number in zip(
+            ("median", "rmse", "iqr"), ("median", "RMSE of the", "IQR of the"), published,
+            strict=True,
+        )
+    ]  # fmt: skip
+
+
+def distance_rows(
+    table: xr.Dataset, coarser: xr.Dataset | None, published: Sequence[float], why: str
+) -> list[Row]:
+    """Return a row of the paper's Table I."""
+    ours, other = (None if t is None else distance_errors(t) for t in (table, coarser))
+    assert ours is not None
+    return measure_rows(
+        "distance", "cm", ours, why=why, scale=CM, published=published, coarser=other
+    )
+
+
+def heard_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
+    """Return the share of cycles with an echo."""
+    ours, other = (
+        None if t is None else 100 * float(np.mean(np.isfinite(found_distance(t))))
+        for t in (table, coarser)
+    )
+    assert ours is not None
+    return Row(
+        quantity="cycles with an echo", unit="%", ours=ours, coarser=other, why="Not published."
+    )

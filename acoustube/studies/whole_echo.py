@@ -14,16 +14,15 @@ from rich.console import Console
 from acoustube import estimation
 from acoustube.chain import Report
 from acoustube.estimation import Describing, Model
+from acoustube.estimation.model import TARGETS
 from acoustube.opening import open_dataset
 from acoustube.run import heard_interrupts, stage_progress
+from acoustube.studies.ranged import SHALLOWEST, measure_rows
 from acoustube.studies.report import Row, Scale
 from acoustube.trained import HUMAN
 
 EVERY = 10
 """Of the cycles one is taken: those of a press differ by noise alone."""
-WORDS = {"true_distance": "distance", "depth": "depth", "force": "force"}
-SHALLOWEST = 0.9e-3
-"""In m, from which presses of the first dataset are learned, as by the force network."""
 
 
 def rows(
@@ -84,14 +83,11 @@ def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) 
     estimates = estimation.estimate(model, table)
     for target in model.targets:
         unit, scale = HUMAN[target]
-        truth, name = table[target].values.astype(float), WORDS[target]
+        truth, name = table[target].values.astype(float), TARGETS[target]
         columns = [estimates[name + end].values for end in ("", "_deviation", "_half_width")]
         found = estimation.errors(truth, *columns)
         why = f"Second dataset, {which}; learned from the first."
-        for words, value in (("median", found.median), ("RMSE of the", found.rmse),
-                             ("IQR of the", found.iqr)):  # fmt: skip
-            yield Row(quantity=f"{name}, whole echo, {which}: {words} absolute error", unit=unit,
-                      ours=scale * value, why=why)  # fmt: skip
+        yield from measure_rows(f"{name}, whole echo, {which}", unit, found, why=why, scale=scale)
         yield Row(quantity=f"{name}, whole echo, {which}: median relative error", unit="%",
                   ours=100 * found.relative, why=why)  # fmt: skip
         yield Row(quantity=f"{name}, whole echo, {which}: in the intervals of 90 %", unit="%",
