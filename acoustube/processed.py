@@ -218,7 +218,7 @@ def _with_progress(
     data: xr.Dataset, how: Processing, console: Console, check: Callable[[], None], path: Path
 ) -> Iterator[tuple[int, Ranging]]:
     total, finished = data.sizes["cycle"], 0
-    with stage_progress(console) as show:
+    with stage_progress(console, check) as show:
         for first, ranging in located(data, how):
             check()
             finished += len(ranging.detected)

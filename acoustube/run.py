@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 import threading
 import time
@@ -74,12 +75,7 @@ def run(config: Config, folder: Path, console: Console) -> Path:
     with heard_interrupts() as check:
         _print_header(config, console)
         with partial_folder(folder) as partial:
-            with stage_progress(console) as show:
-
-                def report(stage: str, fraction: float) -> None:
-                    check()
-                    show(stage, fraction)
-
+            with stage_progress(console, check) as report:
                 dataset = simulate(config, report=report)
             write_dataset(dataset, partial / "run.nc")
             (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
@@ -130,12 +126,8 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     with heard_interrupts() as check:
         _print_press_header(config, console)
         with partial_folder(folder) as partial:
-            with stage_progress(console) as show:
-
-                def progress(fraction: float) -> None:
-                    check()
-                    show("indentation", fraction)
-
+            with stage_progress(console, check) as report:
+                progress = functools.partial(report, "indentation")
                 progress(0.0)
                 try:
                     indentation = pressed(config, depths, progress, notes.append)
@@ -328,10 +320,23 @@ def heard_interrupts() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def stage_progress(console: Console) -> Iterator[Report]:
-    """Yield a function that shows a bar per stage, or a line now and then without a terminal."""
+def stage_progress(console: Console, check: Callable[[], None]) -> Iterator[Report]:
+    """Yield a function that shows a bar per stage, or a line now and then without a terminal.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    check : callable
+        From :func:`heard_interrupts`; called with each report.
+    """
     if not console.is_terminal:
-        yield _lines(console)
+        line = _lines(console)
+
+        def report_line(stage: str, fraction: float) -> None:
+            check()
+            line(stage, fraction)
+
+        yield report_line
         return
     columns = (
         TextColumn("{task.description:12}"),
@@ -344,6 +349,7 @@ def stage_progress(console: Console) -> Iterator[Report]:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, fraction: float) -> None:
+            check()
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=1.0)
             bars.update(tasks[stage], completed=fraction)

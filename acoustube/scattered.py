@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -84,12 +85,8 @@ def run_scatter(
     # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
-    with heard_interrupts() as check, stage_progress(console) as show:
-
-        def progress(fraction: float) -> None:
-            check()
-            show("scattering", fraction)
-
+    with heard_interrupts() as check, stage_progress(console, check) as report:
+        progress = functools.partial(report, "scattering")
         cells = cut_cells(surface, spacing)
         _check_width(cells, path)
         progress(0.0)

@@ -164,22 +164,16 @@ def run_train(
     if epochs is not None:
         settings["iterations" if name == "boosting" else "epochs"] = epochs
     with heard_interrupts() as check:
-        with stage_progress(console) as show:
-
-            def report(stage: str, share: float) -> None:
-                check()
-                show(stage, share)
-
+        with stage_progress(console, check) as report:
             table = table_of(
                 paths, describing, report, lambda path, rate: check_rate(rate, known, path)
             )
         _print_cycles(table, name, console)
-        with stage_progress(console) as show:
+        with stage_progress(console, check) as report:
             total = epochs or ESTIMATORS[name]().get_params().get("epochs", 1)
 
             def learned(step: float, *losses: float) -> None:
-                check()
-                show("training", step / total if losses else step)
+                report("training", step / total if losses else step)
                 if losses and str(step).strip("0") in ("1", "2", "5"):  # an early look
                     console.print(
                         f"epoch {step} of {total}: loss {losses[0]:.4f}, held out {losses[1]:.4f}"
@@ -265,12 +259,7 @@ def run_evaluate(
     """
     start = time.perf_counter()
     model = estimation.load(path)
-    with heard_interrupts() as check, stage_progress(console) as show:
-
-        def report(stage: str, share: float) -> None:
-            check()
-            show(stage, share)
-
+    with heard_interrupts() as check, stage_progress(console, check) as report:
         table = table_of(paths, model.describing, report)
         estimates = estimation.estimate(model, table)
     rows = list(error_rows(model, table, estimates))

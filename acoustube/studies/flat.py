@@ -154,12 +154,7 @@ def _cycles(
     recipe = Recipe(n_cycles=n_cycles)
     run_dataset([work / "sweep"], work / "cycles", recipe, console, workers=scale.workers)
     describing = Describing(kind="paper", processing=processing_of(cases, recipe))
-    with heard_interrupts() as check, stage_progress(console) as show:
-
-        def report(stage: str, share: float) -> None:
-            check()
-            show(stage, share)
-
+    with heard_interrupts() as check, stage_progress(console, check) as report:
         return table_of(sorted((work / "cycles").glob("cycles-*.nc")), describing, report)
 
 
@@ -186,11 +181,10 @@ def trained_network(table: xr.Dataset, scale: Scale, console: Console) -> Model:
     """
     settings: dict[str, Any] = {"epochs": 5} if scale.quick else {}
     total = settings.get("epochs", 100)
-    with heard_interrupts() as check, stage_progress(console) as show:
+    with heard_interrupts() as check, stage_progress(console, check) as report:
 
         def learned(step: float, *_losses: float) -> None:
-            check()
-            show("training", step / total)
+            report("training", step / total)
 
         return estimation.train(table, "network", Describing(), progress=learned, **settings)
 

@@ -46,12 +46,7 @@ def rows(
     list of Row
     """
     every = 1 if scale.quick else EVERY
-    with heard_interrupts() as check, stage_progress(console) as show:
-
-        def report(stage: str, share: float) -> None:
-            check()
-            show(stage, share)
-
+    with heard_interrupts() as check, stage_progress(console, check) as report:
         first, second = (
             _described(work / name, how, every, report) for name in ("first", "second")
         )
