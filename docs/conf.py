@@ -1,18 +1,30 @@
 """Sphinx settings."""
 
+import os
 import pkgutil
 import shutil
 from pathlib import Path
 
+import pyvista
+from sphinx_gallery.sorting import FileNameSortKey
+
 import acoustube
+
+os.environ.setdefault("MPLBACKEND", "agg")
+pyvista.OFF_SCREEN = pyvista.BUILDING_GALLERY = True
 
 project = "acoustube"
 author = "acoustube developers"
 copyright = f"2026, {author}"
 release = acoustube.__version__
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
-exclude_patterns = ["_build"]
+extensions = [
+    "myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
+]  # fmt: skip
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build", "verification/*.rst"]
 autodoc_default_options = {
     "members": True,
     "member-order": "bysource",
@@ -21,6 +33,22 @@ autodoc_default_options = {
 }
 # The settings of a section are its attributes, documented by `configuration.md`.
 numpydoc_show_class_members = False
+
+# The examples, and the figures that compare with known results, are run as the pages are built.
+sphinx_gallery_conf = {
+    "examples_dirs": ["../examples", "verification"],
+    "gallery_dirs": ["_generated/gallery", "_generated/verification"],
+    "filename_pattern": "/",
+    "ignore_pattern": "forearm_markers",
+    "within_subsection_order": FileNameSortKey,
+    "image_scrapers": ("matplotlib", pyvista.Scraper()),
+    "abort_on_example_error": True,
+    "show_memory": False,
+    "download_all_examples": False,
+    "plot_gallery": True,
+}
+# Pages of others are looked at with -D linkcheck_ignore= where there is a network.
+linkcheck_ignore = [r"https?://"]
 
 html_theme = "furo"
 html_title = f"acoustube {release}"
@@ -105,4 +133,4 @@ def write_reference(folder):
     (folder / "index.rst").write_text(index, encoding="utf-8")
 
 
-write_reference(Path(__file__).parent / "_generated")
+write_reference(Path(__file__).parent / "_generated" / "reference")
