@@ -42,6 +42,15 @@ def die_once(x, flag):
     return x * x
 
 
+def threads_of_numba():
+    """Return how many threads numba has, once it has started them and compiled something."""
+    import numba
+
+    before = numba.get_num_threads()
+    assert numba.njit(square)(3) == 9
+    return before
+
+
 class Record:
     """What became of tasks."""
 
@@ -157,6 +166,13 @@ def test_somebody_elses_pool_is_left_running():
 
 
 @pytest.mark.slow
+def test_a_bound_on_threads_that_the_user_has_set_stays(monkeypatch):
+    # numba refuses to compile once the variable differs from what it has started with.
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    with process_pool(1) as pool:
+        assert pool.submit(threads_of_numba).result() == 1
+
+
 def test_workers_that_cannot_start_fail_no_task():
     record = Record()
     pool = partial(ProcessPoolExecutor, 1, get_context("spawn"), initializer=refuse)

@@ -219,7 +219,8 @@ def _start(threads: int) -> None:
     import signal
     import threading
 
-    os.environ.update(dict.fromkeys(THREADS, str(threads)))
+    for name in THREADS:  # a bound that the user has set stays
+        os.environ.setdefault(name, str(threads))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
 
