@@ -31,7 +31,7 @@ from acoustube.trained import table_of
 Array = NDArray[np.float64]
 MM = 1e3
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
-DEPTHS = "0.5:8:0.5"
+DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
 """In mm: those of the simulations, which share their presses. The study itself begins at 1 mm."""
 PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
@@ -119,7 +119,7 @@ def recorded(
         As of :func:`acoustube.estimation.described`, with the paper's features.
     """
     places = FEW_PLACES if scale.quick else FEWER_PLACES if few else PLACES
-    depths = "2:8:2" if scale.quick else DEPTHS
+    depths = FEW_DEPTHS if scale.quick else DEPTHS
     over = {**ROD, "depth_mm": [depths], "position_cm": [places]}
     n_cycles = FEWER_CYCLES if few or scale.quick else CYCLES
     table = _cycles(work / "first", over, level, scale, n_cycles, console)
@@ -128,7 +128,7 @@ def recorded(
 
 def recorded_again(level: Level, scale: Scale, work: Path, console: Console) -> xr.Dataset:
     """Return what the processing makes of the second dataset; see :func:`recorded`."""
-    depths = ["3:7:2"] if scale.quick else SECOND_DEPTHS
+    depths = [FEW_DEPTHS] if scale.quick else SECOND_DEPTHS
     places = SECOND_FEW if scale.quick else SECOND_PLACES
     over = {**ROD, "depth_mm": depths, "position_cm": [places]}
     n_cycles = FEWER_CYCLES if scale.quick else CYCLES

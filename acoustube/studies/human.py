@@ -176,7 +176,7 @@ def recorded(
     which the cases are labelled with, are within 4 % of what was asked for.
     """
     note(console, "the depths that forces take on soft ground")
-    levels = LEVELS[1:] if scale.quick else LEVELS
+    levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(mechanics.pressed(ground(**ARM), GRID), wanted)
     depths = np.round(MM * found.depth, 2)
