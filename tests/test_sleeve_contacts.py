@@ -9,7 +9,7 @@ from acoustube import signals
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
 from acoustube.signals import Processing
-from acoustube.sleeve import ContactTracker, Following, Helix, nearest
+from acoustube.sleeve import ContactTracker, Following, Helix, contacts_of_their_own, nearest
 from acoustube.waves import Pulse
 
 CYCLE = 0.05
@@ -132,6 +132,25 @@ def test_a_cycle_takes_under_5_ms():
         tracker.update(CYCLE * i, near, far)
         taken.append(time.perf_counter() - start)
     assert np.median(taken) < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("echoes", "own"),
+    [
+        ({0.616: 1.0, 0.536: 0.09}, [0.616]),  # the low-pass's lobe before an echo
+        ({0.616: 1.0, 0.716: 0.5}, [0.616]),  # trapped sound behind it
+        ({0.616: 1.0, 0.716: 2.5}, [0.616, 0.716]),  # too high for that
+        ({0.616: 1.0, 0.816: 0.08}, [0.616, 0.816]),  # another press
+        ({0.6: 1.0, 0.8: 0.3, 1.01: 0.1}, [0.6, 0.8]),  # 2 x 0.8 - 0.6, to and fro
+        ({0.6: 1.0, 0.8: 0.1, 1.01: 0.2}, [0.6, 0.8, 1.01]),  # higher than what would make it
+        ({0.6: 1.0, 0.8: 0.3, 1.1: 0.1}, [0.6, 0.8, 1.1]),
+        ({np.nan: 1.0}, []),
+    ],
+)
+def test_echoes_that_another_one_explains_are_no_contacts(echoes, own):
+    places, heights = np.array(list(echoes)), np.array(list(echoes.values()))
+    for order in (slice(None), slice(None, None, -1)):
+        np.testing.assert_allclose(contacts_of_their_own(places[order], heights[order]), own)
 
 
 def test_what_cannot_be_followed_is_refused():

@@ -14,6 +14,7 @@ from acoustube.sleeve.layouts import (
 )
 from acoustube.sleeve.markers import Markers, read_markers
 from acoustube.sleeve.ovalisation import ovality
+from acoustube.sleeve.own_echoes import contacts_of_their_own
 from acoustube.sleeve.wrapping import shortened, winding, windings, wrapped
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "Nearest",
     "check_reach",
     "check_room",
+    "contacts_of_their_own",
     "design",
     "fit_arm",
     "layout",

@@ -31,7 +31,7 @@ from acoustube.studies.arm import (
 )
 from acoustube.studies.presses import swept
 from acoustube.studies.report import Level, Row, Scale, Study
-from acoustube.studies.swipe import swipe_figure, swipe_rows, swiped
+from acoustube.studies.swipe import pairs_told, swipe_figure, swipe_rows, swiped
 from acoustube.waves import Scattering
 
 Array = NDArray[np.float64]
@@ -74,6 +74,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
         coarser, _ = recorded(scale.coarser, scale, work / "coarser", console)
     note(console, "a swipe, and two presses at once")
     tracks = swiped(presses, quick=scale.quick)
+    pairs = pairs_told(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
     figures = {
         "True against estimated distance of averaged cycles on both tubes, by force; circled: "
@@ -90,7 +91,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     return Study(
         title="Human arm (Fig. 7, Table I)",
         text=TEXT,
-        rows=[*distance_rows(table, coarser), *ground_rows(paths), *swipe_rows(tracks)],
+        rows=[*distance_rows(table, coarser), *ground_rows(paths), *swipe_rows(tracks, pairs)],
         figures=figures,
     )
 
