@@ -24,7 +24,7 @@ from rich.panel import Panel
 from acoustube import signals
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.processed import COLUMNS, check_rate, chosen, table_rows
-from acoustube.run import REPORT_INTERVAL, heard_interrupts
+from acoustube.progress import REPORT_INTERVAL, heard_interrupts
 from acoustube.signals import Ranging, Tracker
 from acoustube.stream import FRAME_BYTES, HEAD, MISSING, PATIENCE, Decoder, Frame, Receiver
 

@@ -20,7 +20,7 @@ from rich.markup import escape
 from acoustube import recordings, signals
 from acoustube.errors import ConfigError
 from acoustube.io import partial_file
-from acoustube.run import heard_interrupts, stage_progress
+from acoustube.progress import heard_interrupts, note, stage_progress
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
@@ -161,19 +161,19 @@ def run_process(
                     f"an echo is {loudest:.3g} times as high as the send pulse: does each cycle "
                     "begin when the pulse leaves?"
                 )
-            for note in notes:
-                console.print(f"[yellow]note:[/] {escape(f'{path}: {note}')}", soft_wrap=True)
+            for words in notes:
+                note(console, f"{path}: {words}")
             if figure is not None and not drawn and shown is not None:
                 _draw(data, how, *shown, figure)
                 drawn = True
     if known is None:
-        console.print(
-            "[yellow]note:[/] without a calibration distances are from the maximum of the send "
-            "pulse and may be some centimetres off; acoustube calibrate makes one",
-            soft_wrap=True,
+        note(
+            console,
+            "without a calibration distances are from the maximum of the send pulse and may be "
+            "some centimetres off; acoustube calibrate makes one",
         )
     if figure is not None and not drawn:
-        console.print("[yellow]note:[/] no echo, and no picture", soft_wrap=True)
+        note(console, "no echo, and no picture")
     console.print(
         f"{n_cycles} cycles, echoes in {n_found}"
         + (f"; {failures} files could not be processed" if failures else ""),

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import functools
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import jax
 import numpy as np
 import xarray as xr
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from acoustube import __version__, record, scene
-from acoustube.chain import Report, simulate
+from acoustube.chain import simulate
 from acoustube.config import Config, Mechanics, grid_cells, to_toml
 from acoustube.indentation import PressError
 from acoustube.io import partial_folder, publish, write_dataset
 from acoustube.mechanics import press_from, press_in_words, pressed
+from acoustube.progress import heard_interrupts, note, stage_progress
 
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
@@ -43,8 +31,6 @@ PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.
 
 TABLE_ROWS = 16
 """Depths of a press that are printed."""
-REPORT_INTERVAL = 10.0
-"""Seconds between two lines of progress where there is no terminal."""
 
 
 def run(config: Config, folder: Path, console: Console) -> Path:
@@ -84,10 +70,7 @@ def run(config: Config, folder: Path, console: Console) -> Path:
             folder = publish(partial, folder)
     _print_results(dataset, config.signals.prominence, console)
     if not drawn:
-        console.print(
-            "[yellow]note:[/] The tube could not be drawn in 3-D: see 'The figure' in the README.",
-            soft_wrap=True,
-        )
+        note(console, "The tube could not be drawn in 3-D: see 'The figure' in the README.")
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
     return folder
@@ -150,7 +133,8 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
             check()
             folder = publish(partial, folder)
     _print_press(dataset, console)
-    _print_notes(notes, console)
+    for words in notes:
+        note(console, words)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
     if stopped is not None:
@@ -268,13 +252,8 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
     console.print(table)
     console.print(f"accuracy: {dataset.attrs['accuracy']}", soft_wrap=True)
-    _print_notes(dataset.attrs["warnings"].splitlines(), console)
-
-
-def _print_notes(notes: Iterable[str], console: Console) -> None:
-    """Print what the reader of a result should know, a line each."""
-    for note in notes:
-        console.print(f"[yellow]note:[/] {escape(note)}", soft_wrap=True)
+    for words in dataset.attrs["warnings"].splitlines():
+        note(console, words)
 
 
 def _estimate(case: xr.Dataset, prominence: float) -> str:
@@ -286,90 +265,3 @@ def _estimate(case: xr.Dataset, prominence: float) -> str:
         f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "
         f"echo {100 * float(case['echo_amplitude']):.2f} % of the send pulse"
     )
-
-
-@contextmanager
-def heard_interrupts() -> Iterator[Callable[[], None]]:
-    """Yield a check that repeats an interrupt which was lost.
-
-    JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
-    """
-    heard: list[int] = []
-
-    def interrupt(number: int, _frame: object) -> None:
-        heard.append(number)
-        raise KeyboardInterrupt
-
-    def check() -> None:
-        if heard:
-            raise KeyboardInterrupt
-
-    numbers = [
-        number
-        for number in (signal.SIGINT, signal.SIGTERM)
-        if threading.current_thread() is threading.main_thread()
-        and signal.getsignal(number) is signal.default_int_handler
-    ]
-    for number in numbers:
-        signal.signal(number, interrupt)
-    try:
-        yield check
-    finally:
-        for number in numbers:
-            signal.signal(number, signal.default_int_handler)
-
-
-@contextmanager
-def stage_progress(console: Console, check: Callable[[], None]) -> Iterator[Report]:
-    """Yield a function that shows a bar per stage, or a line now and then without a terminal.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-    check : callable
-        From :func:`heard_interrupts`; called with each report.
-    """
-    if not console.is_terminal:
-        line = _lines(console)
-
-        def report_line(stage: str, fraction: float) -> None:
-            check()
-            line(stage, fraction)
-
-        yield report_line
-        return
-    columns = (
-        TextColumn("{task.description:12}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def report(stage: str, fraction: float) -> None:
-            check()
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=1.0)
-            bars.update(tasks[stage], completed=fraction)
-
-        yield report
-
-
-def _lines(console: Console) -> Report:
-    """Return a function that prints a line now and then."""
-    start = last = time.perf_counter()
-    stage_now = ""
-
-    def report(stage: str, fraction: float) -> None:
-        nonlocal start, last, stage_now
-        now = time.perf_counter()
-        if stage != stage_now:
-            stage_now, start, last = stage, now, now
-        elif now - last > REPORT_INTERVAL and 0 < fraction < 1:
-            left = (now - start) * (1 - fraction) / fraction
-            console.print(f"{stage} {100 * fraction:.0f} %, {left:.0f} s left")
-            last = now
-
-    return report

@@ -19,8 +19,8 @@ from acoustube.air import LAYERS_OF_A_GAP, Air, air_at, viscous_thickness
 from acoustube.config import CELLS_PER_WAVELENGTH
 from acoustube.errors import ConfigError
 from acoustube.io import partial_file, write_dataset
+from acoustube.progress import heard_interrupts, note, stage_progress
 from acoustube.record import flag, variable
-from acoustube.run import heard_interrupts, stage_progress
 from acoustube.surfaces import read_lumen
 from acoustube.waves.cells import CutCells, cut_cells
 from acoustube.waves.scattering import Scattering, scatter, straight_ends_cut
@@ -317,5 +317,5 @@ def _print(found: Scattering, notes: list[str], console: Console) -> None:
         f"add nothing; {over:.1f} % of the coefficients are settled",
         soft_wrap=True,
     )
-    for note in notes:
-        console.print(f"[yellow]note:[/] {note}", soft_wrap=True)
+    for words in notes:
+        note(console, words)

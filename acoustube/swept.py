@@ -18,7 +18,7 @@ from acoustube import __version__
 from acoustube.config import section_of
 from acoustube.errors import ConfigError
 from acoustube.io import partial_file
-from acoustube.run import heard_interrupts
+from acoustube.progress import heard_interrupts, note
 from acoustube.sweep import store
 from acoustube.sweep.board import Board, progress_board, totals_of
 from acoustube.sweep.costs import (
@@ -181,11 +181,11 @@ def _note_contents(folder: Path, found: store.Contents, console: Console) -> Non
     """Set damaged files aside, and tell of these and of foreign ones."""
     for path in found.damaged:
         aside = store.set_aside(path)
-        _note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
+        note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
     if found.foreign:
         names = ", ".join(path.name for path in found.foreign[:3])
         more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
-        _note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
+        note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
 
 
 def dry_run(
@@ -229,7 +229,7 @@ def dry_run(
     part = structured(sample)
     scale = _Scale(len(plan) / len(sample), *_counted(plan))
     _print_work(Work(part, 0, {}, len(plan)), workers, console, scale)
-    _note(console, f"one in {step} cases was checked, none looked up")
+    note(console, f"one in {step} cases was checked, none looked up")
 
 
 class _Scale(NamedTuple):
@@ -279,12 +279,12 @@ def _note_other_plan(
     if not before or before == to_toml(plan):
         return
     if f'acoustube_version = "{__version__}"' not in before:
-        _note(console, f"{folder.name} was begun by another version of acoustube, or its plan is "
+        note(console, f"{folder.name} was begun by another version of acoustube, or its plan is "
               "damaged; what is finished there is kept")  # fmt: skip
     there, others = names & set(found.finished), set(found.finished) - names
     if others or _names_of(path) != names:
         kept_too = f", and {len(others)} that it no longer asks for are kept" * bool(others)
-        _note(
+        note(
             console,
             f"the plan has changed since {folder.name} was begun; {len(there)} of its "
             f"{len(names)} cases are there already{kept_too}",
@@ -321,10 +321,6 @@ def _print_work(work: Work, workers: int, console: Console, scale: _Scale | None
     table.add_row("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk")
     console.print(f"[bold]acoustube {__version__}[/]: a sweep", highlight=False)
     console.print(table)
-
-
-def _note(console: Console, text: str) -> None:
-    console.print(f"[yellow]note:[/] {escape(text)}", soft_wrap=True)
 
 
 def _print_end(

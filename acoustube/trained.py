@@ -21,7 +21,7 @@ from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import ESTIMATORS, TARGETS, kind_of_features, targets_of, usable
 from acoustube.io import partial_file
 from acoustube.processed import check_rate, chosen
-from acoustube.run import heard_interrupts, stage_progress
+from acoustube.progress import heard_interrupts, note, stage_progress
 
 HUMAN = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
 """Units of the tables, and how many make one of SI."""
@@ -218,10 +218,10 @@ def _print_overfitting(model: Model, console: Console) -> None:
         soft_wrap=True,
     )
     if rise > OVERFITTED:
-        console.print(
-            f"[yellow]note:[/] the held-out loss has risen by {100 * rise:.2g} % since then, a "
-            f"sign of overfitting; try --epochs {best + 1}",
-            soft_wrap=True,
+        note(
+            console,
+            f"the held-out loss has risen by {100 * rise:.2g} % since then, a sign of overfitting; "
+            f"try --epochs {best + 1}",
         )
 
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from acoustube import __version__, scene_sleeve
 from acoustube.errors import ConfigError
 from acoustube.io import partial_folder, publish
+from acoustube.progress import note
 from acoustube.sleeve import (
     Helix,
     Layout,
@@ -126,10 +127,7 @@ def run_sleeve(plan: Plan, folder: Path, console: Console) -> Path:
             markers=seen,
         )
         if not scene_sleeve.draw(picture, partial / "figure.png"):
-            console.print(
-                "[yellow]note:[/] VTK cannot draw on this machine; there is no picture",
-                soft_wrap=True,
-            )
+            note(console, "VTK cannot draw on this machine; there is no picture")
         folder = publish(partial, folder)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)

@@ -99,6 +99,7 @@ ORDER = (
     "plot_estimates",
     "studies",
     "reproduced",
+    "progress",
     "run",
     "selftest",
     "checked",

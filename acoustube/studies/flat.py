@@ -17,7 +17,7 @@ from acoustube.datasets import run_dataset
 from acoustube.estimation import Describing, Model
 from acoustube.opening import open_dataset
 from acoustube.plot import CM
-from acoustube.run import heard_interrupts, stage_progress
+from acoustube.progress import heard_interrupts, stage_progress
 from acoustube.signals import Processing
 from acoustube.studies import flat_figures, ranged, whole_echo
 from acoustube.studies.calibration import calibrated

@@ -16,7 +16,7 @@ from acoustube.chain import Report
 from acoustube.estimation import Describing, Model
 from acoustube.estimation.model import TARGETS
 from acoustube.opening import open_dataset
-from acoustube.run import heard_interrupts, stage_progress
+from acoustube.progress import heard_interrupts, stage_progress
 from acoustube.studies.ranged import SHALLOWEST, measure_rows
 from acoustube.studies.report import Row, Scale
 from acoustube.trained import HUMAN

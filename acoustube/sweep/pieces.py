@@ -6,7 +6,6 @@ Each is a function of what is handed to it, so that it does not matter where or 
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -42,12 +41,10 @@ class Done(NamedTuple, Generic[Result]):
     ----------
     result : object
     reused : bool
-    seconds : float
     """
 
     result: Result
     reused: bool
-    seconds: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,7 +111,6 @@ def press(config: Config, depths: Sequence[float]) -> Done[PressPath]:
     -------
     Done of PressPath
     """
-    started = time.perf_counter()
     reused = cache.holds(mechanics.remembered_as(config, depths))
     stopped = ""
     try:
@@ -123,7 +119,7 @@ def press(config: Config, depths: Sequence[float]) -> Done[PressPath]:
         found, stopped = error.indentation, str(error)
     wall = inner_wall(found.mesh)
     at = {float(found.depth[i]): _pressed(found, i, wall) for i in found.rows_at(depths)}
-    return Done(PressPath(at, stopped), reused, time.perf_counter() - started)
+    return Done(PressPath(at, stopped), reused)
 
 
 def _pressed(indentation: Indentation, row: int, wall: Any) -> Pressed:
@@ -203,10 +199,9 @@ def scattering(config: Config, name: str, band: Band, part: Lumen, label: str) -
     -------
     Done of Scattering
     """
-    started = time.perf_counter()
     known = _recalled(name)
     if known is not None:
-        return Done(known, True, time.perf_counter() - started)
+        return Done(known, True)
     waves = config.waves
     air = air_at(
         band.temperature, humidity=waves.humidity_percent, pressure=1e3 * waves.pressure_kpa
@@ -218,7 +213,7 @@ def scattering(config: Config, name: str, band: Band, part: Lumen, label: str) -
         )  # fmt: skip
     content = np.frombuffer(to_netcdf(to_dataset(found)), np.uint8)
     cache.store(name, {"netcdf": content}, label)
-    return Done(found, False, time.perf_counter() - started)
+    return Done(found, False)
 
 
 def _recalled(name: str) -> Scattering | None:
@@ -260,7 +255,6 @@ def hear(cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | Non
     -------
     Done of Heard
     """
-    started = time.perf_counter()
     rows, failed = {}, {}
     with one_thread():
         for name, config in cases.items():
@@ -269,7 +263,7 @@ def hear(cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | Non
             except (ConfigError, SimulationError, ValueError) as error:
                 failed[name] = " ".join(str(error).split())
     gathered = _gathered({n: cases[n] for n in rows}, pressed, rows) if rows else None
-    return Done(Heard(gathered, failed), False, time.perf_counter() - started)
+    return Done(Heard(gathered, failed), False)
 
 
 def placed(config: Config, matrix: Scattering | None) -> list[Placed]:
