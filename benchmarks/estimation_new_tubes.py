@@ -1,0 +1,109 @@
+"""What do estimators tell in tubes that they have not learned from?
+
+Nine tubes, bores of 7.6, 7.9 and 8.2 mm and 30, 35 and 40 Shore A, each with irregularities of its
+own, at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split
+holds out a third: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors
+of the paper's highest peak and force network, of the whole-echo networks and of boosting, up to
+1.2 m, as a table in Markdown. Sweeps and cycles are kept in the folder.
+
+    python benchmarks/estimation_new_tubes.py FOLDER
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+import acoustube
+from acoustube import estimation
+from acoustube.datasets import run_dataset
+from acoustube.estimation import Describing
+from acoustube.estimation.model import TARGETS
+from acoustube.studies.flat import processing_of
+from acoustube.sweep.cycles import Recipe
+from acoustube.sweep.plan import load_plan
+from acoustube.swept import run_sweep
+
+OVER = {
+    "indenter_mm": ["25"], "depth_mm": ["1:7:1"], "position_cm": ["20:180:10"],
+    "inner_diameter_mm": ["7.6:8.2:0.3"], "shore_a": ["30:40:5"], "temperature_c": ["17:27:5"],
+    "length_cm": ["250"], "resolution": ["12"], "mesh": ["coarse"],
+}  # fmt: skip
+FARTHEST = 1.2
+KINDS = {"network": "paper", "echo": "echo", "boosting": "echo"}
+UNITS = {"true_distance": ("cm", 1e2), "depth": ("mm", 1e3), "force": ("N", 1)}
+ENDS = "", "_deviation", "_half_width"
+
+
+def recorded(folder):
+    """Return the cycles, and the cases that they are of."""
+    console = Console()
+    plan, recipe = load_plan(None, OVER), Recipe(n_cycles=2)
+    if not run_sweep(plan, folder / "sweep", console):
+        raise SystemExit("a case failed")
+    run_dataset([folder / "sweep"], folder / "cycles", recipe, console)
+    cases = acoustube.open_dataset(folder / "sweep")
+    usual = (cases["inner_diameter"] > 7.8e-3) & (cases["inner_diameter"] < 8e-3)
+    how = processing_of(cases.isel(press=np.flatnonzero(usual.values)), recipe)
+    return acoustube.open_dataset(folder / "cycles").load(), how
+
+
+def splits(cycles):
+    """Return which cycles are held out, by what is new in them."""
+    bore, modulus = cycles["inner_diameter"].values, cycles["shear_modulus"].values
+    return {
+        "cycles": np.arange(cycles.sizes["cycle"]) % 3 == 0,
+        "bore": np.isclose(bore, bore.min()),
+        "hardness": np.isclose(modulus, modulus.max()),
+        "temperature": cycles["air_temperature"].values > 24.5,
+    }
+
+
+def line(new, by, target, found):
+    """Print a row of the table."""
+    unit, scale = UNITS[target]
+    sizes = [f"{scale * value:.3g}" for value in (found.median, found.rmse, found.iqr)]
+    shares = [
+        "" if np.isnan(value) else f"{100 * value:.0f} %"
+        for value in (found.relative, found.covered, found.covered_wide)
+    ]
+    print(
+        "| " + " | ".join([new, by, f"{TARGETS[target]}, {unit}", *sizes, *shares]) + " |",
+        flush=True,
+    )
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    cycles, how = recorded(parser.parse_args().folder)
+    describings = {kind: Describing(kind=kind, processing=how) for kind in ("paper", "echo")}
+    tables = {kind: estimation.described(cycles, each) for kind, each in describings.items()}
+    near = cycles["true_distance"].values < FARTHEST
+    print("| new | by | target | median | RMSE | IQR | relative | in 68 % | in 90 % |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for new, held in splits(cycles).items():
+        tested = held & near
+        peak = tables["paper"]["features"].sel(feature="distance").values[tested]
+        truth = cycles["true_distance"].values[tested]
+        line(new, "highest peak", "true_distance", estimation.errors(truth, peak))
+        for target in ("depth", "force"):
+            values = cycles[target].values
+            constant = np.full(tested.sum(), np.median(values[~held]))
+            line(new, "a constant", target, estimation.errors(values[tested], constant))
+        for name, kind in KINDS.items():
+            table, start = tables[kind], time.perf_counter()
+            model = estimation.train(table.isel(cycle=~held), name, describings[kind], by="tube")
+            seconds = time.perf_counter() - start
+            told = estimation.estimate(model, table.isel(cycle=tested))
+            for target in model.targets:
+                columns = [told[TARGETS[target] + end].values for end in ENDS]
+                found = estimation.errors(cycles[target].values[tested], *columns)
+                line(new, f"{name} ({seconds:.0f} s)", target, found)
+
+
+if __name__ == "__main__":
+    main()
