@@ -1,0 +1,46 @@
+"""
+Physics: what the echo is made of
+=================================
+
+A plane wave meets a press. What comes back is partly a plane wave and partly other modes, which a
+transducer that moves as a whole does not hear.
+"""
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+
+import acoustube
+from acoustube.air import air_at
+from acoustube.chain import scattering_of
+from acoustube.lumen import pressed_part
+from acoustube.mechanics import pressed
+
+config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")
+depths = 1e-3 * np.arange(1.0, 7.0)
+press = pressed(config, depths)
+part = pressed_part(press, press.rows_at(depths)[4])
+
+# %%
+# The scattering of a press of 5 mm, on a coarse grid
+# ---------------------------------------------------
+# Without losses the powers of all that is reflected and passed on add up to one.
+matrix, _ = scattering_of(part, air_at(20.0), (20e3, 55e3), bore=7.9e-3, resolution=12, lossy=False)
+settled = matrix.settled[:, :, :, 0, 0].all(axis=(1, 2))
+reflected = np.abs(matrix.s[:, 0, :, 0, 0]) ** 2
+passed_on = np.abs(matrix.s[:, 1, :, 0, 0]) ** 2
+balance = float(np.abs((reflected + passed_on).sum(axis=1)[settled] - 1).max())
+band = settled & (np.abs(matrix.frequency - 42e3) < 2.5e3)
+in_plane = float(reflected[band, 0].mean() / reflected[band].sum(axis=1).mean())
+print(f"the powers add up to one within {balance:.4f}")
+print(f"from 39.5 to 44.5 kHz {100 * in_plane:.0f} % of what comes back is a plane wave")
+
+# %%
+figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")
+for k, name in enumerate(matrix.modes[:3]):
+    power = np.where(matrix.propagates[:, k], reflected[:, k], np.nan)
+    axes.semilogy(1e-3 * matrix.frequency, 100 * power, label=f"({name[0]},{name[1]})")
+axes.axvline(42, color="0.8", zorder=0)
+axes.set(xlabel="frequency (kHz)", ylabel="power sent back (%)", ylim=(1e-3, 30))
+axes.legend(title="as mode")
+plt.show()

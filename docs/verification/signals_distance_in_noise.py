@@ -1,0 +1,75 @@
+"""
+Signals: distance in noise
+==========================
+
+Synthetic cycles, a send pulse and one echo, go through the processing with fresh noise each. The
+spread of the distances is held against the deviation that is stated with each, and against the
+Cramér-Rao bound: no unbiased estimate from a pulse of unknown phase and height can have less.
+"""
+
+# %%
+# The cycles
+# ----------
+# Their place is moved by up to a millimetre, so that all offsets between samples occur.
+import matplotlib.pyplot as plt
+import numpy as np
+
+from acoustube import signals
+from acoustube.waves import Pulse
+
+RATE, PLACE, HEIGHT, CYCLES = 200e3, 0.8, 0.3, 300
+pulse = Pulse(frequency=42e3)
+time = np.arange(4000) / RATE
+speed = float(signals.speed_of_sound(20.0))
+random = np.random.default_rng(4)
+noise_levels = HEIGHT * np.geomspace(0.01, 0.1, 7)
+places = PLACE + 1e-3 * random.uniform(-1, 1, CYCLES)
+clean = pulse(time) + HEIGHT * pulse(time - 2 * places[:, None] / speed)
+
+# %%
+# With the matched filter, as recordings are processed, and without, as simulated signals are
+# -------------------------------------------------------------------------------------------
+matched = signals.Processing(prominence=0.1)
+plain = signals.Processing(prominence=0.1, template_cycles=None, offset_cutoff=None)
+table = {}
+for name, how in (("matched", matched), ("plain", plain)):
+    rows = []
+    for noise in noise_levels:
+        cycles = clean + noise * random.standard_normal(clean.shape)
+        found = signals.locate(time, cycles, how)
+        error = found.distance - places
+        stated = np.sqrt(np.mean(found.distance_deviation**2))
+        rows.append([error.mean(), error.std(), stated])
+    table[name] = 1e3 * np.array(rows)
+
+# %%
+# The bound
+# ---------
+# Var(t) >= 2 noise² / sum of (A g')², with the envelope A g of the echo; half of that way is the
+# distance.
+moment = np.arange(0, pulse.duration, 1 / RATE) - pulse.duration / 2
+envelope = np.exp(-0.5 * (moment / pulse.sigma) ** 2)
+slope = HEIGHT * envelope * moment / pulse.sigma**2
+bound = 1e3 * speed / 2 * np.sqrt(2) * noise_levels / np.sqrt(np.sum(slope**2))
+for name, rows in table.items():
+    ratio = rows[-1, 1] / rows[-1, 2]
+    bias = np.abs(rows[:, 0]).max()
+    print(f"{name}: spread over stated deviation {ratio:.2f}, bias up to {bias:.2f} mm")
+
+# %%
+# The stated deviation is too small: three quarters of the spread with the matched filter, six
+# tenths without. The noise is read where nothing is heard, and rectified there, which leaves
+# sqrt(1 - 2 / pi) of what it is on top of an echo. The floor of 0.1 to 0.2 mm is that of the
+# sampled absolute value.
+figure, panels = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True, layout="constrained")
+share = 100 * noise_levels / HEIGHT
+for axes, (name, rows) in zip(panels, table.items(), strict=True):
+    axes.loglog(share, rows[:, 1], "o-", label=f"spread of {CYCLES} cycles")
+    axes.loglog(share, rows[:, 2], "s--", label="stated deviation")
+    axes.loglog(share, np.abs(rows[:, 0]), "^:", color="0.5", label="bias")
+    axes.loglog(share, bound, "k--", lw=1, label="Cramér-Rao bound")
+    filtered = "with" if name == "matched" else "without"
+    axes.set(xlabel="rms noise (% of the echo's amplitude)", title=f"{filtered} the matched filter")
+panels[0].set_ylabel("mm")
+panels[0].legend()
+plt.show()
