@@ -1,0 +1,43 @@
+"""Relative links of the Markdown files point to files, and to headings, that exist."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "meshes/README.md")
+] + sorted((ROOT / "docs").rglob("*.md"))
+LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)(?:#([^)\s]+))?\)")
+
+
+def prose(page):
+    """Return a page without its blocks of code."""
+    text = page.read_text(encoding="utf-8")
+    return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page):
+    """Return what GitHub and MyST name a page's headings by."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_relative_links_point_to_what_exists(page):
+    """What the documentation's build makes is not looked for: it checks that itself."""
+    for target, anchor in LINK.findall(prose(page)):
+        if "_generated/" in target:
+            continue
+        there = page.parent / target if target else page
+        assert there.exists(), f"{target} is not there"
+        assert not anchor or anchor in anchors(there), f"{target} has no heading {anchor}"
+
+
+def test_links_are_found_and_a_missing_heading_is_noticed(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A title: of words\n\n[x](page.md#a-title-of-words) ![y](no.png)\n")
+    assert LINK.findall(prose(page)) == [("page.md", "a-title-of-words"), ("no.png", "")]
+    assert anchors(page) == {"a-title-of-words"}
