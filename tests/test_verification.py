@@ -79,12 +79,12 @@ def test_closures_are_heard_as_loud_as_the_wide_tube_lets_them():
     assert shown["level"][-1] < -50
 
 
-def test_spread_of_distances_is_more_than_stated_and_more_than_the_bound():
-    """Of 300 cycles a spread is known to 4 %; measured 1.33 and 1.7 of what is stated."""
+def test_spread_of_distances_is_as_stated_and_more_than_the_bound():
+    """Of 300 cycles a spread is known to 4 %; the law of the floor by sampling is a guess."""
     shown = run("signals_distance_in_noise")
-    for name, expected in (("matched", 1.33), ("plain", 1.68)):
-        _, spread, stated = shown["table"][name][-1]
-        assert spread / stated == pytest.approx(expected, rel=0.15)
+    for name in ("matched", "plain"):
+        _, spread, stated = shown["table"][name].T
+        assert spread / stated == pytest.approx(1, rel=0.15)
         assert (shown["table"][name][:, 1] > 0.92 * shown["bound"]).all()
         assert abs(shown["table"][name][:, 0]).max() < 0.15
 

@@ -28,6 +28,11 @@ FLAT = 0.95
 """Share of a send pulse's height that counts as its plateau."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
+AT_REST, AT_REST_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
+"""Noise of the envelope where nothing is heard, as a share of that on top of an echo: rectified
+white noise keeps sqrt(1 - 2 / pi) of its deviation; behind the usual matched filter, measured."""
+SAMPLED, SAMPLED_MATCHED = 0.13, 0.24
+"""Deviation of a peak's time, in samples, by the sampled absolute value of the carrier."""
 
 
 @dataclass(frozen=True)
@@ -325,7 +330,8 @@ def process(
 
     Noise moves a maximum by its slope there over the envelope's curvature; the slope's deviation is
     estimated from the differences of neighbouring samples behind the send pulse, by their median,
-    which few echoes do not move.
+    which few echoes do not move. It is less there than on top of an echo, as noise alone is
+    rectified; the deviation stated allows for that, and for the sampling.
     """
     time, pressure = _checked(time, pressure)
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
@@ -348,7 +354,10 @@ def process(
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
     return_time, amplitude, height = highest(echoes)
     found = distance(return_time - send_time, temperature)
-    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end)
+    plain = template is None
+    share, samples = (AT_REST, SAMPLED) if plain else (AT_REST_MATCHED, SAMPLED_MATCHED)
+    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / share
+    by_sampling = speed / 2 * samples / rate
     by_warmth = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
     return Ranging(
         envelope=scaled,
@@ -359,7 +368,7 @@ def process(
         amplitude=amplitude,
         prominence=height,
         distance=probe_position + found,
-        distance_deviation=np.hypot(by_noise, by_warmth),
+        distance_deviation=np.hypot(np.hypot(by_noise, by_sampling), by_warmth),
         detected=np.isfinite(return_time),
     )
 
