@@ -6,6 +6,7 @@ import dataclasses
 import json
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,7 @@ def run_dataset(
     console: Console,
     *,
     workers: int | None = None,
+    executor: Executor | None = None,
 ) -> Path:
     """Record cycles of all cases of a sweep, with their labels, and describe them on a card.
 
@@ -97,6 +99,8 @@ def run_dataset(
         Where to print.
     workers : int, optional
         Processes; as many as there are cores by default.
+    executor : concurrent.futures.Executor, optional
+        In place of processes of this machine.
 
     Returns
     -------
@@ -121,7 +125,7 @@ def run_dataset(
     _print_plan(n_cases, per_case, len(parts), len(there), workers or cores(), console)
     todo = {name: cases for name, cases in parts.items() if name not in there}
     if todo:
-        _record(todo, folder, recipe, workers or cores(), console)
+        _record(todo, folder, recipe, workers or cores(), console, executor)
     data = open_dataset(folder)
     with partial_file(folder / CARD) as part:
         part.write_text(card(data, recipe), encoding="utf-8")
@@ -202,6 +206,7 @@ def _record(
     recipe: Recipe,
     workers: int,
     console: Console,
+    executor: Executor | None,
 ) -> None:
     """Write the files that are missing."""
     per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
@@ -215,7 +220,7 @@ def _record(
             _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
         ]
         try:
-            run_in_sight(tasks, board, workers=workers)
+            run_in_sight(tasks, board, workers=workers, executor=executor)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 "interrupted; complete files are kept, run the same command again to go on"
