@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 import pyvista
-from sphinx_gallery.sorting import FileNameSortKey
+from sphinx_gallery.sorting import ExplicitOrder
 
 import acoustube
 
@@ -34,13 +34,25 @@ autodoc_default_options = {
 # The settings of a section are its attributes, documented by `configuration.md`.
 numpydoc_show_class_members = False
 
+# Examples begin with the stage that they are about.
+STAGES = ("chain", "indentation", "waves", "ranging", "signals", "estimation", "sleeve", "sweep")
+
+
+def in_order_of_stages(folder):
+    """Return the names of the examples in the order of the data, and of the alphabet."""
+    names = sorted(path.name for path in folder.glob("*.py"))
+    return [name for stage in STAGES for name in names if name.startswith(f"{stage}_")]
+
+
+EXAMPLES = in_order_of_stages(Path(__file__).parents[1] / "examples")
+
 # The examples, and the figures that compare with known results, are run as the pages are built.
 sphinx_gallery_conf = {
     "examples_dirs": ["../examples", "verification"],
     "gallery_dirs": ["_generated/gallery", "_generated/verification"],
     "filename_pattern": "/",
     "ignore_pattern": "forearm_markers",
-    "within_subsection_order": FileNameSortKey,
+    "within_subsection_order": ExplicitOrder([*EXAMPLES, "*"]),
     "image_scrapers": ("matplotlib", pyvista.Scraper()),
     "abort_on_example_error": True,
     "show_memory": False,

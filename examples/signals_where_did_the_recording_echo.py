@@ -1,13 +1,17 @@
-"""Where did the recording echo?
+"""
+Where did the recording echo?
+=============================
 
 The processing does not care where a signal comes from. Here a made-up recording, 200 kHz and
 12 bit, with noise, goes through it: a send pulse, and one echo from 75 cm that a lossy tube has
 brought down to 5 %.
 """
 
-# %% A recording
+# %%
+# A recording
+# -----------
+import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 from acoustube import signals
 from acoustube.air import sound_speed
@@ -20,18 +24,21 @@ delay = 2 * DISTANCE / sound_speed(TEMPERATURE)
 noise = 0.002 * np.random.default_rng(1).standard_normal(time.size)
 recording = np.round(2047 * (pulse(time) + 0.05 * pulse(time - delay) + noise)).astype(int)
 
-# %% Process it
+# %%
+# Process it
+# ----------
 ranging = signals.process(
     time, recording, pulse_duration=pulse.duration, temperature=TEMPERATURE, nearest=0.15
 )
 error = float(ranging.distance) - DISTANCE
 print(f"{100 * float(ranging.distance):.2f} cm, error {1e3 * error:+.2f} mm")
 
-# %% Draw
-figure = Figure(figsize=(9, 4), layout="constrained")
-axes = figure.subplots()
+# %%
+# The recording, its envelope and the echo
+# ----------------------------------------
+figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
 axes.plot(1e3 * time, recording / float(ranging.send_amplitude), lw=0.5, color="0.7")
 axes.plot(1e3 * time, ranging.envelope)
 axes.plot(1e3 * float(ranging.return_time), float(ranging.amplitude), "o")
 axes.set(xlabel="time (ms)", ylabel="share of the send pulse", ylim=(-0.12, 0.12))
-figure.savefig("signals_where_did_the_recording_echo.png", dpi=120)
+plt.show()

@@ -1,12 +1,17 @@
-"""How much sound does a wrap convert?
+"""
+How much sound does a wrap convert?
+===================================
 
 A plane wave enters a tube that is wrapped around an arm. Curvature couples it to the mode (1,1),
 which at 42 kHz travels too: its power swings to and fro, over a beat of a few centimetres.
 """
 
-# %% The paper's bore, wound around a radius of 4 cm with a pitch of 3.5 cm
+# %%
+# The wrap
+# --------
+# The paper's bore, wound around a radius of 4 cm with a pitch of 3.5 cm.
+import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 from acoustube.air import air_at
 from acoustube.sleeve import Helix
@@ -18,7 +23,9 @@ curvature, torsion = (float(value) for value in helix.bend(0.0))
 loop = helix.tube_length
 frequency = 1e3 * np.array([20.0, 25.6, 30.0, 42.0])
 
-# %% Power in each mode after every few millimetres of one loop
+# %%
+# Power in each mode after every few millimetres of one loop
+# ----------------------------------------------------------
 along = np.linspace(0.01, 1, 100) * loop
 power = np.array(
     [
@@ -49,9 +56,10 @@ for i, khz in enumerate(most):
     )
 print(f"beat at 42 kHz: {100 * beat:.1f} cm")
 
-# %% Draw
-figure = Figure(figsize=(8, 4), layout="constrained")
-axes = figure.subplots()
+# %%
+# The beat
+# --------
+figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
 for i, khz in enumerate(most):
     axes.plot(100 * along, 100 * converted[:, i], label=f"{khz:g} kHz")
 axes.set(
@@ -59,4 +67,4 @@ axes.set(
     xlim=(0, 100 * loop), title="A plane wave enters a wrapped tube",
 )  # fmt: skip
 axes.legend(loc="upper center", ncols=4)
-figure.savefig("sleeve_how_much_sound_does_a_wrap_convert.png", dpi=120)
+plt.show()

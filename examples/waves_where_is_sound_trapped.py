@@ -1,28 +1,34 @@
-"""Where is sound trapped?
+"""
+Where is sound trapped?
+=======================
 
-The (2,1) mode cuts on at 42.24 kHz in the round bore, a hair above the carrier. Beside a deep press
-the lumen is wider, and a mode of its kind travels at 38 kHz already; under the rod, where the lumen
-is flat, it needs 62 kHz. In between it is locked in, on either side of the rod, and rings on after
-the pulse has gone: the late echoes of deep presses.
+The (2,1) mode cuts on at 42.24 kHz in the round bore, a hair above the carrier. Beside a deep
+press the lumen is wider, and a mode of its kind travels at 38 kHz already; under the rod, where
+the lumen is flat, it needs 62 kHz. In between it is locked in, on either side of the rod, and
+rings on after the pulse has gone: the late echoes of deep presses.
 """
 
-# %% Press, and the cut-ons of the section along the tube
+# %%
+# Press, and the cut-ons of the section along the tube
+# ----------------------------------------------------
+import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 import acoustube
 from acoustube.lumen import lumen
 from acoustube.mechanics import pressed
 from acoustube.waves import cut_cells, grid_spacing, section_cut_ons
 
-config = acoustube.load_config(indenter_mm=10, depth_mm=6)
+config = acoustube.load_config(indenter_mm=10, depth_mm=6, mesh="coarse")
 space = lumen(pressed(config, [6e-3]), position=0.2)
 cells = cut_cells(space.surface, grid_spacing(7.9e-3, resolution=32), half=True)
 z = cells.centres(2) - 0.2
 layers = np.flatnonzero(np.abs(z) < 65e-3)[::2]
 cut_ons = np.array([section_cut_ons(cells, k, 343.2, n_modes=3) for k in layers])
 
-# %% The third mode symmetric about x = 0, which is (2,1) in the round bore
+# %%
+# The third mode symmetric about x = 0, which is (2,1) in the round bore
+# ----------------------------------------------------------------------
 z_mm, third_khz = 1e3 * z[layers], 1e-3 * cut_ons[:, 2]
 under_the_rod = third_khz[np.argmin(np.abs(z_mm))]
 lowest, place = third_khz.min(), abs(z_mm[np.argmin(third_khz)])
@@ -31,13 +37,14 @@ print(
     f"rod, {under_the_rod:.1f} kHz under it"
 )
 
-# %% Draw
-figure = Figure(figsize=(8, 4), layout="constrained")
-axes = figure.subplots()
+# %%
+# Where the carrier is above the cut-on
+# -------------------------------------
+figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
 axes.plot(z_mm, 1e-3 * cut_ons[:, 1], label="second symmetric mode, (1,1) in the round bore")
 axes.plot(z_mm, third_khz, label="third, (2,1) in the round bore")
 axes.axhline(42, color="0.5", ls="--", label="carrier")
 axes.fill_between(z_mm, third_khz, 42, where=third_khz < 42, alpha=0.3)
 axes.set(xlabel="distance from the rod (mm)", ylabel="cut-on (kHz)", ylim=(20, 65))
 axes.legend()
-figure.savefig("waves_where_is_sound_trapped.png", dpi=120)
+plt.show()

@@ -1,21 +1,28 @@
-"""Why does the echo come twice?
+"""
+Why does the echo come twice?
+=============================
 
-A pressure-driven source end reflects what returns to it, upside down. At a probe 2 cm away the echo
-is therefore followed, 0.12 ms later, by its own negative; the pulse lasts 0.26 ms, so the two
-overlap. Here the recording with a pressure-release end is rebuilt from the one with an absorbing
-end, by the plane wave's delay alone.
+A pressure-driven source end reflects what returns to it, upside down. At a probe 2 cm away the
+echo is therefore followed, 0.12 ms later, by its own negative; the pulse lasts 0.26 ms, so the
+two overlap. Here the recording with a pressure-release end is rebuilt from the one with an
+absorbing end, by the plane wave's delay alone.
 """
 
-# %% One press, both ends
+# %%
+# One press, both ends
+# --------------------
+import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
 import acoustube
 
-config = acoustube.load_config(indenter_mm=25, depth_mm=5, resolution=16)
+config = acoustube.load_config(indenter_mm=25, depth_mm=5, mesh="coarse", resolution=16)
 run = acoustube.simulate(config)
 
-# %% The absorbing end's echo, minus itself one round trip from the probe to the end later
+# %%
+# Rebuild one from the other
+# --------------------------
+# The absorbing end's echo, minus itself one round trip from the probe to the end later.
 time, probe, speed = run["time"].values, float(run["probe_position"]), float(run["sound_speed"])
 absorbing = run["pressure"].sel(source_end="absorbing").values
 release = run["pressure"].sel(source_end="release").values
@@ -28,11 +35,12 @@ mismatch = np.linalg.norm((rebuilt - release)[echo]) / np.linalg.norm(release[ec
 distances_cm = 100 * run["estimated_distance"].values
 print(f"rebuilt within {100 * mismatch:.1f} %; distances {np.round(distances_cm, 2)} cm")
 
-# %% Draw
-figure = Figure(figsize=(9, 4), layout="constrained")
-axes = figure.subplots()
+# %%
+# Both recordings
+# ---------------
+figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
 axes.plot(1e3 * time[echo], release[echo], label="pressure-release source end")
 axes.plot(1e3 * time[echo], rebuilt[echo], "--", label="rebuilt from the absorbing end")
 axes.set(xlabel="time (ms)", ylabel="pressure (share of the pulse)")
 axes.legend()
-figure.savefig("waves_why_does_the_echo_come_twice.png", dpi=120)
+plt.show()

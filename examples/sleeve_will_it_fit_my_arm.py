@@ -1,0 +1,49 @@
+"""
+Will it fit my arm?
+===================
+
+Two tubes are wound around a forearm of given length and girths. How long must they be, how much
+skin do they cover, and where on the arm is a press that is heard at 1.1 m?
+"""
+
+# %%
+# From the sizes of an arm to tubes
+# ---------------------------------
+# Lengths are in m: a sleeve of 25 cm, 17 cm around at the wrist and 26 cm below the elbow. The
+# first 15 cm of each tube lead to its sensor.
+import matplotlib.pyplot as plt
+import numpy as np
+
+from acoustube.scene_sleeve import Picture, render
+from acoustube.sleeve import design, layout
+from acoustube.wrapped import in_words
+
+LENGTH, GIRTHS = 0.25, (0.17, 0.26)
+tubes = design(LENGTH, GIRTHS, pitch=0.05, n_tubes=2)
+found = layout(tubes)
+print("\n".join(in_words(tubes, found)))
+
+# %%
+# A press at 1.1 m
+# ----------------
+# A distance is known to some 5 cm along the tube. A loop is longer than that on this arm, so the
+# place is a patch, and no ring around the arm.
+DISTANCE = 1.1
+x, y, z = tubes[0].place(DISTANCE)
+angle = np.degrees(np.arctan2(y, x)) % 360
+print(f"{100 * DISTANCE:g} cm: {100 * z:.1f} cm along the arm, {angle:.0f} degrees around it")
+
+# %%
+# In three dimensions
+# -------------------
+# The picture of ``acoustube sleeve``: what hears in colours, what does not in grey, the press in
+# red with the uncertainty of its place.
+picture = Picture(
+    tubes=tuple(tubes), heard=found.heard, outer_diameter=11.1e-3, contacts=((0, DISTANCE),),
+    deviation=found.deviation, markers=np.empty((0, 3)),
+)  # fmt: skip
+image = render(picture).screenshot(return_img=True)
+figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
+axes.imshow(image)
+axes.set_axis_off()
+plt.show()
