@@ -63,7 +63,12 @@ def settled(indentation, increment, design):
 
 @pytest.mark.parametrize(
     ("shape", "support", "depth_mm"),
-    [("rod", "free", 4.0), ("rod", "free", 7.9), ("rod", "held", 8.1), ("sphere", "held", 4.0)],
+    [
+        pytest.param("rod", "free", 4.0, marks=pytest.mark.long),
+        ("rod", "free", 7.9),
+        ("rod", "held", 8.1),
+        ("sphere", "held", 4.0),
+    ],
 )
 def test_derivatives_are_those_of_central_differences(shape, support, depth_mm):
     """Steps of 1e-5, which move a wall by less than the width of a contact's onset: 1e-4 is asked.

@@ -151,6 +151,7 @@ def test_folds_stay_smooth_to_a_closed_lumen():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
     """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
     with_skin = pressed(*DEEP)
@@ -240,6 +241,7 @@ def test_force_falls_to_a_limit_as_the_mesh_is_refined():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_default_mesh_is_within_half_a_percent_of_a_finer_one():
     """About half the element size in volume; the difference to the default is still falling."""
     coarse, default, fine = forces_at_2mm(COARSE, None, FINE)
@@ -331,6 +333,7 @@ def test_press_beside_the_axis_leaves_the_lumen_lopsided():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_distant_presses_are_each_like_one_alone():
     """60 mm apart, over five outer diameters: within 1 %; both to depths of their own.
 
@@ -433,13 +436,13 @@ def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("support", ["held", "free"])
+@pytest.mark.parametrize("support", ["held", pytest.param("free", marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "tool",
     [
         Press(diameter=10e-3),
-        Press(diameter=35e-3),
-        Press(shape="punch", diameter=10e-3),
+        pytest.param(Press(diameter=35e-3), marks=pytest.mark.long),
+        pytest.param(Press(shape="punch", diameter=10e-3), marks=pytest.mark.long),
         Press(shape="sphere", diameter=20e-3),
     ],
     ids=lambda tool: f"{1e3 * tool.diameter:g} mm {tool.shape}",

@@ -406,6 +406,7 @@ def pressed(surface, depth, support, size=None):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
     """Within 2 % at 4 mm of CalculiX's hexahedra (2.11272 N, sure to 0.5 %) and of acoustube's.
 
@@ -419,6 +420,7 @@ def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_d_bore_is_pressed_to_three_fifths_of_its_height():
     """No increment fails, and no element comes near to turning over (J stays above 0.9)."""
     wall = read_surface(D_BORE)
