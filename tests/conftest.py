@@ -1,6 +1,7 @@
 """Settings for all tests."""
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,13 @@ import pytest
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+
+
+def pytest_report_header():
+    """Tell which acoustube is tested: the checkout or an installed wheel."""
+    import acoustube
+
+    return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
 
 
 @pytest.fixture(scope="session", autouse=True)
