@@ -6,11 +6,12 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+from zipfile import is_zipfile
 
 from acoustube.errors import ConfigError
 from acoustube.references import TOPICS, Reference, references
 
-CREASING = 0.7
+CREASING = 0.72
 """Share of the bore beyond which the inner surface of the folds may crease."""
 OF_ESTIMATORS = {
     "network": {"network", "intervals"},
@@ -68,7 +69,7 @@ def topics_of(result: Path) -> set[str]:
     if (result / "sleeve.csv").is_file() and (result / "layout.txt").is_file():
         fitted = (result / "layout.txt").read_text(encoding="utf-8").startswith("markers")
         return {"flattening", *(("arm",) if fitted else ())}
-    if result.is_file() and result.suffix == ".npz":
+    if result.is_file() and is_zipfile(result):  # as NumPy's archives are, whatever their name
         from acoustube.estimation import load
 
         return set(OF_ESTIMATORS[load(result).name])

@@ -204,6 +204,13 @@ REFERENCES = (
          "year": "1927", "doi": "10.1098/rspa.1927.0125"},
     ),
     Reference(
+        "zheng1999", "article", "tissue", "Zheng, Y. and Mak, A. F. T.",
+        "Extraction of quasi-linear viscoelastic parameters for lower limb soft tissues from "
+        "manual indentation experiment",
+        {"journal": "Journal of Biomechanical Engineering", "volume": "121", "pages": "330--339",
+         "year": "1999"},
+    ),
+    Reference(
         "iivarinen2011", "article", "tissue", "Iivarinen, J. T. and others",
         "Experimental and computational analysis of soft tissue stiffness in forearm using a "
         "manual indentation device",

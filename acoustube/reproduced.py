@@ -9,13 +9,14 @@ from html import escape
 from importlib import import_module
 from pathlib import Path
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
 from acoustube import __version__
 from acoustube.errors import ConfigError
 from acoustube.io import check_out, partial_file
-from acoustube.studies.report import Scale, Study, write, write_table
+from acoustube.studies.report import Scale, Study, write
 from acoustube.sweep.costs import in_words
 
 STUDIES = {
@@ -62,13 +63,11 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
         f"{in_words(60 * minutes)} on two cores, less for what is remembered",
         soft_wrap=True,
     )
-    studies = {}
     for number, name in enumerate(names, 1):
         console.rule(f"study {number} of {len(names)}: {name}")
-        studies[name] = _performed(name, folder, scale, console)
-        _print(studies[name], console)
-    write_table(studies, folder / "table.csv")
-    _write_index(folder)
+        study = _performed(name, folder, scale, console)
+        _write_index(folder)
+        _print(study, console)
     elapsed = in_words(time.perf_counter() - started)
     console.print(f"Written to [bold]{folder / 'index.html'}[/] in {elapsed}.", soft_wrap=True)
     return folder
@@ -114,8 +113,10 @@ def _begun_with(path: Path) -> object:
 
 
 def _write_index(folder: Path) -> None:
-    """Write a page that links to those of all studies that are there."""
+    """Write a page that links to those of all studies that are there, and the table of all."""
     there = [name for name in STUDIES if (folder / name / "index.html").is_file()]
+    tables = [pd.read_csv(folder / name / "table.csv", dtype=str) for name in there]
+    pd.concat(tables).to_csv(folder / "table.csv", index=False, lineterminator="\n")
     links = "\n".join(
         f'<li><a href="{escape(name)}/index.html">{escape(name)}</a></li>' for name in there
     )

@@ -24,6 +24,19 @@ def docstring_dois():
     return {doi for path in modules for doi in DOI.findall(path.read_text(encoding="utf-8"))}
 
 
+AUTHOR_AND_YEAR = re.compile(r"(?:^|\])\s*([A-Z][\w\-]+), [A-Z]\.[^()]{0,160}?\((\d{4})\)", re.M)
+
+
+def docstring_authors():
+    """First authors and years of the references in all modules but those of this command."""
+    modules = [path for path in PACKAGE.rglob("*.py") if path.name != "references.py"]
+    return {
+        found
+        for path in modules
+        for found in AUTHOR_AND_YEAR.findall(path.read_text(encoding="utf-8"))
+    }
+
+
 def written(folder, settings, title="A press"):
     folder.mkdir()
     with h5py.File(folder / "run.nc", "w") as file:
@@ -35,6 +48,12 @@ def settings(depth=4.0, surface=None, **waves):
     found = {"indentation": {"depth_mm": depth},
              "tube": {"inner_diameter_mm": 7.9, "surface": surface}}  # fmt: skip
     return found | ({"waves": waves} if waves else {})
+
+
+def test_authors_in_docstrings_are_cited():
+    listed = {(r.author.split(",")[0], r.fields.get("year")) for r in REFERENCES}
+    assert len(docstring_authors()) > 9
+    assert docstring_authors() <= listed
 
 
 def test_dois_are_those_of_the_docstrings():

@@ -12,6 +12,7 @@ from sklearn.base import clone
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from acoustube import estimation, signals
+from acoustube.cited import OF_ESTIMATORS, topics_of
 from acoustube.errors import ConfigError
 from acoustube.estimation import Boosting, Describing, EchoEnsemble, errors, uncertainty
 from acoustube.estimation.trees import exported, summed
@@ -291,6 +292,7 @@ def test_a_saved_model_tells_the_same(name, models, tables):
     table = tables["paper" if name == "network" else "echo"]
     before, after = (estimation.estimate(m, table) for m in (model, loaded))
     xr.testing.assert_identical(before, after)
+    assert topics_of(Path("a.model")) == OF_ESTIMATORS[name]
 
 
 def rewritten(change, source="a.model", target="b.model"):

@@ -25,9 +25,11 @@ from acoustube.limits import pressed_reach
 from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.mechanics import SIZES, press_from, tube_from
 from acoustube.opening import ORDER
+from acoustube.scattered import to_dataset
 from acoustube.surfaces import read_lumen
 from acoustube.sweep import store
 from acoustube.walls import walls
+from acoustube.waves import Scattering
 
 CONFIG = load_config(None, Mechanics, mesh="coarse", depth_mm=2.0, steps=3)
 TUBE = tube_from(CONFIG)
@@ -232,6 +234,28 @@ def test_table_of_a_sweep_has_a_column_for_each_source_end(tmp_path):
         "cases.csv",
         "columns.csv",
     ]
+
+
+def test_table_of_a_scattering_matrix_has_a_row_for_each_coefficient(tmp_path):
+    rng = np.random.default_rng(2)
+    s = rng.normal(size=(2, 2, 2, 2, 2)) + 1j * rng.normal(size=(2, 2, 2, 2, 2))
+    matrix = Scattering(
+        frequency=np.array([20e3, 42e3]), modes=("00", "11c"), s=s, cut_ons=np.array([0, 25e3]),
+        propagates=np.ones((2, 2), bool), settled=s.real > 0, sound_speed=343.2,
+        extent=(0.0, 0.0), spacing=(1e-3,) * 3, shape=(8, 8, 8), steps=1, time_step=1e-6,
+    )  # fmt: skip
+    write_dataset(to_dataset(matrix), tmp_path / "s.nc")
+    assert main(["export", "s.nc", "--out", "out"]) == 0
+    table = pd.read_csv("out/scattering.csv", dtype={"mode_in": str, "mode_out": str})
+    assert len(table) == matrix.s.size
+    values = table["s_real"].to_numpy() + 1j * table["s_imag"].to_numpy()
+    np.testing.assert_allclose(values.reshape(matrix.s.shape), matrix.s)
+    keys = ["frequency", "port_out", "mode_out", "port_in", "mode_in"]
+    converted = table.set_index(keys).loc[(42e3, 2, "11c", 1, "00")]
+    assert converted["s_imag"] == pytest.approx(matrix.s[1, 1, 1, 0, 0].imag)
+    assert converted["settled"] == matrix.settled[1, 1, 1, 0, 0]
+    described = pd.read_csv("out/columns.csv")
+    assert set(described["column"]) == {*keys, "s_real", "s_imag", "settled"}
 
 
 def case_file(folder, name, walls):

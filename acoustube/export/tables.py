@@ -12,16 +12,19 @@ from acoustube.errors import ConfigError
 
 TABLES = {
     "press": "cases", "cycle": "cycles", "depth": "press", "time": "signal", "z": "profile",
-    "frequency": "scattering",
 }  # fmt: skip
 """Names of the tables, by the dimension that their rows follow."""
 EXPANDED = ("source_end",)
 """Short dimensions, each entry of which becomes a column."""
 LEFT_OUT = ("configuration",)
+COEFFICIENTS = ["s_real", "s_imag", "settled"]
+"""Of a scattering matrix, whose table has a row for each of them."""
 
 
 def write_tables(data: xr.Dataset, folder: Path) -> str:
     """Write a table for each dimension with all variables that follow it alone.
+
+    A scattering matrix has one table, with a row for each of its coefficients.
 
     Parameters
     ----------
@@ -46,6 +49,11 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
         table.to_csv(folder / f"{stem}.csv", index=False)
         known += [_described(stem, name, variable) for name, variable in columns.items()]
         written.append(f"{stem}.csv with {len(table)} rows")
+    if "s_real" in data:
+        table = data[COEFFICIENTS].to_dataframe().reset_index()
+        table.to_csv(folder / "scattering.csv", index=False)
+        known += [_described("scattering", name, data[name]) for name in table.columns]
+        written.append(f"scattering.csv with {len(table)} rows")
     pd.DataFrame(known).to_csv(folder / "columns.csv", index=False)
     return f"{', '.join(written)}"
 

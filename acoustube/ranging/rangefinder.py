@@ -120,7 +120,7 @@ class Rangefinder(Section):
     clutter : float
         Power that small irregularities reflect per metre of tube, in 1/m. Default 1.5e-5 (-48 dB),
         chosen so that up to 0.6 m presses of a 25 mm rod are found from 2.5 mm on and hardly
-        before, as in the paper.
+        before; the paper states 2.5 mm.
     noise : float
         Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.1 mV (0.2
         counts, less than their rounding), chosen so that beyond 1.95 m only a rod that closes the

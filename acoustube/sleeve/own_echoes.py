@@ -43,7 +43,8 @@ def contacts_of_their_own(places: ArrayLike, heights: ArrayLike) -> Array:
     3. sound that went from a press b back to a nearer press a and to b again, told at 2 b - a, and
        lower than that of b.
 
-    Two presses nearer to each other than 18 cm are told as one. What is trapped for longer than
+    Two presses nearer to each other than 18 cm are told as one, unless the farther is heard twice
+    as high. What is trapped for longer than
     1 ms is not told from a press that a harder one in front of it hides.
     """
     place, height = (np.asarray(values, float).ravel() for values in (places, heights))

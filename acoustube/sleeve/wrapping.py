@@ -71,7 +71,7 @@ def winding(
     -----
     Each has the curvature and the torsion of its middle. A longer one could not be told between its
     frequencies: beside a cut-on a mode travels so slowly that its delay in a loop is as long as the
-    press's. What torsion converts into modes that are not asked for, under 1 % of the power in a
+    press's. What torsion converts into modes that are not asked for, 1 to 2 % of the power in a
     loop, is lost at the loop's end.
     """
     ends = helix.height([start, stop])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from acoustube import signals
+from acoustube.errors import SimulationError
 from acoustube.plot import CM, ENVELOPE, RETURN, SEND
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.signals import Calibration
@@ -110,6 +111,11 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     calibration : Calibration
     factor : float
         Least prominence in standard deviations of untouched cycles.
+
+    Raises
+    ------
+    SimulationError
+        If no factor leaves as few false alarms.
     """
     closed = [
         _recorded([blockage(BAND, float(z))], CYCLES, i, tube_seed) for i, z in enumerate(PLACES)
@@ -118,8 +124,12 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     for factor in FACTORS:
         found = _calibrate(closed, free, factor)
         if found.false_alarms < FALSE_ALARMS:
-            break
-    return found, factor
+            return found, factor
+    raise SimulationError(
+        f"a least prominence of {FACTORS[-1]:g} standard deviations still finds echoes in "
+        f"{100 * found.false_alarms:.2g} % of untouched cycles of tube "
+        f"{tube_seed}; take another one"
+    )
 
 
 def _recorded(presses: list[Placed], n_cycles: int, seed: int, tube_seed: int) -> xr.Dataset:

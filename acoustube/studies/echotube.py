@@ -198,8 +198,9 @@ def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
 def _reach_rows(dynamic: float) -> list[Row]:
     rows = [
         Row(
-            quantity="dynamic range that the 8 mm tube's reach tells", unit="dB", published=65.0,
-            ours=dynamic, why="Of 63 to 66 dB by the loss in that bore, both ways.",
+            quantity="dynamic range that the 8 mm tube's reach tells", unit="dB",
+            ours=dynamic, why="There and back, by the loss at the wall and in the air; the wall "
+            "alone takes 63 to 66 dB.",
         )
     ]  # fmt: skip
     for coupled, words in ((False, "by loss"), (True, "by loss and area")):
@@ -207,11 +208,13 @@ def _reach_rows(dynamic: float) -> list[Row]:
             Row(
                 quantity=f"{bore:g} mm: reach {words}", unit="cm", published=REACHES.get(bore),
                 ours=CM * reach(bore, dynamic, coupled=coupled),
-                why="A transducer wider than the bore sends only part of its sound into it, and "
-                "hears only part of what comes back: left out here." if not coupled else
-                "Sent into a narrower bore, and heard from it, by the area: an assumption.",
+                why="By definition: this reach tells the dynamic range." if bore == KNOWN else
+                "Sent into a narrower bore, and heard from it, by the area: an assumption."
+                if coupled else
+                "A transducer wider than the bore sends only part of its sound into it, and "
+                "hears only part of what comes back: left out here.",
             )
-            for bore in BORES
+            for bore in BORES if not coupled or bore < KNOWN
         ]  # fmt: skip
     return rows
 
@@ -221,7 +224,7 @@ def _deaf_rows() -> list[Row]:
         Row(
             quantity=f"{bore:g} mm: dead zone", unit="cm", published=DEAF[bore],
             ours=CM * dead_zone(bore),
-            why="The transducer rings for as long in any bore. Wider tubes carry 4 to 25 modes at "
+            why="The transducer rings for as long in any bore. Wider tubes carry 6 to 19 modes at "
             "42 kHz, which the plane wave's model of a closure leaves out.",
         )
         for bore in BORES
@@ -235,7 +238,7 @@ def _pair_rows(pairs: Sequence[xr.Dataset]) -> list[Row]:
         rows += [
             Row(
                 quantity=f"two presses {CM * gap:g} cm apart: the {which} is told too far by",
-                unit="cm", published=2.5, ours=CM * offset,
+                unit="cm", ours=CM * offset,
                 why="Published as 1 to 4 cm, by hand. A closed lumen sends sound back from where "
                 "it is; beside a rod that nearly closes it sound is trapped, and comes back late.",
             )

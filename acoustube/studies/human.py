@@ -243,13 +243,13 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     rows = ranged.distance_rows(table, coarser, (3.8, 14.5, 11.7), why)
     for low, high in LEVELS:
         rows += _counted(table, coarser, low, f"{low:g}-{high:g} N")
-    false = [None if t is None else float(_wrong(t).sum()) for t in (table, coarser)]
     skin = np.concatenate([_skin(table, tube) for tube in (0, 1)])
     return [
         *rows,
         Row(
             quantity="errors over 25 cm (false positives)", unit="1", published=3.0,
-            ours=float(_wrong(table).sum()), coarser=false[1],
+            ours=float(_wrong(table).sum()),
+            coarser=None if coarser is None else float(_wrong(coarser).sum()),
             why="Ours come with the clutter, whose draw the tubes' seeds are.",
         ),
         Row(

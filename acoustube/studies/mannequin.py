@@ -35,7 +35,7 @@ MM = 1e3
 DEPTHS, FEW_DEPTHS = "1:8:0.5", "2:8:3"
 CYCLES, FEWER_CYCLES = 50, 5
 TUBE = 0
-"""Of the sleeve: the one that the flat table had."""
+"""Of the sleeve."""
 LISTED = ("straight", "wrapped", "flattened")
 """Shapes of the tube that are compared; the study's numbers are those of the second."""
 
@@ -91,8 +91,9 @@ rod, which is as if a thinner one met a straight tube. Between the presses the t
 curvature and torsion convert the plane wave into (1,1) and back, so that what meets a press depends
 on where on the arm it stands.
 
-The calibration and the force network are those of the flat table, as published: made with the tube
-straight, and of the 25 mm rod on it.
+As published, calibration and force network are those of a straight tube: the calibration of this
+specimen before it was wrapped, the network of the 25 mm rod on the flat table, from every fifth of
+its places and five cycles of each press.
 
 What the simulation cannot know: how the fabric stretches and narrows the tube, how much of a free
 tube's flattening it allows (the last rows tell what all of it would do), how the tubes differ,

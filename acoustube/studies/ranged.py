@@ -38,9 +38,9 @@ def told(table: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
-    """Return the least depth in m from which all presses in a range are told reliably.
+    """Return the least depth in m from which most cycles of a range of places tell the distance.
 
-    nan if even the deepest are not.
+    Of all places in the range together; nan if even of the deepest presses most do not.
     """
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))

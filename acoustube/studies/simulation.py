@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from acoustube import mechanics, plot_sweep
+from acoustube import mechanics, plot_sweep, signals
 from acoustube.config import Config, configured
 from acoustube.lumen import deformed_wall
 from acoustube.plot import CM
@@ -36,7 +36,8 @@ its reflection by the source end comes 0.12 ms later."""
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
 """With losses, lower carriers too. Their pulses of 11 cycles, 38 cm long at 10 kHz, need the longer
 tube; one scattering matrix serves all."""
-CARRIER, CYCLES = 42e3, 11
+CARRIER, CYCLES, PROBE = 42e3, 11, 0.02
+"""Of the sweeps, by default; the probe's place in m."""
 DRAWN = (2e-3, 4e-3, 6e-3, 8e-3)
 """Depths in m whose sections are drawn."""
 
@@ -234,8 +235,8 @@ def late_share(cases: xr.Dataset, end: str = "absorbing") -> Array:
     """Return the share of the echo's energy that comes later than :data:`LATE` in each case."""
     signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
     time = cases["time"].values
-    probe = 0.02
-    middle = CYCLES / CARRIER / 2 + (2 * cases["true_distance"].values - probe) / 343.2
+    way = 2 * cases["true_distance"].values - PROBE
+    middle = CYCLES / CARRIER / 2 + way / signals.speed_of_sound(cases["temperature"].values)
     after = time[None] - middle[:, None]
     echo = after > -CYCLES / CARRIER / 2
     return np.asarray(
