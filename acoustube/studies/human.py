@@ -77,8 +77,8 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     pairs = pairs_told(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
     figures = {
-        "True against estimated distance of averaged cycles on both tubes, by force; circled: "
-        "errors over 25 cm (left). Presses that are told, by force and distance; grey: errors over "
+        "True against estimated distance of averaged cycles on the first (discs) and second "
+        "(squares) tube, by force; circled: errors over 25 cm (left). Presses that are told, by force and distance; grey: errors over "
         "25 cm (right).": _distances(table),
         "Presses by force on several grounds: the tool's travel (left), and by how much the lumen "
         "is lower (right).": _grounds(paths),
@@ -340,8 +340,11 @@ def _distances(table: xr.Dataset) -> Figure:
         )
         right.bar(at, good, width, color=colour, label=f"{low:g}-{high:g} N")
         right.bar(at, bad, width, bottom=good, color="0.6")
-    right.set(xlabel="true distance (cm)", ylabel="presses that are told", xticks=edges)
-    right.legend()
+    right.set(
+        xlabel="true distance (cm)", ylabel="presses that are told", xticks=edges,
+        yticks=[0, 1, 2], ylim=(0, 2.6),
+    )  # fmt: skip
+    right.legend(ncols=3)
     return sheet
 
 
