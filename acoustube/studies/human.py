@@ -78,8 +78,8 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     paths = substrates(quick=scale.quick)
     figures = {
         "True against estimated distance of averaged cycles on the first (discs) and second "
-        "(squares) tube, by force; circled: errors over 25 cm (left). Presses that are told, by force and distance; grey: errors over "
-        "25 cm (right).": _distances(table),
+        "(squares) tube, by force; circled: errors over 25 cm (left). Presses that are told, by "
+        "force and distance; grey: errors over 25 cm (right).": _distances(table),
         "Presses by force on several grounds: the tool's travel (left), and by how much the lumen "
         "is lower (right).": _grounds(paths),
         "A press that swipes along the tube at 5 cm/s (left), and two presses 20 cm apart (right): "
