@@ -56,6 +56,7 @@ sphinx_gallery_conf = {
     "image_scrapers": ("matplotlib", pyvista.Scraper()),
     "abort_on_example_error": True,
     "show_memory": False,
+    "write_computation_times": False,
     "download_all_examples": False,
     "plot_gallery": True,
 }

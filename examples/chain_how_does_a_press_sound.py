@@ -56,8 +56,8 @@ plotter.show()
 # %%
 # The echo
 # --------
-# The send pulse passes the probe, 2 cm into the tube, at full height. The echo is a few per cent
-# of it: the lower panel is drawn 20 times as high.
+# The send pulse passes the probe, 2 cm into the tube, at full height. The echo is 2 % of it: the
+# lower panel is drawn 20 times as high. What follows was trapped beside the rod for a while.
 time = 1e3 * run["time"].values
 heard = run.sel(source_end="absorbing")
 figure, panels = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")

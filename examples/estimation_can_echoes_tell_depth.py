@@ -23,7 +23,6 @@ from rich.console import Console
 import acoustube
 from acoustube import estimation
 from acoustube.datasets import run_dataset
-from acoustube.plot_estimates import draw_estimates
 from acoustube.signals import Processing
 from acoustube.sweep.cycles import Recipe
 from acoustube.sweep.plan import load_plan
@@ -78,7 +77,19 @@ for name, label, unit, scale in targets:
         f"{100 * errors[name].covered_wide:.0f} %"
     )
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
-draw_estimates(left, truth, estimates, "true_distance")
-draw_estimates(right, truth, estimates, "depth")
+# %%
+# Estimates and their intervals
+# -----------------------------
+# Each point is a cycle, with the interval that is stated to hold the truth in 90 % of all cases.
+figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
+for axes, (name, label, unit, scale) in zip(panels, targets, strict=True):
+    values = scale * truth[label].values
+    axes.errorbar(
+        values, scale * estimates[name], scale * estimates[f"{name}_half_width"],
+        fmt=".", ms=5, lw=0.6, alpha=0.6, label="estimate, 90 % interval",
+    )  # fmt: skip
+    ends = [values.min(), values.max()]
+    axes.plot(ends, ends, label="truth")
+    axes.set(xlabel=f"true {name} ({unit})", ylabel=f"estimated {name} ({unit})")
+panels[1].legend(loc="upper left")
 plt.show()

@@ -11,6 +11,7 @@ STL file, is pressed here beside the paper's round one, which has the same outsi
 # ----------
 # The D-shaped wall is filled with tetrahedra, the round one with hexahedra, both coarse to be
 # quick.
+import sys
 import tempfile
 from pathlib import Path
 
@@ -31,7 +32,8 @@ from acoustube.tube import Tube
 
 DEPTH, REACH = 2e-3, 0.03
 rod, round_tube = Press(diameter=10e-3), Tube()
-surface = read_surface(Path(__file__).parents[1] / "meshes" / "d_bore.stl")
+checkout = Path(sys.argv[0]).resolve().parents[1]  # where this script lies in
+surface = read_surface(checkout / "meshes" / "d_bore.stl")
 d_tube = tube_of(
     surface, shear_modulus=round_tube.shear_modulus, poisson_ratio=round_tube.poisson_ratio
 )
@@ -74,8 +76,8 @@ pressed = quarter.warp_by_vector("displacement").scale(1e3)
 plotter = pyvista.Plotter(window_size=(1200, 560))
 for part in (pressed, pressed.reflect((0, 0, 1))):
     plotter.add_mesh(part, scalars="moved (mm)", cmap="YlOrRd", ambient=0.3, show_scalar_bar=False)
-plotter.add_scalar_bar("moved (mm)", n_labels=3, fmt="%.1f", position_x=0.3, width=0.4)
-plotter.camera_position = [(-48, 22, 30), (0, -1, 0), (0, 1, 0)]
+plotter.add_scalar_bar("moved (mm)", n_labels=4, fmt="%.1f", position_x=0.3, width=0.4)
+plotter.camera_position = [(-56, 25, 35), (0, -2, 0), (0, 1, 0)]
 plotter.show()
 
 # %%

@@ -8,7 +8,7 @@ not. The section under the rod hardly notices, the force does.
 
 # %%
 # Press the paper's tube both ways
-# -------------------------------
+# --------------------------------
 # The mesh is coarser than usual, which the comparison does not notice.
 import matplotlib.pyplot as plt
 import numpy as np

@@ -11,10 +11,13 @@ skin do they cover, and where on the arm is a press that is heard at 1.1 m?
 # ---------------------------------
 # Lengths are in m: a sleeve of 25 cm, 17 cm around at the wrist and 26 cm below the elbow. The
 # first 15 cm of each tube lead to its sensor.
+import tempfile
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 
-from acoustube.scene_sleeve import Picture, render
+from acoustube.scene_sleeve import Picture, draw
 from acoustube.sleeve import design, layout
 from acoustube.wrapped import in_words
 
@@ -42,7 +45,9 @@ picture = Picture(
     tubes=tuple(tubes), heard=found.heard, outer_diameter=11.1e-3, contacts=((0, DISTANCE),),
     deviation=found.deviation, markers=np.empty((0, 3)),
 )  # fmt: skip
-image = render(picture).screenshot(return_img=True)
+with tempfile.TemporaryDirectory() as folder:
+    draw(picture, Path(folder) / "sleeve.png")
+    image = plt.imread(Path(folder) / "sleeve.png")
 figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 axes.imshow(image)
 axes.set_axis_off()

@@ -92,13 +92,19 @@ if find_spec("torch"):
 # %%
 # One cycle of each depth
 # -----------------------
-figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+# All are of the nearest place, 40 cm. First is the transducer's own ringing, which overdrives the
+# ADC; the echo comes on its tail. Cycles are drawn one below the other.
+figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 time = 1e3 * cycles["time"].values
-for depth in np.unique(labels):
-    signal = cycles["signal"].isel(cycle=int(np.argmax(cycles["depth"].values == depth)))
-    axes.plot(time, signal.values, lw=0.5, label=f"{1e3 * depth:g} mm deep")
-axes.set(xlabel="time (ms)", ylabel="counts of the ADC", ylim=(1900, 2200))
-axes.legend()
+depths, places = np.unique(labels), cycles["true_distance"].values
+for row, depth in enumerate(depths):
+    some = (cycles["depth"].values == depth) & (np.isclose(places, 0.4) | (depth == 0))
+    signal = cycles["signal"].isel(cycle=int(np.argmax(some))).values.astype(float)
+    axes.plot(time, (signal - np.median(signal)).clip(-95, 95) - 200 * row, lw=0.6)
+axes.set(
+    xlabel="time (ms)", ylabel="counts of the ADC, a line for each depth", xlim=(1, 8),
+    yticks=-200 * np.arange(len(depths)), yticklabels=[f"{1e3 * depth:g} mm" for depth in depths],
+)  # fmt: skip
 cycles.close()
 folder.cleanup()
 plt.show()

@@ -65,8 +65,9 @@ for task in stream.data:
         threads.index(task["thread"]), span["stop"] - span["start"], left=span["start"] - began,
         height=0.6, color=colours[kind], edgecolor="white",
     )  # fmt: skip
-left.set(xlabel="time (s)", ylabel="thread", yticks=range(len(threads)), ylim=(-0.5, 1.5))
-left.legend([plt.Rectangle((0, 0), 1, 1, color=c) for c in colours.values()], colours)
+left.set(xlabel="time (s)", ylabel="thread", yticks=range(len(threads)), ylim=(-0.5, 2))
+patches = [plt.Rectangle((0, 0), 1, 1, color=colour) for colour in colours.values()]
+left.legend(patches, colours, loc="upper center", ncols=3)
 level = 20 * np.log10(cases["echo_amplitude"].sel(source_end="absorbing"))
 for depth in np.unique(cases["depth"]):
     some = np.isclose(cases["depth"], depth)

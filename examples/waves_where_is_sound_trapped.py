@@ -45,6 +45,6 @@ axes.plot(z_mm, 1e-3 * cut_ons[:, 1], label="second symmetric mode, (1,1) in the
 axes.plot(z_mm, third_khz, label="third, (2,1) in the round bore")
 axes.axhline(42, color="0.5", ls="--", label="carrier")
 axes.fill_between(z_mm, third_khz, 42, where=third_khz < 42, alpha=0.3)
-axes.set(xlabel="distance from the rod (mm)", ylabel="cut-on (kHz)", ylim=(20, 65))
+axes.set(xlabel="distance from the rod (mm)", ylabel="cut-on (kHz)", ylim=(20, 80))
 axes.legend()
 plt.show()

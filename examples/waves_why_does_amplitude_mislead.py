@@ -56,10 +56,10 @@ for khz in (10, 20, 42):
 # Where the power goes
 # --------------------
 # What a press of 4 mm sends back of a plane wave, mode by mode. From 25.4 kHz on (1,1) travels
-# too, and takes ten times as much; a piston does not hear that mode. What is left to the plane
-# wave falls as the wavelength nears the length of the press, since what its two flanks return
-# cancels. For this short rod that happens above 20 kHz. With rods of 25 and 35 mm it happens at
-# 20 kHz, which then misleads as well, and only 10 kHz is left.
+# too, and takes ten times as much or more; a piston does not hear that mode. What is left to the
+# plane wave falls as the wavelength nears the length of the press, since what its two flanks
+# return cancels. For this short rod that happens above 20 kHz. With rods of 25 and 35 mm it
+# happens at 20 kHz, which then misleads as well, and only 10 kHz is left.
 matrix = scattering[4e-3]
 plane = matrix.modes.index("00")
 reflected = np.abs(matrix.s[:, 0, :, 0, plane]) ** 2
