@@ -207,7 +207,9 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     """
     tube, mesh = indentation.tube, indentation.mesh
     inner, outer = (deformed_wall(indentation, increment, outer=layer) for layer in (False, True))
-    walls = [_straight(wall, outer[:, 0], mesh) for wall in (inner, outer)]
+    round_rings = [_wall(mesh, mesh.points, outer=layer)[-1] for layer in (False, True)]
+    floor = round_rings[1][0, 1]
+    walls = [_straight(wall, outer[:, 0], floor, mesh) for wall in (inner, outer)]
     reach = max(np.abs(wall[..., 2]).max() for wall in walls)
     room = min(position, tube.length - position)
     if not reach < room:
@@ -219,8 +221,8 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
     ends = position + np.array([-1, 1]) * round_from
     rings = [
-        _whole(wall, _wall(mesh, mesh.points, outer=layer)[-1], position, ends, tube.length)
-        for wall, layer in zip(walls, (False, True), strict=True)
+        _whole(wall, ring, position, ends, tube.length)
+        for wall, ring in zip(walls, round_rings, strict=True)
     ]
     return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
 
@@ -287,12 +289,18 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
     )
 
 
-def _straight(wall: Array, bottom: Array, mesh: Mesh) -> Array:
-    """Straighten the rings of both sides of the press along the tube's bottom line."""
+def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
+    """Straighten the rings of both sides of the press along the tube's bottom line.
+
+    That line comes to lie at the height `floor`, where that of the straight tube lies: on a soft
+    layer the press takes the whole tube down.
+    """
+    middle = 0 if mesh.halved[1] else int(np.argmin(np.abs(bottom[:, 2])))
+    risen = np.array([0.0, floor - bottom[middle, 1], 0.0])
+    wall, bottom = wall + risen, bottom + risen
     if mesh.halved[1]:
         half = straighten(wall, bottom)
         return np.concatenate([half[:0:-1] * [1, 1, -1], half])
-    middle = int(np.argmin(np.abs(bottom[:, 2])))
     mirror = np.array([1, 1, -1])
     before = straighten(wall[middle::-1] * mirror, bottom[middle::-1] * mirror) * mirror
     return np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])

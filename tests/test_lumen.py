@@ -263,6 +263,14 @@ def test_sharp_bend_is_straightened_up_to_near_its_centre():
     assert np.abs(straight[..., 2] - bend * turn).max() < 1e-8
 
 
+def test_tube_that_has_sunk_as_a_whole_is_the_straight_tube():
+    """On a soft layer a press takes the tube down; sound meets no step where the mesh ends."""
+    mesh = fabricated().mesh
+    found = lumen(fabricated(np.tile([0.0, -4e-3, 0.0], (len(mesh.points), 1))), 0.2)
+    for rings in (found.rings, found.outer_rings):
+        assert np.ptp(rings[..., :2], axis=0).max() < 1e-12
+
+
 def test_straightening_leaves_a_straight_tube_alone():
     z = np.linspace(0, 60e-3, 50)
     line = np.stack([0 * z, 0 * z - 5e-3, z], axis=-1)
