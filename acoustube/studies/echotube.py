@@ -23,7 +23,7 @@ from acoustube.plot import CM, ENVELOPE, RETURN, SEND
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.signals import Processing
 from acoustube.studies.calibration import BAND
-from acoustube.studies.flat import DEPTHS
+from acoustube.studies.flat import DEPTHS, FEW_DEPTHS
 from acoustube.studies.presses import matrices, swept
 from acoustube.studies.report import Row, Scale, Study
 from acoustube.waves import Placed
@@ -48,8 +48,9 @@ SEARCHED = 0.10
 """Distance in m from which a closure is looked for: nearer there is the send pulse itself."""
 FIRST, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
 """Place of the nearer of two presses in m, and distances to the other."""
-PRESSED = (7.5e-3, 8e-3)
-"""Depths in m of the nearer, which must let sound pass, and the farther, which closes the lumen."""
+PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)
+"""Depths in m of the nearer, which must let sound pass, and the farther, which closes the lumen; in
+a quick study among the flat table's."""
 APART = 0.1
 """Distance in m between peaks that count as two."""
 DECIBEL = 20 / np.log(10)
@@ -146,13 +147,13 @@ def dead_zone(bore_mm: float) -> float:
 
 def two_presses(scale: Scale, work: Path, console: Console) -> list[xr.Dataset]:
     """Return the cycles of pairs of presses, one dataset for each distance between them."""
-    over = {"indenter_mm": ["25"], "depth_mm": ["7.5:8:0.5" if scale.quick else DEPTHS]}
+    over = {"indenter_mm": ["25"], "depth_mm": [FEW_DEPTHS if scale.quick else DEPTHS]}
     swept(work / "press", {**over, "length_cm": ["250"]}, scale.level, scale, console)
     by_depth = {
         round(float(cases["depth"].values[0]), 6): matrix
         for cases, matrix in matrices(work / "press")
     }
-    nearer, farther = (by_depth[depth] for depth in PRESSED)
+    nearer, farther = (by_depth[depth] for depth in (FEW_PRESSED if scale.quick else PRESSED))
     return [
         record([Placed(nearer, FIRST), Placed(farther, FIRST + gap)], n_cycles=50) for gap in GAPS
     ]
