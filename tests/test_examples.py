@@ -64,8 +64,8 @@ def test_d_bore_holds_what_its_wall_leaves_and_closes_sooner_than_a_round_one(ru
 def test_echo_rises_with_depth_below_the_first_cut_on_and_not_at_the_carrier(run_example):
     """At 10 kHz the plane wave is alone, and Webster's equation tells what comes back.
 
-    Its pieces of constant area know nothing of the field in three dimensions, which is of the
-    order (k a)^2, 0.1 of 0.5 here, where the lumen narrows over a few radii: 5 % in pressure.
+    It takes the field as even across the lumen, which an obstacle two bores long in a wave of four
+    is not quite: measured 4 % more than in three dimensions. Depths 1 mm apart differ by 40 %.
     """
     variables = run_example("waves_why_does_amplitude_mislead")
     steps = {khz: np.diff(height) for khz, height in variables["heights"].items()}
@@ -75,7 +75,7 @@ def test_echo_rises_with_depth_below_the_first_cut_on_and_not_at_the_carrier(run
     matrix, reflected = variables["matrix"], variables["reflected"]
     at_10 = int(np.argmin(np.abs(matrix.frequency - 10e3)))
     found = np.sqrt(reflected[at_10, matrix.modes.index("00")])
-    assert found == pytest.approx(abs(webster_reflection(10e3, depth=4e-3)), rel=0.05)
+    assert found == pytest.approx(abs(webster_reflection(10e3, depth=4e-3)), rel=0.07)
 
 
 def webster_reflection(frequency, depth):
