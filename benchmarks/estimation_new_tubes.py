@@ -1,6 +1,6 @@
 """What do estimators tell in tubes that they have not learned from?
 
-Nine tubes, bores of 7.6, 7.9 and 8.2 mm and 30, 35 and 40 Shore A, each with irregularities of its
+Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with irregularities of its
 own, at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split
 holds out a third: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors
 of the paper's highest peak and force network, of the whole-echo networks and of boosting, up to
@@ -28,7 +28,7 @@ from acoustube.swept import run_sweep
 
 OVER = {
     "indenter_mm": ["25"], "depth_mm": ["1:7:1"], "position_cm": ["20:180:10"],
-    "inner_diameter_mm": ["7.6:8.2:0.3"], "shore_a": ["30:40:5"], "temperature_c": ["17:27:5"],
+    "inner_diameter_mm": ["7.6:8.2:0.3"], "shore_a": ["30:40:10"], "temperature_c": ["17:27:5"],
     "length_cm": ["250"], "resolution": ["12"], "mesh": ["coarse"],
 }  # fmt: skip
 FARTHEST = 1.2

@@ -256,7 +256,7 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
             quantity="farthest press that is told to 25 cm", unit="cm", published=150.0,
             ours=_reach(table), coarser=None if coarser is None else _reach(coarser),
             why="The paper takes the tube's narrowing on the stretched sleeve to shorten the "
-            "reach; here it is not narrowed.",
+            "reach; ours is without it.",
         ),
         Row(
             quantity="place on the skin: median absolute error", unit="cm",

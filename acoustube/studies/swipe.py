@@ -31,8 +31,9 @@ FORCES = (4.3, 7.0)
 """In N: of the nearer press, and of the farther or of the swipe."""
 LIGHT, HARD, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
-TOLD, SHORT = 0.03, 6
-"""Error in m up to which a press of a pair is told, and cycles that a pair is followed for."""
+TOLD, SHORT = 0.10, 6
+"""Error in m up to which a press of a pair is told, half the least distance between them, and
+cycles that a pair is followed for."""
 LEAST = 0.06
 """Height of an echo, as a share of the highest, from which it is a candidate: with 0.12 a press
 behind another is missed, with 0.03 a hard one has twice as many echoes of its own."""
@@ -184,7 +185,7 @@ def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row
             for which, part in zip(("nearer", "farther"), both.T, strict=True)
         ),
         *(
-            Row(quantity=f"pairs {100 * gap:g} cm apart told as two, within 3 cm, of {pairs.size}",
+            Row(quantity=f"pairs {100 * gap:g} cm apart told as two, within 10 cm, of {pairs.size}",
                 unit="1", ours=float(pairs.sum()), why=of_two)
             for gap, pairs in zip(GAPS, told, strict=False)
         ),
