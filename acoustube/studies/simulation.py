@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 MM = 1e3
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
 """Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
-DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "4:8:4"
+DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
 LATE = 0.4e-3
 """Time in s after the direct echo's middle from which sound was trapped: the pulse lasts 0.26 ms,
 its reflection by the source end comes 0.12 ms later."""
