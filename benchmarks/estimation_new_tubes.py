@@ -2,7 +2,7 @@
 
 Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with irregularities of its
 own, at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split
-holds out a third: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors
+holds out a part: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors
 of the paper's highest peak and force network, of the whole-echo networks and of boosting, up to
 1.2 m, as a table in Markdown. Sweeps and cycles are kept in the folder.
 
@@ -96,7 +96,7 @@ def main():
             line(new, "a constant", target, estimation.errors(values[tested], constant))
         for name, kind in KINDS.items():
             table, start = tables[kind], time.perf_counter()
-            model = estimation.train(table.isel(cycle=~held), name, describings[kind], by="tube")
+            model = estimation.train(table.isel(cycle=~held), name, describings[kind])
             seconds = time.perf_counter() - start
             told = estimation.estimate(model, table.isel(cycle=tested))
             for target in model.targets:
