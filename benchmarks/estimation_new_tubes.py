@@ -25,6 +25,7 @@ from acoustube.studies.flat import processing_of
 from acoustube.sweep.cycles import Recipe
 from acoustube.sweep.plan import load_plan
 from acoustube.swept import run_sweep
+from acoustube.trained import HUMAN
 
 OVER = {
     "indenter_mm": ["25"], "depth_mm": ["1:7:1"], "position_cm": ["20:180:10"],
@@ -33,7 +34,6 @@ OVER = {
 }  # fmt: skip
 FARTHEST = 1.2
 KINDS = {"network": "paper", "echo": "echo", "boosting": "echo"}
-UNITS = {"true_distance": ("cm", 1e2), "depth": ("mm", 1e3), "force": ("N", 1)}
 ENDS = "", "_deviation", "_half_width"
 
 
@@ -63,7 +63,7 @@ def splits(cycles):
 
 def line(new, by, target, found):
     """Print a row of the table."""
-    unit, scale = UNITS[target]
+    unit, scale = HUMAN[target]
     sizes = [f"{scale * value:.3g}" for value in (found.median, found.rmse, found.iqr)]
     shares = [
         "" if np.isnan(value) else f"{100 * value:.0f} %"

@@ -44,8 +44,8 @@ def contacts_of_their_own(places: ArrayLike, heights: ArrayLike) -> Array:
        lower than that of b.
 
     Two presses nearer to each other than 18 cm are told as one, unless the farther is heard twice
-    as high. What is trapped for longer than
-    1 ms is not told from a press that a harder one in front of it hides.
+    as high. What is trapped for longer than 1 ms is not told from a press that a harder one in
+    front of it hides.
     """
     place, height = (np.asarray(values, float).ravel() for values in (places, heights))
     order = np.argsort(place)[: np.count_nonzero(np.isfinite(place))]  # nan goes to the end

@@ -189,6 +189,6 @@ def _half_chord(turn: Array, sine: float) -> Array:
     return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
 
 
-def note(console: Console, words: str) -> None:
-    """Print what is being done."""
+def begins(console: Console, words: str) -> None:
+    """Print what begins."""
     console.print(f"{words} ...", soft_wrap=True, highlight=False)

@@ -20,10 +20,10 @@ from acoustube.sleeve import layout
 from acoustube.studies import ranged
 from acoustube.studies.arm import (
     PLACES,
+    begins,
     bent_around,
     by_depth,
     cycles_of,
-    note,
     over_skin,
     sleeve,
     told,
@@ -72,7 +72,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     coarser = None
     if scale.coarser is not None:
         coarser, _ = recorded(scale.coarser, scale, work / "coarser", console)
-    note(console, "a swipe, and two presses at once")
+    begins(console, "a swipe, and two presses at once")
     tracks = swiped(presses, quick=scale.quick)
     pairs = pairs_told(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
@@ -176,7 +176,7 @@ def recorded(
     The depth for a force is told by a path on the coarse mesh; the forces of the sweep's own mesh,
     which the cases are labelled with, are within 4 % of what was asked for.
     """
-    note(console, "the depths that forces take on soft ground")
+    begins(console, "the depths that forces take on soft ground")
     levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(mechanics.pressed(ground(**ARM), GRID), wanted)
@@ -191,7 +191,7 @@ def recorded(
     rows = []
     for tube, helix in enumerate(sleeve()):
         places = (PLACES[::3] if scale.quick else PLACES) + tube * SHIFT
-        note(console, f"cycles at {len(places)} places of tube {tube + 1}")
+        begins(console, f"cycles at {len(places)} places of tube {tube + 1}")
         for place in places:
             bends = bent_around(helix, float(place), states[0][1])
             for i, each in enumerate(levels):

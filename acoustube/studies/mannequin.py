@@ -18,10 +18,10 @@ from acoustube.sleeve import Helix
 from acoustube.studies import flat, flat_figures, ranged
 from acoustube.studies.arm import (
     PLACES,
+    begins,
     bent_around,
     by_depth,
     cycles_of,
-    note,
     over_skin,
     sleeve,
     told,
@@ -144,7 +144,7 @@ def recorded(
     swept(work, over, level, scale, console)
     presses = by_depth(work)
     places = PLACES[::3] if scale.quick else PLACES
-    note(console, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
+    begins(console, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
     found: dict[str, list[xr.Dataset]] = {shape: [] for shape in shapes}
     like = next(iter(presses.values()))[1]
     for place in places:

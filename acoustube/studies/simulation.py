@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from acoustube import mechanics, plot_sweep, signals
-from acoustube.config import Config, configured
+from acoustube.config import Config, WaveSettings, configured
 from acoustube.lumen import deformed_wall
 from acoustube.plot import CM
 from acoustube.studies.presses import matrices, swept
@@ -36,8 +36,10 @@ its reflection by the source end comes 0.12 ms later."""
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
 """With losses, lower carriers too. Their pulses of 11 cycles, 38 cm long at 10 kHz, need the longer
 tube; one scattering matrix serves all."""
-CARRIER, CYCLES, PROBE = 42e3, 11, 0.02
-"""Of the sweeps, by default; the probe's place in m."""
+USUAL = WaveSettings()
+"""Of the sweeps, but for what they vary."""
+CARRIER, PROBE = 1e3 * USUAL.frequency_khz, USUAL.probe_cm / CM
+"""In Hz, and the place of the plane that sound is heard at in m."""
 DRAWN = (2e-3, 4e-3, 6e-3, 8e-3)
 """Depths in m whose sections are drawn."""
 
@@ -236,9 +238,9 @@ def late_share(cases: xr.Dataset, end: str = "absorbing") -> Array:
     signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
     time = cases["time"].values
     way = 2 * cases["true_distance"].values - PROBE
-    middle = CYCLES / CARRIER / 2 + way / signals.speed_of_sound(cases["temperature"].values)
+    middle = USUAL.cycles / CARRIER / 2 + way / signals.speed_of_sound(cases["temperature"].values)
     after = time[None] - middle[:, None]
-    echo = after > -CYCLES / CARRIER / 2
+    echo = after > -USUAL.cycles / CARRIER / 2
     return np.asarray(
         (signal * (after > LATE)).sum(axis=1) / np.maximum((signal * echo).sum(axis=1), 1e-30)
     )
@@ -274,7 +276,7 @@ def _shares(matrix: Scattering) -> dict[str, Array]:
 
 def _spectrum(frequency: NDArray[Any]) -> Any:
     """Return the pulse's spectrum, up to a factor, at frequencies in Hz."""
-    pulse = Pulse(frequency=CARRIER, cycles=CYCLES)
+    pulse = Pulse(frequency=CARRIER, cycles=USUAL.cycles)
     time = np.arange(0.0, pulse.duration, 1e-6)
     return np.exp(-2j * np.pi * np.outer(frequency, time)) @ np.asarray(pulse(time))
 
