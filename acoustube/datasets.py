@@ -25,7 +25,7 @@ from acoustube.sweep import store
 from acoustube.sweep.board import Board, progress_board
 from acoustube.sweep.costs import in_words
 from acoustube.sweep.cycles import Recipe, record_cases, record_one
-from acoustube.sweep.execution import Task, cores
+from acoustube.sweep.execution import Task, Workers, count_of
 from acoustube.sweep.plan import digest
 from acoustube.swept import run_in_sight
 
@@ -83,7 +83,7 @@ def run_dataset(
     recipe: Recipe,
     console: Console,
     *,
-    workers: int | None = None,
+    workers: int | Workers | None = None,
     executor: Executor | None = None,
 ) -> Path:
     """Record cycles of all cases of a sweep, with their labels, and describe them on a card.
@@ -97,8 +97,8 @@ def run_dataset(
     recipe : Recipe
     console : rich.console.Console
         Where to print.
-    workers : int, optional
-        Processes; as many as there are cores by default.
+    workers : int or Workers, optional
+        Processes; as many as there are cores by default. Or those of a run before.
     executor : concurrent.futures.Executor, optional
         In place of processes of this machine.
 
@@ -122,10 +122,10 @@ def run_dataset(
     per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
     n_cases = sum(map(len, parts.values()))
     console.print(f"[bold]acoustube {__version__}[/]: a dataset", highlight=False)
-    _print_plan(n_cases, per_case, len(parts), len(there), workers or cores(), console)
+    _print_plan(n_cases, per_case, len(parts), len(there), count_of(workers), console)
     todo = {name: cases for name, cases in parts.items() if name not in there}
     if todo:
-        _record(todo, folder, recipe, workers or cores(), console, executor)
+        _record(todo, folder, recipe, workers, console, executor)
     data = open_dataset(folder)
     with partial_file(folder / CARD) as part:
         part.write_text(card(data, recipe), encoding="utf-8")
@@ -204,7 +204,7 @@ def _record(
     todo: dict[str, list[tuple[str, Path]]],
     folder: Path,
     recipe: Recipe,
-    workers: int,
+    workers: int | Workers | None,
     console: Console,
     executor: Executor | None,
 ) -> None:
@@ -215,7 +215,7 @@ def _record(
         for name, cases in todo.items()
     }
     totals = {"files": (len(todo), sum(costs.values()))}
-    with progress_board(totals, workers, console) as board:
+    with progress_board(totals, count_of(workers), console) as board:
         tasks = [
             _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
         ]

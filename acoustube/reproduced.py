@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,7 @@ from acoustube.errors import ConfigError
 from acoustube.io import check_out, partial_file
 from acoustube.studies.report import Scale, Study, write
 from acoustube.sweep.costs import in_words
+from acoustube.sweep.execution import crew
 
 STUDIES = {
     "simulation": 20.0, "calibration": 1.0, "flat": 40.0, "mannequin": 12.0, "human": 6.0,
@@ -63,11 +65,12 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
         f"{in_words(60 * minutes)} on two cores, less for what is remembered",
         soft_wrap=True,
     )
-    for number, name in enumerate(names, 1):
-        console.rule(f"study {number} of {len(names)}: {name}")
-        study = _performed(name, folder, scale, console)
-        _write_index(folder)
-        _print(study, console)
+    with crew(scale.workers) as workers:
+        for number, name in enumerate(names, 1):
+            console.rule(f"study {number} of {len(names)}: {name}")
+            study = _performed(name, folder, replace(scale, workers=workers), console)
+            _write_index(folder)
+            _print(study, console)
     elapsed = in_words(time.perf_counter() - started)
     console.print(f"Written to [bold]{folder / 'index.html'}[/] in {elapsed}.", soft_wrap=True)
     return folder

@@ -30,7 +30,7 @@ from acoustube.sweep.costs import (
     remembered,
     size_of,
 )
-from acoustube.sweep.execution import Task, cores, process_pool, run_tasks
+from acoustube.sweep.execution import Task, Workers, cores, count_of, crew, run_tasks
 from acoustube.sweep.graph import OF_MATRIX, OWN, Case, Descent, kept, shard, structured
 from acoustube.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.sweep.runner import Runner
@@ -69,7 +69,7 @@ def run_sweep(
     out: str | Path,
     console: Console,
     *,
-    workers: int | None = None,
+    workers: int | Workers | None = None,
     executor: Executor | None = None,
     width: int | None = None,
     share: tuple[int, int] = (1, 1),
@@ -84,8 +84,8 @@ def run_sweep(
         A folder, new or of a sweep.
     console : rich.console.Console
         Where to print.
-    workers : int, optional
-        Processes; as many as there are cores by default.
+    workers : int or Workers, optional
+        Processes; as many as there are cores by default. Or those of a run before.
     executor : concurrent.futures.Executor, optional
         In place of processes of this machine.
     width : int, optional
@@ -117,8 +117,7 @@ def run_sweep(
     store.forget_failures(folder, found.finished.keys() & store.failures(folder).keys())
     with partial_file(folder / store.PLAN) as part:
         part.write_text(to_toml(plan), encoding="utf-8")
-    pool_size = workers or cores()
-    at_once: int = width or getattr(executor, "_max_workers", None) or pool_size
+    at_once: int = width or getattr(executor, "_max_workers", None) or count_of(workers)
     _print_work(work, at_once, console)
     done = Counter[str]()
     failed = dict(work.failed)
@@ -127,7 +126,7 @@ def run_sweep(
             runner = Runner(folder, board, failed, done)
             try:
                 run_in_sight(
-                    runner.first(work.todo), board, workers=pool_size, executor=executor,
+                    runner.first(work.todo), board, workers=workers, executor=executor,
                     width=at_once,
                 )  # fmt: skip
             except KeyboardInterrupt:
@@ -144,7 +143,7 @@ def run_in_sight(
     tasks: Iterable[Task],
     board: Board,
     *,
-    workers: int,
+    workers: int | Workers | None,
     executor: Executor | None = None,
     width: int | None = None,
 ) -> None:
@@ -154,7 +153,7 @@ def run_in_sight(
     ----------
     tasks : iterable of Task
     board : Board
-    workers : int
+    workers : int, Workers or None
         Processes of this machine, unless there is an executor.
     executor : concurrent.futures.Executor, optional
     width : int, optional
@@ -165,16 +164,13 @@ def run_in_sight(
     SimulationError
         See :func:`acoustube.sweep.execution.run_tasks`.
     """
-    with heard_interrupts() as check:
+    with heard_interrupts() as check, crew(workers) as processes:
 
         def tick() -> None:
             check()
             board.tick()
 
-        def make_pool() -> Executor:
-            return process_pool(workers) if executor is None else executor
-
-        run_tasks(tasks, make_pool, width or workers, tick, own=executor is None)
+        run_tasks(tasks, executor or processes, width or processes.count, tick)
 
 
 def _note_contents(folder: Path, found: store.Contents, console: Console) -> None:

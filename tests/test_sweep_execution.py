@@ -10,7 +10,6 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -18,8 +17,8 @@ import pytest
 import xarray as xr
 
 from acoustube.errors import SimulationError
-from acoustube.sweep import store
-from acoustube.sweep.execution import ATTEMPTS, Task, process_pool, run_tasks
+from acoustube.sweep import execution, store
+from acoustube.sweep.execution import ATTEMPTS, Task, crew, process_pool, run_tasks
 
 
 def square(x):
@@ -68,11 +67,19 @@ class Record:
         return Task("test", work, arguments, then, failed, 1.0)
 
 
+@pytest.fixture
 def threads():
-    return ThreadPoolExecutor(2)
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
 
 
-def test_tasks_and_what_follows_from_them_are_all_run():
+@pytest.fixture
+def processes():
+    with crew(2) as workers:
+        yield workers
+
+
+def test_tasks_and_what_follows_from_them_are_all_run(threads):
     record, ticks = Record(), []
     tasks = [record.task("a", square, 2, follow=[("b", square, 3), ("c", square, 4)])]
     run_tasks(tasks, threads, 2, lambda: ticks.append(1))
@@ -80,7 +87,7 @@ def test_tasks_and_what_follows_from_them_are_all_run():
     assert ticks
 
 
-def test_a_failed_task_is_told_and_the_others_go_on():
+def test_a_failed_task_is_told_and_the_others_go_on(threads):
     record = Record()
     tasks = [record.task(i, refuse if i == 3 else square, i) for i in range(8)]
     run_tasks(tasks, threads, 2, lambda: None)
@@ -99,36 +106,55 @@ def test_no_more_tasks_are_handed_over_than_asked_for():
         return x
 
     record = Record()
-    run_tasks([record.task(i, work, i) for i in range(20)], partial(ThreadPoolExecutor, 8), 3, int)
+    with ThreadPoolExecutor(8) as pool:
+        run_tasks([record.task(i, work, i) for i in range(20)], pool, 3, int)
     assert len(record.results) == 20
     assert max(most) <= 3
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_nothing_but_time(tmp_path):
+def test_a_killed_worker_costs_nothing_but_time(processes, tmp_path):
     record = Record()
     tasks = [record.task(i, die_once, i, tmp_path / "died") for i in range(6)]
-    run_tasks(tasks, partial(process_pool, 2), 2, lambda: None)
+    run_tasks(tasks, processes, 2, lambda: None)
     assert record.results == {i: i * i for i in range(6)}
     assert record.failures == {}
 
 
 @pytest.mark.slow
-def test_a_task_that_always_kills_its_worker_fails_alone():
+def test_a_task_that_always_kills_its_worker_fails_alone(processes):
     record = Record()
     tasks = [record.task(i, die if i == 2 else square, i) for i in range(6)]
-    run_tasks(tasks, partial(process_pool, 2), 2, lambda: None)
+    run_tasks(tasks, processes, 2, lambda: None)
     assert list(record.failures) == [2]
     assert f"killed {ATTEMPTS} times" in record.failures[2]
     assert record.results == {i: i * i for i in range(6) if i != 2}
 
 
-def test_an_interrupt_ends_the_run():
+@pytest.mark.slow
+def test_an_interrupt_ends_the_run_and_what_its_workers_do(processes):
     def interrupt():
         raise KeyboardInterrupt
 
+    process = processes.pool().submit(os.getpid).result()
     with pytest.raises(KeyboardInterrupt):
-        run_tasks([Record().task("a", square, 2)], threads, 1, interrupt)
+        run_tasks([Record().task("a", time.sleep, 600)], processes, 1, interrupt)
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+
+
+@pytest.mark.slow
+def test_workers_stay_for_the_next_run_unless_they_are_lost_in_between(processes):
+    found = []
+    for i in range(3):
+        record = Record()
+        run_tasks([record.task("a", os.getpid)], processes, 1, lambda: None)
+        found.append(record.results["a"])
+        if i == 1:
+            for process in processes.pool()._processes:
+                os.kill(process, signal.SIGKILL)
+            time.sleep(0.2)
+    assert found[0] == found[1] != found[2]
 
 
 class GoneExecutor(ThreadPoolExecutor):
@@ -142,7 +168,7 @@ class GoneExecutor(ThreadPoolExecutor):
 
 def test_a_lost_scheduler_ends_the_run_with_a_word():
     with pytest.raises(SimulationError, match=r"scheduler are gone; .* run the same command again"):
-        run_tasks([Record().task("a", square, 2)], GoneExecutor, 1, int, own=False)
+        run_tasks([Record().task("a", square, 2)], GoneExecutor(), 1, int)
 
 
 class BrokenPool(ThreadPoolExecutor):
@@ -155,13 +181,13 @@ class BrokenPool(ThreadPoolExecutor):
 def test_somebody_elses_pool_that_breaks_is_not_tried_for_ever():
     record = Record()
     with pytest.raises(SimulationError, match=r"the workers or their scheduler are gone"):
-        run_tasks([record.task("a", square, 2)], BrokenPool, 1, int, own=False)
+        run_tasks([record.task("a", square, 2)], BrokenPool(), 1, int)
     assert record.failures == {}
 
 
 def test_somebody_elses_pool_is_left_running():
     with ThreadPoolExecutor(1) as pool:
-        run_tasks([Record().task("a", square, 2)], lambda: pool, 1, int, own=False)
+        run_tasks([Record().task("a", square, 2)], pool, 1, int)
         assert pool.submit(square, 3).result() == 9
 
 
@@ -173,11 +199,15 @@ def test_a_bound_on_threads_that_the_user_has_set_stays(monkeypatch):
         assert pool.submit(threads_of_numba).result() == 1
 
 
-def test_workers_that_cannot_start_fail_no_task():
+def test_workers_that_cannot_start_fail_no_task(monkeypatch, processes):
     record = Record()
-    pool = partial(ProcessPoolExecutor, 1, get_context("spawn"), initializer=refuse)
+
+    def refused(workers):
+        return ProcessPoolExecutor(workers, get_context("spawn"), initializer=refuse)
+
+    monkeypatch.setattr(execution, "process_pool", refused)
     with pytest.raises(SimulationError, match=r"no worker can start: .*__main__"):
-        run_tasks([record.task("a", square, 2)], pool, 1, int)
+        run_tasks([record.task("a", square, 2)], processes, 1, int)
     assert record.failures == {}
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from acoustube import __version__
+from acoustube.sweep.execution import Workers
 
 FAR = 1 / 3
 """Difference from a published number, as a share of it, from which a row is marked."""
@@ -53,12 +54,12 @@ class Scale:
     ----------
     quick : bool
         A few presses on the coarse level alone, to see that all works; its numbers mean little.
-    workers : int or None
-        Processes; as many as there are cores with None.
+    workers : int, Workers or None
+        Processes; as many as there are cores with None. Or those of the study before.
     """
 
     quick: bool = False
-    workers: int | None = None
+    workers: int | Workers | None = None
 
     @property
     def level(self) -> Level:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -14,6 +14,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,27 +55,91 @@ class Task:
     cost: float
 
 
+class Workers:
+    """Processes of this machine, started when there is work, and anew where one was lost.
+
+    They stay until they are ended: what one has imported and compiled serves the next run too.
+
+    Parameters
+    ----------
+    count : int
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: Executor | None = None
+
+    def pool(self) -> Executor:
+        """Return an executor whose workers could start.
+
+        Raises
+        ------
+        SimulationError
+            If none can.
+        """
+        if self._pool is None:
+            self._pool = process_pool(self.count)
+            try:
+                self._pool.submit(int).result()
+            except BrokenExecutor as error:
+                self.end()
+                raise SimulationError(
+                    "no worker can start: a script that runs a sweep must do so under "
+                    'if __name__ == "__main__":, since workers import it too'
+                ) from error
+        return self._pool
+
+    def end(self) -> None:
+        """End them without waiting for what they are doing."""
+        if self._pool is None:
+            return
+        processes = list((getattr(self._pool, "_processes", None) or {}).values())
+        self._pool.shutdown(wait=False)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join(timeout=5)
+        self._pool = None
+
+
+@contextmanager
+def crew(workers: int | Workers | None) -> Iterator[Workers]:
+    """Yield the workers that are given, or new ones, which are ended afterwards.
+
+    Parameters
+    ----------
+    workers : int, Workers or None
+        How many, as many as there are cores with None; or those of a run before.
+    """
+    if isinstance(workers, Workers):
+        yield workers
+        return
+    new = Workers(count_of(workers))
+    try:
+        yield new
+    finally:
+        new.end()
+
+
+def count_of(workers: int | Workers | None) -> int:
+    """Return how many workers :func:`crew` yields."""
+    return workers.count if isinstance(workers, Workers) else workers or cores()
+
+
 def run_tasks(
-    tasks: Iterable[Task],
-    make_pool: Callable[[], Executor],
-    width: int,
-    tick: Callable[[], None],
-    *,
-    own: bool = True,
+    tasks: Iterable[Task], workers: Workers | Executor, width: int, tick: Callable[[], None]
 ) -> None:
     """Run tasks and those that follow from them.
 
     Parameters
     ----------
     tasks : iterable of Task
-    make_pool : callable
-        Makes an executor, or returns one.
+    workers : Workers or concurrent.futures.Executor
+        They are left running, but for Workers when the run is ended by an error or an interrupt.
     width : int
         Tasks that are handed over at a time.
     tick : callable
         Called several times a second; what it raises ends the run.
-    own : bool
-        Whether the executor is ended afterwards, and another one made if its workers are lost.
 
     Raises
     ------
@@ -90,7 +155,8 @@ def run_tasks(
     waiting: deque[Task] = deque(tasks)
     running: dict[Future[Any], Task] = {}
     lost: Counter[Task] = Counter()
-    pool = _answering(make_pool) if own else make_pool()
+    own = workers if isinstance(workers, Workers) else None
+    pool = workers.pool() if isinstance(workers, Workers) else workers
     try:
         while waiting or running:
             broken = not _hand_over(pool, waiting, running, width, lost)
@@ -99,32 +165,19 @@ def run_tasks(
             for future in finished:
                 broken |= _settle(future, running.pop(future), waiting, lost)
             if broken:
-                if not own:
+                if own is None:
                     raise SimulationError(GONE)
                 for task in running.values():
                     _again(task, waiting, lost)
                 running.clear()
-                _end(pool)
-                pool = _answering(make_pool)
-    finally:
+                own.end()
+                pool = own.pool()
+    except BaseException:
         for future in running:
             future.cancel()
-        if own:
-            _end(pool)
-
-
-def _answering(make_pool: Callable[[], Executor]) -> Executor:
-    """Return a new executor whose workers can start."""
-    pool = make_pool()
-    try:
-        pool.submit(int).result()
-    except BrokenExecutor as error:
-        _end(pool)
-        raise SimulationError(
-            "no worker can start: a script that runs a sweep must do so under "
-            'if __name__ == "__main__":, since workers import it too'
-        ) from error
-    return pool
+        if own is not None:
+            own.end()
+        raise
 
 
 def _settle(future: Future[Any], task: Task, waiting: deque[Task], lost: Counter[Task]) -> bool:
@@ -177,16 +230,6 @@ def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
         task.failed(
             f"its worker was killed {ATTEMPTS} times, as for want of memory; use fewer --workers"
         )
-
-
-def _end(pool: Executor) -> None:
-    """End a pool without waiting for what it is doing."""
-    processes = list((getattr(pool, "_processes", None) or {}).values())
-    pool.shutdown(wait=False)
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join(timeout=5)
 
 
 def process_pool(workers: int) -> Executor:
