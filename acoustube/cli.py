@@ -560,7 +560,7 @@ def process(
     complete = run_process(
         files,
         out,
-        Console(stderr=True, quiet=quiet),
+        Console(stderr=out is None, quiet=quiet),
         calibration=calibration,
         prominence=prominence,
         rate=rate,

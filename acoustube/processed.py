@@ -34,6 +34,11 @@ COLUMNS = (
     "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
     "file",
 )  # fmt: skip
+TRUE = {
+    "true_distance": ("true_distance_cm", 100.0), "depth": ("depth_mm", 1e3),
+    "force": ("force_n", 1.0),
+}  # fmt: skip
+"""Columns of the labels that a recording may have, and how many of their unit make one of SI."""
 
 
 def located(
@@ -109,7 +114,7 @@ def run_process(
     out : Path or None
         The CSV file to write; None writes to standard output.
     console : rich.console.Console
-        Where to say what became of each file.
+        Where to say what was found; what could not be processed goes to standard error.
     calibration : str, optional
         A file, or the name of a calibration.
     prominence : float, optional
@@ -130,10 +135,11 @@ def run_process(
         If the calibration cannot be used.
     """
     known, how = chosen(calibration, prominence)
+    errors = Console(stderr=True)
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
     with heard_interrupts() as check, _opened(out) as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow([*COLUMNS, *(name for name, _ in TRUE.values())])
         for path, data in recordings.read_all(
             paths, rate=rate, temperature=temperature, channel=channel, samples=samples
         ):
@@ -143,7 +149,9 @@ def run_process(
                     raise data
                 check_rate(float(data.attrs["sampling_rate"]), known, path)
                 for first, ranging in _with_progress(data, how, console, check, path):
-                    writer.writerows(table_rows(first, ranging, path))
+                    these = data.isel(cycle=slice(first, first + len(ranging.detected)))
+                    rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
+                    writer.writerows([*row, *labels] for row, labels in rows)
                     if ranging.detected.any():
                         found += int(ranging.detected.sum())
                         loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
@@ -152,7 +160,7 @@ def run_process(
                 failures += 1
                 text = " ".join(str(error).split())
                 named = text if str(path) in text else f"{path}: {text}"
-                console.print(f"[red]not processed:[/] {escape(named)}", soft_wrap=True)
+                errors.print(f"[red]not processed:[/] {escape(named)}", soft_wrap=True)
                 continue
             n_cycles, n_found = n_cycles + data.sizes["cycle"], n_found + found
             notes = str(data.attrs.get("warnings", "")).splitlines()
@@ -248,6 +256,16 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
     for i, seen in enumerate(np.atleast_1d(ranging.detected)):
         texts = [f"{value:.6g}" if seen else "" for value in numbers[i]]
         yield [first + i, *texts, int(peaks[i]), int(seen), str(source)]
+
+
+def true_rows(data: xr.Dataset) -> Iterator[list[object]]:
+    """Return the labels of :data:`TRUE` of each cycle, empty where there is none."""
+    columns = [
+        scale * data[name].values if name in data else np.full(data.sizes["cycle"], np.nan)
+        for name, (_, scale) in TRUE.items()
+    ]
+    for values in np.stack(columns, axis=-1):
+        yield ["" if np.isnan(value) else f"{value:.6g}" for value in values]
 
 
 def _draw(data: xr.Dataset, how: Processing, first: int, ranging: Ranging, figure: Path) -> None:

@@ -33,7 +33,7 @@ def test_one_row_per_cycle_tells_its_distance():
     save("a.npz", cycles_at(DISTANCES, noise=0.002))
     result = call("process", "a.npz", "--out", "t.csv", "--prominence", "0.05")
     assert result.returncode == 0, result.stderr
-    assert "7 cycles, echoes in 7" in result.stderr
+    assert "7 cycles, echoes in 7" in result.stdout
     rows = rows_of(Path("t.csv").read_text())
     assert list(rows[0])[:7] == [
         "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks",
@@ -46,6 +46,19 @@ def test_one_row_per_cycle_tells_its_distance():
     assert all(row["detected"] == "1" and row["file"] == "a.npz" for row in rows)
     flight = [float(row["time_of_flight_ms"]) for row in rows]
     assert flight == pytest.approx(2e3 * DISTANCES / 343.2, abs=5e-3)
+
+
+def test_labels_stand_beside_what_is_found():
+    """The second file has none."""
+    depth = np.where(DISTANCES > 1, 3e-3, np.nan)
+    save("a.npz", cycles_at(DISTANCES), true_distance=DISTANCES, depth=depth)
+    save("b.npz", cycles_at(DISTANCES))
+    rows = rows_of(call("process", "a.npz", "b.npz", "--prominence", "0.05").stdout)
+    true = [float(row["true_distance_cm"]) for row in rows[:7]]
+    assert true == pytest.approx(100 * DISTANCES, rel=1e-5)
+    assert [row["depth_mm"] for row in rows[:7]] == ["", "", "", "3", "3", "3", "3"]
+    assert {row["force_n"] for row in rows} == {""}
+    assert {row["true_distance_cm"] for row in rows[7:]} == {""}
 
 
 def test_table_goes_to_standard_output_and_many_cycles_are_those_of_one():
@@ -78,7 +91,7 @@ def test_bad_files_are_told_and_the_others_processed():
     rows = rows_of(Path("t.csv").read_text())
     assert {Path(row["file"]).name for row in rows} == {"a.npz", "g.npz"}
     assert len(rows) == 14
-    told = " ".join(result.stderr.split())
+    told = " ".join((result.stdout + result.stderr).split())
     for name in "bcdef":
         assert f"{name}.{'wav' if name == 'd' else 'npz'}" in told
     assert "5 files could not be processed" in told
@@ -93,7 +106,7 @@ def test_names_with_brackets_and_cycles_that_begin_elsewhere():
         Path("z[") / "b].npz", signal=np.zeros((2, 4000), np.uint16), rate=RATE, temperature=20.0
     )
     result = call("process", "y[left].npz", "z[/b].npz", "--prominence", "0.05", "--out", "t.csv")
-    told = " ".join(result.stderr.split())
+    told = " ".join((result.stdout + result.stderr).split())
     assert result.returncode == 1
     assert "y[left].npz: an echo is" in told
     assert "z[/b].npz" in told
