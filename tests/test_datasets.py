@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 QUIET = Console(quiet=True)
 OVER = {
     "depth_mm": ["0", "0.6"], "position_cm": ["50", "90"], "length_cm": ["150"],
-    "temperature_c": ["15", "25"], "resolution": ["11"],
+    "temperature_c": ["15", "25"], "resolution": ["11"], "mesh": ["coarse"],
 }  # fmt: skip
 RECIPE = Recipe(n_cycles=3, n_tubes=2, n_sessions=2, seed=7)
 

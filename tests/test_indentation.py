@@ -285,7 +285,13 @@ def test_newton_without_iterations_stops_the_press(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tool", [Press(diameter=ROD), Press(shape="sphere", diameter=20e-3)])
+@pytest.mark.parametrize(
+    "tool",
+    [
+        pytest.param(Press(diameter=ROD), marks=pytest.mark.long),
+        Press(shape="sphere", diameter=20e-3),
+    ],
+)
 def test_whole_tube_is_pressed_like_its_quarter(tool):
     """The same elements four times: force, section and energy agree to Newton's tolerance, 1e-6."""
     size = MeshSize(through_wall=1, around=6, along=5)

@@ -519,7 +519,7 @@ def paced(board, n, rate, before):
 
 
 @needs_pty
-@pytest.mark.slow
+@pytest.mark.long
 def test_fifteen_seconds_at_20_cycles_per_second_lose_nothing(board):
     command = started(board, "a.csv", "--duration", "17")
     paced(board, 300, 20.0, before=0.0)

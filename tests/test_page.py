@@ -29,7 +29,12 @@ from acoustube.tube import Tube
 from acoustube.walls import RINGS, thinned
 
 QUIET = Console(quiet=True)
-OVER = {"indenter_mm": ["10", "25"], "depth_mm": ["0", "0.6", "4"], "resolution": ["11"]}
+OVER = {
+    "indenter_mm": ["10", "25"],
+    "depth_mm": ["0", "0.6", "4"],
+    "resolution": ["11"],
+    "mesh": ["coarse"],
+}
 TYPES = {"f4": "<f4", "i2": "<i2", "u2": "<u2", "u4": "<u4"}
 BORE, WALL = 7.9e-3, 1.6e-3
 MOST_BYTES = 15e6

@@ -34,10 +34,10 @@ from acoustube.waves.cascade import rescaled
 
 # Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
-SMALL += ["--resolution", "8"]
+SMALL += ["--resolution", "8", "--mesh", "coarse"]
 OVER = {
     "depth_mm": ["0", "0.3", "0.6"], "position_cm": ["15", "25"], "frequency_khz": ["20"],
-    "resolution": ["8"],
+    "resolution": ["8"], "mesh": ["coarse"],
 }  # fmt: skip
 QUIET = Console(quiet=True)
 
@@ -123,7 +123,7 @@ def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
 @pytest.mark.usefixtures("finished")
 def test_pieces_are_computed_once_ever(tmp_path, capsys):
     """Other places, temperatures and a longer tube: only what is heard is new."""
-    words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
+    words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8", "--mesh", "coarse"]
     words += ["--position", "30:60:5", "--length", "80", "--temperature", "20"]
     assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out
@@ -166,7 +166,7 @@ def cluster(tmp_path, port):
             process.kill()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
     with cluster(tmp_path, 18786) as (_, workers, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"])
@@ -206,7 +206,7 @@ def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
     assert "no scheduler answers there" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_sweep_that_is_killed_goes_on_to_the_same_results(finished, tmp_path):
     """Killed with all its workers at random moments; what is written is never half."""
     moments = random.Random(5)
