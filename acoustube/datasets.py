@@ -119,10 +119,9 @@ def run_dataset(
     _check_band(parts, recipe)
     folder = _prepared(out, set(parts), recipe)
     there = {name for name in parts if store.intact(folder / name) is not None}
-    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
     n_cases = sum(map(len, parts.values()))
     console.print(f"[bold]acoustube {__version__}[/]: a dataset", highlight=False)
-    _print_plan(n_cases, per_case, len(parts), len(there), count_of(workers), console)
+    _print_plan(n_cases, recipe.per_case, len(parts), len(there), count_of(workers), console)
     todo = {name: cases for name, cases in parts.items() if name not in there}
     if todo:
         _record(todo, folder, recipe, workers, console, executor)
@@ -154,8 +153,7 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
     if not found:
         raise ConfigError(f"{sweep[0]} holds no finished case; let acoustube sweep finish some")
     cases = [(str(name), found[str(name)]) for name in open_dataset(sweep)["press"].values]
-    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
-    size = max(1, CYCLES_PER_FILE // per_case)
+    size = max(1, CYCLES_PER_FILE // recipe.per_case)
     parts = {}
     for i in range(0, len(cases), size):
         some = cases[i : i + size]
@@ -209,9 +207,8 @@ def _record(
     executor: Executor | None,
 ) -> None:
     """Write the files that are missing."""
-    per_case = recipe.n_cycles * recipe.n_tubes * recipe.n_sessions
     costs = {
-        name: len(cases) * (SECONDS_PER_CASE + per_case * SECONDS_PER_CYCLE)
+        name: len(cases) * (SECONDS_PER_CASE + recipe.per_case * SECONDS_PER_CYCLE)
         for name, cases in todo.items()
     }
     totals = {"files": (len(todo), sum(costs.values()))}

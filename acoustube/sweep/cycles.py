@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -61,6 +60,11 @@ class Recipe:
     rangefinder: Rangefinder | None = None
 
     @property
+    def per_case(self) -> int:
+        """How many cycles a case has in all."""
+        return self.n_cycles * self.n_tubes * self.n_sessions
+
+    @property
     def name(self) -> str:
         """Hash of all that it says."""
         own = None if self.rangefinder is None else self.rangefinder.to_json()
@@ -75,7 +79,7 @@ class Recipe:
 
 def seed_of(*what: Any) -> int:
     """Return a seed that belongs to what is named, and to nothing else."""
-    return int(hashlib.sha256(json.dumps(what).encode()).hexdigest()[:15], 16)
+    return int(digest(what)[:15], 16)
 
 
 def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -> int:
