@@ -89,7 +89,9 @@ def main():
         tested = held & near
         peak = tables["paper"]["features"].sel(feature="distance").values[tested]
         truth = cycles["true_distance"].values[tested]
-        line(new, "highest peak", "true_distance", estimation.errors(truth, peak))
+        seen = np.isfinite(peak)
+        by = f"highest peak, in {100 * seen.mean():.0f} % of cycles"
+        line(new, by, "true_distance", estimation.errors(truth, peak))
         for target in ("depth", "force"):
             values = cycles[target].values
             constant = np.full(tested.sum(), np.median(values[~held]))
@@ -101,8 +103,12 @@ def main():
             told = estimation.estimate(model, table.isel(cycle=tested))
             for target in model.targets:
                 columns = [told[TARGETS[target] + end].values for end in ENDS]
-                found = estimation.errors(cycles[target].values[tested], *columns)
-                line(new, f"{name} ({seconds:.0f} s)", target, found)
+                true = cycles[target].values[tested]
+                by = f"{name} ({seconds:.0f} s)"
+                line(new, by, target, estimation.errors(true, *columns))
+                if target == "true_distance":
+                    of_seen = [values[seen] for values in (true, *columns)]
+                    line(new, f"{by}, of these cycles", target, estimation.errors(*of_seen))
 
 
 if __name__ == "__main__":
