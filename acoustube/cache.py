@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from platformdirs import user_cache_path
 
+from acoustube.errors import ConfigError
+
 if TYPE_CHECKING:  # the command line lists and clears without NumPy
     from numpy.typing import NDArray
 
@@ -64,9 +66,18 @@ class Entry(NamedTuple):
 
 
 def folder() -> Path:
-    """Return where entries are kept: ``$ACOUSTUBE_CACHE``, or the user's cache folder."""
+    """Return where entries are kept: ``$ACOUSTUBE_CACHE``, or the user's cache folder.
+
+    Raises
+    ------
+    ConfigError
+        If a file is there.
+    """
     chosen = os.environ.get("ACOUSTUBE_CACHE")
-    return Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
+    found = Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
+    if found.is_file():
+        raise ConfigError(f"ACOUSTUBE_CACHE = {found} is a file; name a folder")
+    return found
 
 
 def key(kind: str, dependencies: Mapping[str, Any]) -> str:

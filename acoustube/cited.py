@@ -64,11 +64,12 @@ def topics_of(result: Path) -> set[str]:
     ConfigError
         If it is none of these.
     """
+    result = result.parent if result.name == "run.nc" else result
     if (result / "run.nc").is_file():
         return _of_settings(json.loads(_attributes(result / "run.nc")["configuration"]))
     if (result / "sleeve.csv").is_file() and (result / "layout.txt").is_file():
         fitted = (result / "layout.txt").read_text(encoding="utf-8").startswith("markers")
-        return {"flattening", *(("arm",) if fitted else ())}
+        return {"arm"} if fitted else set()
     if result.is_file() and is_zipfile(result):  # as NumPy's archives are, whatever their name
         from acoustube.estimation import load
 

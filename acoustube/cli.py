@@ -11,7 +11,7 @@ import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from math import radians
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
 from acoustube import __version__, cache
-from acoustube.config import Mechanics, check_touched, describe, load_config
+from acoustube.config import Mechanics, check_touched, describe, load_config, section_of
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
 from acoustube.rules import Number
@@ -34,6 +34,11 @@ app = App(
     # An interrupt must reach `main`, which says what became of the run.
     suppress_keyboard_interrupt=False,
 )
+
+SETTLED = ("simulate", "indent", "sweep")
+"""Commands that take settings, of which some have no option of their own."""
+HIGHEST_KHZ = 1000.0
+"""Frequency above which Hz are suspected."""
 
 app.register_install_completion_command(help="Let the shell complete commands and options.")
 
@@ -470,8 +475,15 @@ def scatter(
     """
     check_surface(lumen)
     check_new_file(out)
+    if out.suffix.lower() != ".nc":
+        raise ConfigError(f"out = {out} is not the name of a netCDF file; let it end in .nc")
     low, high = band
-    if not 0 < low < high < float("inf"):
+    if high > HIGHEST_KHZ:
+        raise ConfigError(
+            f"band = {low:g} {high:g} kHz goes beyond {HIGHEST_KHZ:g} kHz; give it in kHz, such as "
+            "5 60"
+        )
+    if not 0 < low < high:
         raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0, and end")
     count = (high - low) / step if step > 0 else 0.0
     if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
@@ -1160,6 +1172,16 @@ def _in_one_sentence(error: CycloptsError) -> str:
     # Several sentences are joined into one.
     words = re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", " ".join(str(error).split()))
     words = re.sub(r"(?<!\.)\.$", "", words)
+    given = r'^Command "(.*)" parameter (\S+) requires '
+    words = re.sub(f"{given}an argument", r"\1 needs \2 and its value", words)
+    words = re.sub(rf"{given}(\d+) positional arguments", r"\1 \2 needs \3 values", words)
+    option = re.match(r"Unknown option: --([a-z-]+)", words)
+    if option and command.split()[-1] in SETTLED:
+        name = option[1].replace("-", "_")
+        with suppress(ConfigError):
+            file = f"--config FILE with {name} in [{section_of(name)}]"
+            how = f"--vary {name}=VALUE" if command.endswith("sweep") else file
+            return f"--{option[1]} is no option, but {name} is a setting; give {how}"
     if "did you mean" in words or "choose from" in words:
         return words
     if isinstance(error, CoercionError):

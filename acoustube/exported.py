@@ -11,6 +11,7 @@ from acoustube.errors import ConfigError
 from acoustube.io import partial_folder, publish
 from acoustube.opening import PATTERNS, files_of, open_dataset
 
+NAMEABLE = "a folder of simulate, indent, sweep or dataset, or a file of scatter"
 FORMATS = {
     "cycles": ("wav", "csv", "lerobot"),
     "sweep": ("csv", "stl", "vtp"),
@@ -68,17 +69,20 @@ def run_export(where: Path, out: Path, console: Console, *, wanted: str | None =
 
 def _opened(where: Path) -> xr.Dataset:
     """Open a result of any kind."""
+    if not where.exists():
+        raise ConfigError(f"{where} does not exist; name {NAMEABLE}")
     of_many = any(where.match(pattern) for pattern in PATTERNS.values())
     path = where if where.is_file() else where / "run.nc"
-    if of_many or not path.is_file():
+    if of_many or any(any(where.glob(pattern)) for pattern in PATTERNS.values()):
         return open_dataset(where)
+    if not path.is_file():
+        raise ConfigError(f"{where} holds no result of acoustube; name {NAMEABLE}")
     try:
         with xr.open_dataset(path, engine="h5netcdf") as file:
             return file.load()
     except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(
-            f"{path} cannot be read as a result ({' '.join(str(error).split())}); name a folder "
-            "of simulate, indent, sweep or dataset, or a file of scatter"
+            f"{path} cannot be read as a result ({' '.join(str(error).split())}); name {NAMEABLE}"
         ) from error
 
 
@@ -92,10 +96,7 @@ def _kind(data: xr.Dataset, where: Path) -> str:
         return "scatter"
     if "node_position" in data:
         return "simulate" if "lumen_face" in data else "indent"
-    raise ConfigError(
-        f"{where} is no result of acoustube; name a folder of simulate, indent, sweep or dataset, "
-        "or a file of scatter"
-    )
+    raise ConfigError(f"{where} is no result of acoustube; name {NAMEABLE}")
 
 
 def _write(data: xr.Dataset, where: Path, wanted: str, folder: Path) -> str:

@@ -60,9 +60,8 @@ def check_surface(path: str | Path) -> None:
     ConfigError
     """
     if not Path(path).is_file():
-        raise ConfigError(
-            f"{path} does not exist; give the name of a surface: STL, PLY, OBJ or VTP."
-        )
+        what = "is a folder" if Path(path).is_dir() else "does not exist"
+        raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP.")
 
 
 def check_new_file(path: Path, name: str = "out") -> None:

@@ -95,8 +95,11 @@ def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:
             inside = [p for pattern in PATTERNS.values() for p in sorted(path.glob(pattern))]
             found += [path] if path.is_file() and path.suffix == ".nc" else inside
     if not found:
+        missing = [one for one in given if not Path(one).exists()]
         raise ConfigError(
-            f"{', '.join(map(str, given))} holds no results of acoustube sweep or dataset; name a "
-            "folder that one of them wrote"
+            f"{missing[0]} does not exist; name a folder that acoustube sweep or dataset wrote"
+            if missing
+            else f"{', '.join(map(str, given))} holds no results of acoustube sweep or dataset; "
+            "name a folder that one of them wrote"
         )
     return found

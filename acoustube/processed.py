@@ -132,7 +132,7 @@ def run_process(
     Raises
     ------
     ConfigError
-        If the calibration cannot be used.
+        If the calibration cannot be used, or no file be processed.
     """
     known, how = chosen(calibration, prominence)
     errors = Console(stderr=True)
@@ -174,6 +174,8 @@ def run_process(
             if figure is not None and not drawn and shown is not None:
                 _draw(data, how, *shown, figure)
                 drawn = True
+        if failures and not n_cycles:
+            raise ConfigError("no file could be processed, and nothing was written; see above")
     if known is None:
         note(
             console,
@@ -364,7 +366,8 @@ def run_calibrate(
     closed, free = (_together(paths, options) for paths in (blocked, untouched))
     if "true_distance" not in closed:
         raise ConfigError(
-            "the blocked cycles have no label true_distance; give it in the files or in a sidecar"
+            f"the blocked cycles of {blocked[0]} have no label true_distance; give it in the file "
+            "or in a sidecar"
         )
     for what, one, other in (
         ("sampling rate", closed.attrs["sampling_rate"], free.attrs["sampling_rate"]),

@@ -35,6 +35,10 @@ def run_show(where: Path, out: Path, console: Console) -> Path:
     """
     from acoustube import plot_sweep
 
+    if (Path(where) / "run.nc").is_file():
+        raise ConfigError(
+            f"{where} is a single run, and a figure is of a sweep; give --html FILE for a page"
+        )
     cases = open_dataset(where)
     if "press" not in cases.dims:
         raise ConfigError(f"{where} is a dataset of cycles; name the folder of a sweep")

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from acoustube.errors import ConfigError
 from acoustube.io import check_surface
 
+SHORTEST = 1.0
+"""Length in mm below which metres are suspected."""
+
 
 def load(path: Path) -> trimesh.Trimesh:
     """Read triangles from an STL, PLY, OBJ or VTP file, corners at one place joined.
@@ -68,6 +71,21 @@ def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
         raise ConfigError(f"{path} holds {n} separate bodies; export one alone.")
 
 
+def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
+    """Refuse a surface whose numbers seem to be metres.
+
+    Raises
+    ------
+    ConfigError
+    """
+    longest = float(surface.extents.max())
+    if longest < SHORTEST:
+        raise ConfigError(
+            f"{path} is {longest:.3g} mm long, which would be {1e3 * longest:.3g} mm if its "
+            "numbers were metres; give it in mm."
+        )
+
+
 def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
     """Refuse a surface that crosses itself; the library's tolerances want lengths near one.
 
@@ -113,10 +131,11 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     surface = load(path)
     check_closed(surface, path)
     extents = surface.extents
-    if extents.max() < 1.0:
+    check_millimetres(surface, path)
+    if surface.euler_number < 2:
         raise ConfigError(
-            f"{path} is {extents.max():.3g} mm long, which would be {1e3 * extents.max():.3g} mm "
-            "if its numbers were metres; give it in mm."
+            f"{path} has a hole through it, as the wall of a tube has; give the air inside. "
+            "acoustube indent --tube presses walls."
         )
     if surface.volume < 0:
         raise ConfigError(f"{path} is inside out; turn its facets so that they point outwards.")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 from rich.console import Console
@@ -366,6 +368,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     except ImportError as error:
         raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
     try:
+        _reach(address)
         client = Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigError(
@@ -376,3 +379,10 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     if not threads:
         raise ConfigError(f"dask = {address} has no workers; start some with `dask worker`")
     return client.get_executor(), 2 * threads
+
+
+def _reach(address: str) -> None:
+    """Connect to a scheduler for a moment: a client that cannot tells so twice, and late."""
+    place = urlsplit(address if "//" in address else f"//{address}")
+    if place.scheme in ("", "tcp", "tls"):
+        socket.create_connection((place.hostname, place.port or 8786), timeout=10).close()

@@ -118,7 +118,7 @@ def test_help_and_refusals_import_nothing_heavy(words):
         (["--support", "glued"], ["glued", "held", "free"]),
         (["--source-end", "open"], ["open", "release", "absorbing"]),
         (["--indenter", "wide"], ["wide", "--indenter"]),
-        (["--indenter"], ["--indenter", "requires an argument"]),
+        (["--indenter"], ["--indenter", "and its value"]),
         (["--indentor", "25"], ["--indentor", "did you mean --indenter"]),
         (["--indenter", "10", "--indenter", "25"], ["--indenter", "multiple"]),
         (["25"], ["25"]),

@@ -398,7 +398,7 @@ def test_frames_are_spread_over_files_of_whole_episodes(tmp_path, monkeypatch):
         (["press", "--format", "lerobot"], ["format = lerobot does not fit press"]),
         (["cycles", "--format", "stl"], ["a dataset of cycles", "wav or csv or lerobot"]),
         (["cycles", "--format", "mp3"], ["mp3", "--format", "wav"]),
-        (["none"], ["none holds no results"]),
+        (["none"], ["none does not exist"]),
         (["text.nc"], ["text.nc cannot be read as a result"]),
         (["other.nc"], ["other.nc is no result of acoustube"]),
     ],

@@ -630,7 +630,7 @@ def test_each_wrong_entry_is_named(tmp_path):
     assert len(lines) == 3
     assert "empty holds no recordings; name a folder of" in lines[0]
     assert "a.txt is not of a kind that can be read; use .npz" in lines[1]
-    assert "none.wav is no file; check its name" in lines[2]
+    assert "none.wav does not exist; name a recording" in lines[2]
 
 
 def test_reading_many_goes_on_after_a_failure(tmp_path):

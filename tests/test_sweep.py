@@ -34,7 +34,7 @@ from acoustube.waves.cascade import rescaled
 
 # Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
-SMALL += ["--resolution", "8", "--mesh", "coarse"]
+SMALL += ["--resolution", "8", "--vary", "mesh=coarse"]
 OVER = {
     "depth_mm": ["0", "0.3", "0.6"], "position_cm": ["15", "25"], "frequency_khz": ["20"],
     "resolution": ["8"], "mesh": ["coarse"],
@@ -123,8 +123,17 @@ def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
 @pytest.mark.usefixtures("finished")
 def test_pieces_are_computed_once_ever(tmp_path, capsys):
     """Other places, temperatures and a longer tube: only what is heard is new."""
-    words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8", "--mesh", "coarse"]
-    words += ["--position", "30:60:5", "--length", "80", "--temperature", "20"]
+    words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
+    words += [
+        "--vary",
+        "mesh=coarse",
+        "--position",
+        "30:60:5",
+        "--length",
+        "80",
+        "--temperature",
+        "20",
+    ]
     assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out
     assert "paths of presses     1, 1 remembered" in out

@@ -95,7 +95,7 @@ def test_what_labels_cannot_teach_is_told_in_a_sentence(recorded):
 
 
 def test_wrong_words_are_refused_before_anything_is_read():
-    refused("missing.nc is no file", command=(*ECHO[:1], "missing.nc", *ECHO[2:]))
+    refused("missing.nc does not exist", command=(*ECHO[:1], "missing.nc", *ECHO[2:]))
     refused("needs a file or a folder", command=(*ECHO[:1], *ECHO[2:]))
     refused("epochs = 2.5 is not a whole number", command=(*ECHO[:-1], "2.5"))
     refused("folds", command=(*TRAIN, "--estimator", "echo", "--folds", "1"))

@@ -38,7 +38,7 @@ def read(where: str | Path) -> Content:
     ConfigError
         If it is something else, or holds no result yet.
     """
-    folder = Path(where)
+    folder = Path(where).parent if Path(where).name == RUN else Path(where)
     if not folder.exists():
         raise ConfigError(
             f"{where} does not exist; name a folder that acoustube simulate, indent or sweep wrote"

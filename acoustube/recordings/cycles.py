@@ -29,8 +29,12 @@ LONGEST_LEAD = 0.1
 RATE_TOLERANCE = 1e-3
 """How far a rate may be from the time axis: times of four digits agree that well."""
 
+LONG_CYCLE = 0.03
+"""Length in s of a cycle, in which sound goes 5 m and back, above which several are suspected."""
 LARGEST_PRESS = 0.3
 """Depth or diameter in m above which millimetres are suspected."""
+LONGEST_TUBE = 20.0
+"""Distance in m above which centimetres are suspected."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -63,6 +67,11 @@ def as_written(path: Path) -> xr.Dataset | None:
         data: xr.Dataset = open_netcdf(path)
     except Exception:  # what is wrong with the file is told when it is read as any other
         return None
+    if "configuration" in data or "configuration" in data.attrs:
+        raise ConfigError(
+            f"{path} is what acoustube simulate, indent or sweep computed, and no recording; "
+            "acoustube dataset makes recordings of a sweep"
+        )
     shapes = {"signal": ("cycle", "time"), "temperature": ("cycle",)}
     if any(name not in data or data[name].dims != dims for name, dims in shapes.items()):
         return None
@@ -111,6 +120,11 @@ def assemble(
     n, length = signal.shape
     total = record.size if record.ndim == 1 else n
     rate = _rate(path, known, (length, record.size))
+    if record.ndim == 1 and n == 1 and length > LONG_CYCLE * rate:
+        notes.append(
+            f"The record of {length / rate:.3g} s was taken for one cycle; give samples, the "
+            "number in a cycle, if it holds several."
+        )
     if "temperature" not in known:
         raise ConfigError(
             f"{path} does not tell the temperature; give temperature in degC, or temperature_c in "
@@ -199,6 +213,8 @@ def _one_channel(path: Path, array: NDArray[Any], channel: Any) -> NDArray[Any]:
         raise ConfigError(
             f"{path} has {count} channels; choose one with channel = 0 to {count - 1}"
         )
+    if count == 1 and channel:
+        raise ConfigError(f"{path}: channel = {channel:g}, and there is one alone; leave it out")
     rule = Number(0, count - 1, "", "channels count from 0", whole=True)
     chosen = int(rule.check(f"{path}: channel", 0 if channel is None else channel))
     cycles = array[..., chosen] if array.ndim == 3 else array
@@ -318,11 +334,15 @@ def _of_length(others: Named, n: int, notes: list[str]) -> Named:
 
 
 def _too_long(labels: Named) -> list[str]:
-    """Suspect millimetres where a press of metres is told."""
+    """Suspect millimetres where a press of metres is told, and centimetres in long tubes."""
     return [
         f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in mm, call it {name}_mm."
         for name in ("depth", "diameter")
         if name in labels and np.any(labels[name] > LARGEST_PRESS)
+    ] + [
+        f"true_distance reaches {np.nanmax(place):g} m; if that is in cm, call it true_distance_cm."
+        for name, place in labels.items()
+        if name == "true_distance" and np.any(place > LONGEST_TUBE)
     ]
 
 

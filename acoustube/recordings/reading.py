@@ -202,10 +202,12 @@ def _natural(path: Path) -> list[str | int]:
 
 
 def _check_kind(path: Path) -> Path:
+    if not path.exists():
+        raise ConfigError(f"{path} does not exist; name a recording")
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; name a recording in it")
     if path.suffix.lower() not in KINDS:
         raise ConfigError(f"{path} is not of a kind that can be read; use {' '.join(KINDS)}")
-    if not path.is_file():
-        raise ConfigError(f"{path} is no file; check its name")
     return path
 
 

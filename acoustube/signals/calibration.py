@@ -399,7 +399,12 @@ def load(path: str | Path) -> Calibration:
         if not fits["sampling_rate"] > 2 * processing.cutoff:
             raise ValueError("sampling_rate must be over twice the cutoff")
         return Calibration(processing=processing, **fits)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except KeyError as error:
+        raise ConfigError(
+            f"{path} is not a calibration (it has no {error.args[0]}); acoustube calibrate writes "
+            "one"
+        ) from error
+    except (OSError, ValueError, TypeError) as error:
         raise ConfigError(
             f"{path} is not a calibration ({' '.join(str(error).split())}); acoustube calibrate "
             "writes one"

@@ -103,9 +103,10 @@ def _two(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple[str, str
     names = tuple(wanted) if wanted is not None else tuple(rows)
     found = ", ".join(rows) or "none"
     if len(names) != 2 or not set(names) <= set(rows):
+        missing = [name for name in names if name not in rows] if wanted is not None else []
+        wrong = f"has no column {missing[0]}; it has" if missing else "has columns of markers named"
         raise ConfigError(
-            f"{path} has columns of markers named {found}, and two are needed; name the two with "
-            "--columns"
+            f"{path} {wrong} {found}, and two are needed; name the two with --columns"
         )
     return names[0], names[1]
 
