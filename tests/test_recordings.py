@@ -427,6 +427,16 @@ def test_what_is_no_label_is_left_out_with_a_note(tmp_path):
     ]
 
 
+def test_what_may_be_in_another_unit_or_several_cycles_is_noted(tmp_path):
+    far = saved(tmp_path / "a.npz", cycles(), true_distance=[90.0, 90.0, 120.0])
+    (note,) = read(far).attrs["warnings"].splitlines()
+    assert note == "true_distance reaches 120 m; if that is in cm, call it true_distance_cm."
+    whole = saved(tmp_path / "b.npz", cycles(4, 4000).ravel())
+    (note,) = read(whole).attrs["warnings"].splitlines()
+    assert note.startswith(f"The record of {16000 / RATE:.3g} s was taken for one cycle; give sam")
+    assert not read(whole, samples=4000).attrs["warnings"]
+
+
 BAD = cycles().astype(float)
 BAD[1, 7], BAD[2, 0] = np.nan, np.inf
 WRONG = {

@@ -156,6 +156,7 @@ def touching():
         (lying, "does not lie along z"),
         (crossing, "crosses itself"),
         (lambda: cylinder(0.004, 0.04), "if its numbers were metres"),
+        (lambda: trimesh.creation.annulus(3.95, 5.55, 40), "has a hole through it, as the wall"),
     ],
 )
 def test_surfaces_that_are_no_lumen_are_refused(surface, part):

@@ -138,8 +138,9 @@ def on_its_side():
         (on_its_side, "not a tube along z"),
         (lambda: trimesh.creation.torus(8, 2), "not a tube along z"),
         (lambda: round_tube() + round_tube().apply_translation([20, 0, 0]), "2 separate bodies"),
+        (lambda: round_tube().apply_scale(1e-3), "160 mm if its numbers were metres"),
     ],
-    ids=["hole", "crossing", "rod", "turned", "torus", "two"],
+    ids=["hole", "crossing", "rod", "turned", "torus", "two", "metres"],
 )
 def test_surfaces_that_are_not_a_tube_are_refused(wall, what):
     with pytest.raises(ConfigError, match=what):

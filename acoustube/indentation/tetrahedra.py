@@ -150,6 +150,8 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
     path = Path(path)
     surface = surfaces.load(path)
     surfaces.check_closed(surface, path)
+    if unit == 1e-3:
+        surfaces.check_millimetres(surface, path)
     if surface.volume < 0:
         surface.invert()
     surface.apply_translation(-surface.bounds.mean(axis=0))
