@@ -278,7 +278,7 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
             distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
             z = tube.height(distance)
             loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
-            angle = np.degrees(tube.angle(z)) % 360
+            angle = np.round(np.degrees(tube.angle(z)), 2) % 360
             for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
                 at, place, along, turned, turn = row
                 heard = int(near - 1e-9 <= at <= far + 1e-9)
