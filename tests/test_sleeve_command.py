@@ -75,7 +75,7 @@ def test_sleeve_is_written_where_nothing_can_be_drawn(tmp_path, capsys):
         (["--forearm", "250", "17", "26", "--loops", "9"], ["length of the forearm = 250"]),
         (["none.csv", "--loops", "9"], ["none.csv is not a file"]),
         ([str(MARKERS), "--loops", "9", "--unit", "m"], ["mm read as m"]),
-        ([str(MARKERS), "--loops", "9", "--columns", "A", "C"], ["named A, B"]),
+        ([str(MARKERS), "--loops", "9", "--columns", "A", "C"], ["no column C; it has A, B"]),
     ],
 )
 def test_sleeves_that_cannot_be_are_refused_in_a_line(words, parts, tmp_path, capsys):
