@@ -130,7 +130,7 @@ def warnings_for(config: Config) -> list[str]:
         for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
     ]
     path = 2 * (1e-2 * filled(config.indentation.position_cm) - _probe(config))
-    blind = signals.blind_time(pulse.duration, 1e3 * filled(config.signals.lowpass_khz))
+    blind = blind_time(config)
     if path < air.sound_speed * blind:
         found.append(
             f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
@@ -149,6 +149,11 @@ def warnings_for(config: Config) -> list[str]:
             f"would lower this echo by {loss:.1f} dB."
         )
     return found
+
+
+def blind_time(config: Config) -> float:
+    """Return how long after its maximum the send pulse's envelope has faded, in s."""
+    return signals.blind_time(_pulse(config).duration, 1e3 * filled(config.signals.lowpass_khz))
 
 
 def _narrow(config: Config, indentation: Indentation) -> list[str]:

@@ -233,6 +233,7 @@ def _signal(case: xr.Dataset) -> Signal:
         ranging.echoes.times,
         ranging.echoes.amplitudes,
         place=place,
+        faded=float(ranging.send_time) + chain.blind_time(config),
         estimate=float(ranging.distance),
         amplitude=float(ranging.amplitude),
         probe=probe,

@@ -234,8 +234,8 @@ function highest(state) {
 
 function signalChart(group, state, sameScale) {
   const signal = state.signal, at = values(signal.peakAt), peak = values(signal.peak);
-  const echoes = (sameScale ? group.states : [state]).map((one) => one.signal?.amplitude ?? 0);
-  const limit = Math.min(110, Math.max(0.05, 1.7 * Math.max(...echoes)));
+  const heights = (sameScale ? group.states : [state]).map((one) => one.signal?.height ?? 0);
+  const limit = Math.min(110, Math.max(0.05, 1.5 * Math.max(...heights)));
   const lesser = [...at.keys()].filter((i) => Math.abs(at[i] - (signal.estimate ?? -1)) > 0.01);
   const percent = "%{x:.2f} cm: %{y:.3g} %<extra></extra>";
   const traces = [

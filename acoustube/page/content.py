@@ -55,6 +55,8 @@ class Signal:
     probe : float
         Where the probe is.
     source_end : str
+    height : float
+        Greatest size of pressure and envelope once the send pulse has passed.
     """
 
     distance: Array
@@ -67,6 +69,7 @@ class Signal:
     amplitude: float
     probe: float
     source_end: str
+    height: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,6 +198,7 @@ def signal_of(
     peaks: Array,
     *,
     place: Callable[[Array], Array],
+    faded: float,
     **told: Any,
 ) -> Signal:
     """Return what is drawn of a recording.
@@ -207,6 +211,8 @@ def signal_of(
         Likewise.
     place : callable
         Returns the distance in m that an echo at a time comes from.
+    faded : float
+        When the send pulse has passed, in s.
     **told
         The other attributes of :class:`Signal`.
 
@@ -214,14 +220,16 @@ def signal_of(
     -------
     Signal
     """
+    pressure = pressure / np.abs(pressure).max()
     shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, peak_times))
     return Signal(
         distance=place(time[shown]),
-        pressure=pressure[shown] / np.abs(pressure).max(),
+        pressure=pressure[shown],
         envelope_distance=place(time[smooth]),
         envelope=envelope[smooth],
         peak_distance=place(peak_times),
         peak=peaks,
+        height=float(np.abs([pressure, envelope])[:, time > faded].max(initial=0.0)),
         **told,
     )
 

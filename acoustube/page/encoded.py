@@ -163,6 +163,7 @@ def _signal(signal: Signal, arrays: Arrays) -> dict[str, Any]:
         "peak": arrays.real(PERCENT * signal.peak),
         "estimate": _number(signal.estimate, CM),
         "amplitude": _number(signal.amplitude, PERCENT),
+        "height": _number(signal.height, PERCENT),
         "probe": _number(signal.probe, CM),
         "sourceEnd": signal.source_end,
     }

@@ -5,6 +5,7 @@ const slider = element("depth");
 const CHOICES = ["tool", "place", "other"];
 const SETTINGS = {
   displaylogo: false, responsive: true,
+  showSendToCloud: false, plotlyServerURL: "", // nothing leaves the page
   modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "resetCameraLastSave3d", "tableRotation"],
 };
 let group = CONTENT.groups[0];
@@ -186,8 +187,20 @@ function look(chosen) {
   ask();
 }
 
+/** Move the depth by the arrow keys from anywhere but a control that has its own use for them. */
+function step(event) {
+  const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  const modified = event.altKey || event.ctrlKey || event.metaKey || event.shiftKey;
+  if (!by || modified || slider.disabled || event.target.closest("select, input:not([type=checkbox])")) return;
+  event.preventDefault();
+  play(false);
+  slider.value = Number(slider.value) + by;
+  ask();
+}
+
 fillChoices();
 fillOrigin();
+document.addEventListener("keydown", step);
 slider.addEventListener("input", () => { play(false); ask(); });
 element("same").addEventListener("change", ask);
 element("play").addEventListener("click", () => play(timer === null));

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from acoustube import chain
 from acoustube.config import Config, Mechanics, configured
 from acoustube.errors import ConfigError
 from acoustube.mechanics import press_from
@@ -134,7 +135,7 @@ def _simulated(data: xr.Dataset, config: Config) -> Group:
     near = np.abs(walls[0][:, 0, 2]) < 2 * REACH * outer_diameter
     along = Along(z=data["z"].values - position, area=data["area_profile"].values)
     shape = from_rings(*(wall[near] for wall in walls))
-    states.append(_state(data, rows[-1], shape, press, along, _signal(data)))
+    states.append(_state(data, rows[-1], shape, press, along, _signal(data, config)))
     length = float(data["z"][-1])
     return _group(config, states, solid, position=position, length=length)
 
@@ -180,7 +181,7 @@ def _group(
     )
 
 
-def _signal(data: xr.Dataset) -> Signal:
+def _signal(data: xr.Dataset, config: Config) -> Signal:
     """Return what the probe hears with the source end that was asked for."""
     end = str(data["distance"].attrs["source_end"])
     case = data.sel(source_end=end)
@@ -197,6 +198,7 @@ def _signal(data: xr.Dataset) -> Signal:
         case["peak_time"].values[peaks],
         case["peak_amplitude"].values[peaks],
         place=place,
+        faded=float(case["send_time"]) + chain.blind_time(config),
         estimate=float(case["estimated_distance"]),
         amplitude=float(case["echo_amplitude"]),
         probe=probe,

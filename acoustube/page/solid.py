@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference import HEX20, TET10, Reference, edges
 from acoustube.indentation.self_contact import triangulated
-from acoustube.lumen import profile
+from acoustube.lumen import TRIANGLES_PER_EDGE, profile
 from acoustube.page.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 FLAT = 1e-6
 """How far off a plane nodes may be that lie in it, in lengths of the mesh."""
 PARTS = 3
-"""Edges of triangles along the edge of an element's face."""
+"""Edges of triangles along the edge of an element's face, as it is drawn."""
 BESIDE = 1e-7
 """Where the section at the press is taken, in m: nodes lie exactly in z = 0."""
 
@@ -65,9 +65,11 @@ class Solid:
         )
         middle = self.nodes[elements].mean(axis=1)
         self.walls = {
-            wall: _surface(mesh, faces[name == wall], middle[owner[name == wall]])
+            wall: _surface(mesh, faces[name == wall], middle[owner[name == wall]], PARTS)
             for wall in ("inner", "outer", "cut")
         }
+        inner = name == "inner"
+        self.lumen = _surface(mesh, faces[inner], middle[owner[inner]], TRIANGLES_PER_EDGE)
         self.shown = {wall: shown[owner[name == wall]] for wall in self.walls}
 
     def _parts(self, faces: Index, flat: float) -> Any:
@@ -107,7 +109,7 @@ class Solid:
 
     def area(self, displacement: Array, z: Array) -> Array:
         """Return the lumen's cross-section in m2 at places z in m, the press at zero."""
-        sampling, triangles = self.walls["inner"]
+        sampling, triangles = self.lumen
         at = np.abs(z) if self.halved[1] else z
         position = sampling @ (self.nodes + displacement)
         return profile(position, triangles, at, halved=self.halved[0]).area
@@ -161,9 +163,9 @@ def _single(faces: Index) -> NDArray[np.bool_]:
     return np.asarray(count[which.ravel()] == 1)
 
 
-def _surface(mesh: Mesh, faces: Index, middle: Array) -> tuple[Any, Index]:
+def _surface(mesh: Mesh, faces: Index, middle: Array, parts: int) -> tuple[Any, Index]:
     """Return sampling and triangles of faces, turned away from the middles of their elements."""
-    sampling, triangles = triangulated(mesh, faces, PARTS)
+    sampling, triangles = triangulated(mesh, faces, parts)
     points = (sampling @ mesh.points)[triangles]
     normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     away = points.mean(axis=1) - np.repeat(middle, len(triangles) // len(faces), axis=0)
