@@ -484,7 +484,7 @@ def scatter(
             "5 60"
         )
     if not 0 < low < high:
-        raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0, and end")
+        raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0")
     count = (high - low) / step if step > 0 else 0.0
     if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
         raise ConfigError(

@@ -181,7 +181,7 @@ def call(*words):
         (["missing.stl"], "missing.stl does not exist"),
         (["lumen.stl", "--band", "60", "5"], "must rise"),
         (["lumen.stl", "--band", "5", "10", "--step", "3"], "whole parts; use 2.5"),
-        (["lumen.stl", "--band", "5", "inf"], "must rise from over 0, and end"),
+        (["lumen.stl", "--band", "5", "inf"], "goes beyond 1000 kHz; give it in kHz"),
         (["lumen.stl", "--humidity", "120"], "humidity = 120 is out of range; use 0 to 100 %"),
         (["lumen.stl", "--band", "5", "600", "--step", "5"], "cells per wavelength"),
         (["lumen.stl", "--resolution", "4"], "resolution = 4 is out of range; use a whole number"),
