@@ -22,7 +22,7 @@ from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliToke
 from acoustube import __version__, cache
 from acoustube.config import Mechanics, check_touched, describe, load_config, section_of
 from acoustube.errors import ConfigError, SimulationError
-from acoustube.io import check_new_file, check_out, check_surface, fresh_folder
+from acoustube.io import check_netcdf_name, check_new_file, check_out, check_surface, fresh_folder
 from acoustube.rules import Number
 from acoustube.sweep.plan import COUNT, DEFAULTS, load_plan, other_settings
 
@@ -475,8 +475,7 @@ def scatter(
     """
     check_surface(lumen)
     check_new_file(out)
-    if out.suffix.lower() != ".nc":
-        raise ConfigError(f"out = {out} is not the name of a netCDF file; let it end in .nc")
+    check_netcdf_name(out)
     low, high = band
     if high > HIGHEST_KHZ:
         raise ConfigError(

@@ -64,6 +64,17 @@ def check_surface(path: str | Path) -> None:
         raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP.")
 
 
+def check_netcdf_name(path: Path) -> None:
+    """Refuse a name that is not that of a netCDF file.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if path.suffix.lower() != ".nc":
+        raise ConfigError(f"out = {path} is not the name of a netCDF file; let it end in .nc")
+
+
 def check_new_file(path: Path, name: str = "out") -> None:
     """Refuse a file that is there already, or in a folder that is not.
 

@@ -31,10 +31,8 @@ RATE_TOLERANCE = 1e-3
 
 LONG_CYCLE = 0.03
 """Length in s of a cycle, in which sound goes 5 m and back, above which several are suspected."""
-LARGEST_PRESS = 0.3
-"""Depth or diameter in m above which millimetres are suspected."""
-LONGEST_TUBE = 20.0
-"""Distance in m above which centimetres are suspected."""
+SUSPECT = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
+"""Labels, and from what length in m another unit is suspected."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -334,15 +332,12 @@ def _of_length(others: Named, n: int, notes: list[str]) -> Named:
 
 
 def _too_long(labels: Named) -> list[str]:
-    """Suspect millimetres where a press of metres is told, and centimetres in long tubes."""
+    """Suspect another unit where a label is longer than it can be."""
     return [
-        f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in mm, call it {name}_mm."
-        for name in ("depth", "diameter")
-        if name in labels and np.any(labels[name] > LARGEST_PRESS)
-    ] + [
-        f"true_distance reaches {np.nanmax(place):g} m; if that is in cm, call it true_distance_cm."
-        for name, place in labels.items()
-        if name == "true_distance" and np.any(place > LONGEST_TUBE)
+        f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in {unit}, call it "
+        f"{name}_{unit}."
+        for name, (longest, unit) in SUSPECT.items()
+        if name in labels and np.any(labels[name] > longest)
     ]
 
 

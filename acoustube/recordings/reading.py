@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from acoustube.errors import ConfigError
-from acoustube.io import partial_file, write_dataset
+from acoustube.io import check_netcdf_name, partial_file, write_dataset
 from acoustube.recordings.containers import KINDS, load
 from acoustube.recordings.cycles import as_written, assemble, part_known
 
@@ -172,8 +172,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
         If the name ends otherwise.
     """
     path = Path(path)
-    if path.suffix.lower() != ".nc":
-        raise ConfigError(f"out = {path} is not the name of a netCDF file; let it end in .nc")
+    check_netcdf_name(path)
     with partial_file(path) as partial:
         write_dataset(dataset, partial)
 

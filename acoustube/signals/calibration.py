@@ -399,15 +399,11 @@ def load(path: str | Path) -> Calibration:
         if not fits["sampling_rate"] > 2 * processing.cutoff:
             raise ValueError("sampling_rate must be over twice the cutoff")
         return Calibration(processing=processing, **fits)
-    except KeyError as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        lacks = isinstance(error, KeyError)
+        reason = f"it has no {error.args[0]}" if lacks else " ".join(str(error).split())
         raise ConfigError(
-            f"{path} is not a calibration (it has no {error.args[0]}); acoustube calibrate writes "
-            "one"
-        ) from error
-    except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{path} is not a calibration ({' '.join(str(error).split())}); acoustube calibrate "
-            "writes one"
+            f"{path} is not a calibration ({reason}); acoustube calibrate writes one"
         ) from error
 
 

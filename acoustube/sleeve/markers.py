@@ -103,7 +103,7 @@ def _two(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple[str, str
     names = tuple(wanted) if wanted is not None else tuple(rows)
     found = ", ".join(rows) or "none"
     if len(names) != 2 or not set(names) <= set(rows):
-        missing = [name for name in names if name not in rows] if wanted is not None else []
+        missing = [name for name in names if name not in rows]
         wrong = f"has no column {missing[0]}; it has" if missing else "has columns of markers named"
         raise ConfigError(
             f"{path} {wrong} {found}, and two are needed; name the two with --columns"

@@ -155,8 +155,7 @@ def run_tasks(
     waiting: deque[Task] = deque(tasks)
     running: dict[Future[Any], Task] = {}
     lost: Counter[Task] = Counter()
-    own = workers if isinstance(workers, Workers) else None
-    pool = workers.pool() if isinstance(workers, Workers) else workers
+    own, pool = (workers, workers.pool()) if isinstance(workers, Workers) else (None, workers)
     try:
         while waiting or running:
             broken = not _hand_over(pool, waiting, running, width, lost)
