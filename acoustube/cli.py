@@ -15,12 +15,19 @@ from contextlib import contextmanager, suppress
 from datetime import datetime
 from math import radians
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
 from acoustube import __version__, cache
-from acoustube.config import Mechanics, check_touched, describe, load_config, section_of
+from acoustube.config import (
+    Mechanics,
+    check_touched,
+    describe,
+    is_whole,
+    load_config,
+    section_of,
+)
 from acoustube.errors import ConfigError, SimulationError
 from acoustube.io import check_netcdf_name, check_new_file, check_out, check_surface, fresh_folder
 from acoustube.rules import Number
@@ -43,9 +50,44 @@ HIGHEST_KHZ = 1000.0
 app.register_install_completion_command(help="Let the shell complete commands and options.")
 
 
+def whole(kind: Any, tokens: Sequence[Any]) -> int | float:  # noqa: ARG001
+    """Return the whole number that a word states, exactly; 1e6 and 16.0 are whole too.
+
+    Parameters
+    ----------
+    kind : type
+        As cyclopts hands it on, unused.
+    tokens : sequence of cyclopts.Token
+        The word, with the option that it belongs to.
+
+    Returns
+    -------
+    int or float
+        A number that is not whole is returned as it is, for the rule of the option to refuse it
+        with its range.
+
+    Raises
+    ------
+    CoercionError
+        If the word is not a number.
+    """
+    with suppress(ValueError):
+        return int(tokens[0].value)
+    try:
+        number = float(tokens[0].value)
+    except ValueError as error:
+        raise CoercionError(token=tokens[0], target_type=int) from error
+    return int(number) if number.is_integer() else number
+
+
+Whole = Annotated[int, Parameter(converter=whole)]
+"""A whole number, which would be rounded from 3.5 without a word."""
+
+
 def _option(name: str) -> Parameter:
     """Return an option that is helped by the setting's own meaning, default and range."""
-    return Parameter(help=describe(name), show_default=False)
+    converter = whole if is_whole(name) else None
+    return Parameter(help=describe(name), show_default=False, converter=converter)
 
 
 def _axis(name: str) -> Parameter:
@@ -65,8 +107,7 @@ def simulate(
     support: Annotated[Literal["held", "free"] | None, _option("support")] = None,
     frequency: Annotated[float | None, _option("frequency_khz")] = None,
     temperature: Annotated[float | None, _option("temperature_c")] = None,
-    # A float, because a whole number would be rounded from 3.5 without a word.
-    resolution: Annotated[float | None, _option("resolution")] = None,
+    resolution: Annotated[int | None, _option("resolution")] = None,
     source_end: Annotated[Literal["release", "absorbing"] | None, _option("source_end")] = None,
     losses: Annotated[Literal["off", "on"] | None, _option("losses")] = None,
     method: Annotated[Literal["full", "scattering"] | None, _option("method")] = None,
@@ -132,12 +173,12 @@ def sweep(
     losses: Annotated[list[str] | None, _axis("losses")] = None,
     method: Annotated[list[str] | None, _axis("method")] = None,
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
-    random: float | None = None,
+    random: Whole | None = None,
     sampler: Literal["sobol", "latin"] | None = None,
-    seed: float | None = None,
+    seed: Whole | None = None,
     plan: Path | None = None,
     out: Path | None = None,
-    workers: float | None = None,
+    workers: Whole | None = None,
     shard: str | None = None,
     dask: str | None = None,
     retry: Literal["failed"] | None = None,
@@ -216,13 +257,13 @@ def sweep(
 @app.command
 def dataset(
     *sweep: Path,
-    cycles: float = 50,
-    tubes: float = 1,
-    sessions: float = 1,
-    seed: float = 0,
+    cycles: Whole = 50,
+    tubes: Whole = 1,
+    sessions: Whole = 1,
+    seed: Whole = 0,
     rangefinder: Path | None = None,
     out: Path,
-    workers: float | None = None,
+    workers: Whole | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
     """Record labelled cycles of a rangefinder for each case of a sweep, for training.
@@ -358,7 +399,7 @@ def export(
     run_export(results, out, Console(quiet=quiet), wanted=kind)
 
 
-def _processes(workers: float | None) -> int | None:
+def _processes(workers: int | None) -> int | None:
     """Return a number of worker processes; None for as many as there are cores."""
     if workers is None:
         return None
@@ -384,7 +425,7 @@ def indent(
     indenter: Annotated[float | None, _option("indenter_mm")] = None,
     shape: Annotated[Literal["rod", "punch", "sphere"] | None, _option("shape")] = None,
     depth: Annotated[float | None, _option("depth_mm")] = None,
-    steps: Annotated[float | None, _option("steps")] = None,
+    steps: Annotated[int | None, _option("steps")] = None,
     offset: Annotated[float | None, _option("offset_mm")] = None,
     yaw: Annotated[float | None, _option("yaw_deg")] = None,
     support: Annotated[Literal["held", "free"] | None, _option("support")] = None,
@@ -442,8 +483,7 @@ def scatter(
     humidity: float = 50.0,
     pressure: float = 101.325,
     lossless: Annotated[bool, Parameter(show_default=False)] = False,
-    # A float, as in `simulate`.
-    resolution: float = 32,
+    resolution: Whole = 32,
     out: Path,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
@@ -488,7 +528,7 @@ def scatter(
     if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
         raise ConfigError(
             f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 whole "
-            f"parts; use {(high - low) / max(1, min(5000, round(count))):.6g}"
+            f"parts; use {(high - low) / max(1, round(min(count, 5000))):.6g}"
         )
     for name, value, rule in (
         ("temperature", temperature, Number(-20, 60, "degC", "of the air")),
@@ -525,9 +565,8 @@ def process(
     prominence: float | None = None,
     rate: float | None = None,
     temperature: float | None = None,
-    # Floats, as in `simulate`.
-    channel: float | None = None,
-    samples: float | None = None,
+    channel: Whole | None = None,
+    samples: Whole | None = None,
     out: Path | None = None,
     figure: Path | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
@@ -591,9 +630,8 @@ def live(
     prominence: float | None = None,
     temperature: float = 20.0,
     rate: float = 80e3,
-    # Floats, as in `simulate`.
-    frame_bytes: float = 2000,
-    baud: float = 1_000_000,
+    frame_bytes: Whole = 2000,
+    baud: Whole = 1_000_000,
     out: Path | None = None,
     duration: float | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
@@ -650,8 +688,8 @@ def live(
         prominence=prominence,
         temperature=temperature,
         rate=rate,
-        frame_bytes=int(frame_bytes),
-        baud=int(baud),
+        frame_bytes=frame_bytes,
+        baud=baud,
         out=out,
         duration=duration,
     )
@@ -666,9 +704,8 @@ def calibrate(
     sigmas: float = 2.8,
     rate: float | None = None,
     temperature: float | None = None,
-    # Floats, as in `simulate`.
-    channel: float | None = None,
-    samples: float | None = None,
+    channel: Whole | None = None,
+    samples: Whole | None = None,
     figure: Path | None = None,
 ) -> None:
     """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
@@ -733,10 +770,9 @@ def train(
     by: Literal["cycle", "session", "tube"] = "cycle",
     calibration: str | None = None,
     prominence: float | None = None,
-    # Floats, as in `simulate`.
-    epochs: float | None = None,
-    folds: float | None = None,
-    seed: float = 0,
+    epochs: Whole | None = None,
+    folds: Whole | None = None,
+    seed: Whole = 0,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
     """Train an estimator of presses on labelled cycles.
@@ -845,8 +881,7 @@ def reproduce(
     *study: Literal["simulation", "calibration", "flat", "mannequin", "human", "echotube", "all"],
     out: Path = Path("studies"),
     quick: Annotated[bool, Parameter(show_default=False)] = False,
-    # A float, as in `simulate`.
-    workers: float | None = None,
+    workers: Whole | None = None,
     quiet: Annotated[bool, Parameter(show_default=False)] = False,
 ) -> None:
     """Repeat the paper's studies: a page and a table with each published number beside ours.
@@ -889,8 +924,7 @@ def sleeve(
     forearm: tuple[float, float, float] | None = None,
     loops: float | None = None,
     pitch: float | None = None,
-    # Floats, as in `simulate`.
-    tubes: float = 2,
+    tubes: Whole = 2,
     phase: float = 0.0,
     hand: Literal["right", "left"] = "right",
     lead: float = 15.0,
@@ -991,7 +1025,7 @@ def sleeve(
         forearm=None if forearm is None else (forearm[0] / 100, forearm[1] / 100, forearm[2] / 100),
         loops=loops,
         pitch=None if pitch is None else pitch / 100,
-        tubes=int(tubes),
+        tubes=tubes,
         phase=radians(phase),
         hand=hand,
         axis=axis,
@@ -1009,7 +1043,7 @@ def sleeve(
     run_sleeve(plan, folder, Console(quiet=quiet))
 
 
-def _whole(name: str, value: float | None, rule: Number) -> int | None:
+def _whole(name: str, value: int | None, rule: Number) -> int | None:
     """Return a whole number, or None where it is not given."""
     return None if value is None else int(rule.check(name, value))
 
@@ -1166,8 +1200,9 @@ def _in_one_sentence(error: CycloptsError) -> str:
     """Return what is wrong with the command's words, and what to do."""
     command = " ".join(["acoustube", *(error.command_chain or ())])
     if isinstance(error, UnusedCliTokensError):
-        words = " ".join(error.unused_tokens or ())
-        return f'"{words}" is one word too many; {command} --help tells what it takes'
+        surplus = error.unused_tokens or ()
+        count = "is one word" if len(surplus) == 1 else f"are {len(surplus)} words"
+        return f'"{" ".join(surplus)}" {count} too many; {command} --help tells what it takes'
     # Several sentences are joined into one.
     words = re.sub(r"[.?] ([A-Z])", lambda m: f"; {m[1].lower()}", " ".join(str(error).split()))
     words = re.sub(r"(?<!\.)\.$", "", words)

@@ -8,18 +8,20 @@ imports nothing heavy: wrong settings are refused at once.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from acoustube.air import sound_speed
 from acoustube.errors import ConfigError
 from acoustube.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
 from acoustube.rules import Choice, File, Number, Section, filled, nearest, setting, short
+
+if TYPE_CHECKING:  # the command line imports this module before it writes anything
+    from tomlkit.items import Table
 
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
@@ -67,6 +69,15 @@ class TubeSettings(Section):
         return self.inner_diameter_mm + 2 * self.wall_mm
 
 
+class _Depth(Number):
+    """A depth of press; zero is the untouched tube."""
+
+    @property
+    def allowed(self) -> str:
+        """The range in words."""
+        return f"{SHALLOWEST_MM:g} to {self.high:g} {self.unit}, or 0 in a sweep"
+
+
 @dataclass(frozen=True, kw_only=True)
 class IndentationSettings(Section):
     """The press: a rigid tool that comes down on the tube, and what the tube rests on."""
@@ -79,7 +90,7 @@ class IndentationSettings(Section):
         ),
     )
     indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing tool"))
-    depth_mm: float = setting(4.0, Number(0, 50, "mm", "how far it is pressed in"))
+    depth_mm: float = setting(4.0, _Depth(0, 50, "mm", "how far it is pressed in"))
     steps: int = setting(
         16,
         Number(1, 1000, "", "equally spaced depths that acoustube indent reports", whole=True),
@@ -612,20 +623,27 @@ def to_toml(config: Config | Mechanics) -> str:
         Every section and every setting that has a value, each with its meaning and its range as a
         comment.
     """
-    names = [field.name for field in dataclasses.fields(config)]
-    return "\n".join(_section_to_toml(name, getattr(config, name)) for name in names)
+    import tomlkit
+
+    document = tomlkit.document()
+    for field in dataclasses.fields(config):
+        if document:
+            document.add(tomlkit.nl())
+        document.add(field.name, _table(getattr(config, field.name)))
+    return tomlkit.dumps(document)
 
 
-def _section_to_toml(name: str, section: Any) -> str:
-    """Return one section as TOML."""
-    lines = [f"[{name}]"]
+def _table(section: Any) -> Table:
+    """Return one section as a table of TOML."""
+    import tomlkit
+
+    table = tomlkit.table()
     for field in dataclasses.fields(section):
         value = getattr(section, field.name)
         rule = field.metadata["rule"]
-        meaning = f"  # {rule.meaning}; {rule.allowed}"
+        meaning = f"{rule.meaning}; {rule.allowed}"
         if value is None:
-            lines.append(f"# {field.name} ={meaning}")
+            table.add(tomlkit.comment(f"{field.name} = # {meaning}"))
         else:
-            text = json.dumps(value) if isinstance(value, str) else repr(value)
-            lines.append(f"{field.name} = {text}{meaning}")
-    return "\n".join(lines) + "\n"
+            table.add(field.name, tomlkit.item(value).comment(meaning))
+    return table

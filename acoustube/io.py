@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from acoustube.errors import ConfigError
 
 if TYPE_CHECKING:  # the command line imports this module before it needs xarray
     import xarray as xr
+    from tomlkit.items import Array
 
 
 def check_out(path: str | Path) -> Path:
@@ -207,6 +208,21 @@ def partial_file(path: Path) -> Iterator[Path]:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def toml_array(values: Iterable[Any]) -> Array:
+    """Return the array of TOML that holds some values.
+
+    It is made from text: to append to an array takes tomlkit a time that grows with its length.
+
+    Parameters
+    ----------
+    values : iterable
+        Numbers or words.
+    """
+    import tomlkit
+
+    return tomlkit.array(f"[{', '.join(tomlkit.item(value).as_string() for value in values)}]")
 
 
 def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:

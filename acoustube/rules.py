@@ -121,6 +121,10 @@ class File:
         """
         if not (isinstance(value, str) and value.strip()):
             raise ConfigError(f"{name} = {value!r} is not a name; use {self.allowed}")
+        try:
+            value.encode()
+        except UnicodeEncodeError as error:  # the shell's stand-ins for bytes of another encoding
+            raise ConfigError(f"{name} = {value!r} is not in UTF-8; rename the file") from error
         return value
 
 

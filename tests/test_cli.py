@@ -1,6 +1,7 @@
 """The installed command: what it prints, refuses and costs."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 import acoustube
 from acoustube import cli
 from acoustube.errors import SimulationError
+from acoustube.limits import SHALLOWEST_MM
 
 COMMAND = Path(sys.executable).with_name("acoustube")
 HEAVY = ("jax", "scipy", "xarray", "h5netcdf", "pyvista", "vtk", "trimesh", "matplotlib", "numpy")
@@ -46,10 +48,10 @@ def test_version_is_the_packages():
 
 
 def test_help_names_every_option_with_its_unit():
-    text = call("simulate", "--help", COLUMNS="200").stdout
+    text = call("simulate", "--help", COLUMNS="300").stdout
     for option, unit in (
         ("--indenter", "2 to 100 mm; default 25"),
-        ("--depth", "mm; default 4"),
+        ("--depth", "0.05 to 50 mm, or 0 in a sweep; default 4"),
         ("--position", "cm; default 20"),
         ("--length", "5 to 1000 cm; default 40"),
         ("--support", "default held. [choices: held, free]"),
@@ -63,6 +65,70 @@ def test_help_names_every_option_with_its_unit():
     ):
         line = text[text.index(option) :]
         assert unit in line[: line.find("--", 2)]
+
+
+WHOLE = [
+    ("simulate --resolution 16", "resolution"),
+    ("indent --steps 16", "steps"),
+    ("sweep --random 16", "random"),
+    ("sweep --seed 16", "seed"),
+    ("sweep --workers 16", "workers"),
+    ("dataset a --out b --cycles 16", "cycles"),
+    ("dataset a --out b --tubes 16", "tubes"),
+    ("dataset a --out b --sessions 16", "sessions"),
+    ("dataset a --out b --seed 16", "seed"),
+    ("dataset a --out b --workers 16", "workers"),
+    ("scatter a.stl --out b.nc --resolution 16", "resolution"),
+    ("process a --channel 16", "channel"),
+    ("process a --samples 16", "samples"),
+    ("live --port a --frame-bytes 16", "frame_bytes"),
+    ("live --port a --baud 16", "baud"),
+    ("calibrate a --untouched a --channel 16", "channel"),
+    ("calibrate a --untouched a --samples 16", "samples"),
+    ("train a --estimator echo --out b --epochs 16", "epochs"),
+    ("train a --estimator echo --out b --folds 16", "folds"),
+    ("train a --estimator echo --out b --seed 16", "seed"),
+    ("reproduce all --workers 16", "workers"),
+    ("sleeve --forearm 25 17 26 --loops 9 --tubes 16", "tubes"),
+]
+
+
+@pytest.mark.parametrize(("words", "name"), WHOLE)
+def test_whole_numbers_are_exact_and_nothing_else_is_one(words, name, capsys):
+    """2**53 + 1 is no double; 1e3 is whole as it is written; 3.5 is refused before anything."""
+    Path("a.stl").touch()
+    for text, number in (("9007199254740993", 2**53 + 1), ("-3", -3), ("1e3", 1000)):
+        tokens = words.replace("16", text).split()
+        _, bound, _ = cli.app.parse_args(tokens, exit_on_error=False, print_error=False)
+        assert bound.arguments[name] == number
+        assert type(bound.arguments[name]) is int
+    for text in ("3.5", "inf", "nan", "many"):
+        assert cli.main(words.replace("16", text).split()) == 2
+        captured = capsys.readouterr()
+        assert name.replace("_", "-") in captured.err
+        assert text in captured.err
+        assert captured.out == ""
+    assert cli.main([words.split()[0], "--help"]) == 0
+    assert re.search(rf"--{name.replace('_', '-')}\s+INT\b", capsys.readouterr().out)
+
+
+def test_largest_seed_that_is_documented_is_taken(capsys):
+    words = ["sweep", "--depth", "1:2", "--random", "2", "--dry-run", "--seed"]
+    assert cli.main([*words, str(2**63 - 1)]) == 0
+    assert cli.main([*words, str(2**63)]) == 2
+    assert "seed = 9223372036854775808" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "allowed"), [("simulate", False), ("indent", False), ("sweep", True)]
+)
+def test_help_states_the_depths_that_a_command_takes(command, allowed, capsys):
+    """Zero is a case of a sweep alone, and the help of the others starts at the least touch."""
+    cli.main([command, "--help"])
+    words = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert f"{SHALLOWEST_MM:g} to 50 mm, or 0 in a sweep" in words
+    dry = ["--dry-run"] if command == "sweep" else ["--out", "run"]
+    assert (cli.main([command, "--depth", "0", *dry]) == 0) is allowed
 
 
 @pytest.mark.parametrize(

@@ -182,6 +182,19 @@ def test_written_press_reads_back_equal(tmp_path):
     assert load_config(path, Mechanics) == asked
 
 
+@pytest.mark.parametrize("name", ["tube 😀.stl", 'a "b"\\c\td\x7f.stl', "Rohr # = 1.stl"])
+def test_any_name_of_a_surface_survives_the_written_settings(name, tmp_path):
+    asked = load_config(None, Mechanics, surface=str(tmp_path / name))
+    path = tmp_path / "config.toml"
+    path.write_text(to_toml(asked), encoding="utf-8")
+    assert load_config(path, Mechanics) == asked
+
+
+def test_name_that_no_text_file_can_hold_is_refused():
+    with pytest.raises(ConfigError, match="surface"):
+        load_config(None, Mechanics, surface="tube \udcff.stl")
+
+
 def test_imported_wall_has_a_mesh_of_its_own():
     with pytest.raises(ConfigError, match=r"^mesh = coarse is of a round tube.*use mesh usual"):
         load_config(None, Mechanics, surface="d.stl", mesh="coarse")

@@ -76,8 +76,9 @@ def test_one_value_is_shared_and_wins_over_the_file(tmp_path):
         load_plan(None, PAPER),
         load_plan(None, {"depth_mm": ["1:7"], "shape": ["rod", "sphere"]}, count=5, seed=3),
         Plan(given={"tube": {"length_cm": 60.0}}, cases=({"depth_mm": 2}, {"wall_mm": 1.2})),
+        load_plan(None, {"depth_mm": ["1:5:0.005"], "shape": ["rod", "sphere"]}),
     ],
-    ids=["grid", "random", "list"],
+    ids=["grid", "random", "list", "long"],
 )
 def test_plan_survives_its_file(plan, tmp_path):
     path = tmp_path / "sweep.toml"
@@ -175,6 +176,10 @@ def test_shares_are_disjoint_and_complete(count):
         (["--depth", "0:8:-1"], ["has no values", "step over 0"]),
         (["--depth", "0:8:x"], ["depth_mm = 0:8:x is no range of numbers"]),
         (["--depth", "0:8:0"], ["has no values"]),
+        (["--depth", "0:1e30000000:1"], ["depth_mm = 0:1e30000000:1"]),
+        (["--depth", "1e-30000000:8:1"], ["depth_mm = 1e-30000000:8:1"]),
+        (["--depth", "1e400:2e400:1e400"], ["depth_mm = 1e400:2e400:1e400"]),
+        (["--depth", "1:1e400", "--random", "4"], ["depth_mm = 1:1e400"]),
         (["--depth", "1:8"], ["range without a step", "--random"]),
         (["--depth", "1:2:3:4"], ["write first:last:step"]),
         (["--depth", "0:8:1e-9"], ["larger step"]),

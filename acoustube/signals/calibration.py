@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import tomlkit
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
+from tomlkit.items import Item
 
 from acoustube.errors import ConfigError
+from acoustube.io import toml_array
 from acoustube.signals.localise import (
     Processing,
     Ranging,
@@ -349,34 +352,30 @@ def save(calibration: Calibration, path: str | Path) -> None:
     ConfigError
         If the file exists or cannot be written.
     """
-    lines = ["# A calibration of acoustube; every value with its unit.", "[processing]"]
-    processing = calibration.processing
-    for name in processing.__dataclass_fields__:
-        value = getattr(processing, name)
-        if value is None:
-            lines.append(f"{name} = false")
-        else:
-            lines.append(f"{name} = {_written(value)}  # {_UNITS[name]}")
-    lines += ["", "[calibration]"]
-    for name in _NUMBERS:
-        lines.append(f"{name} = {_written(getattr(calibration, name))}  # {_UNITS[name]}")
-    for name in _FITS:
-        value, deviation = getattr(calibration, name)
-        lines.append(f"{name} = {_written((value, deviation))}  # {_UNITS[name]}; its deviation")
-    for name in _LISTS:
-        lines.append(f"{name} = {_written(getattr(calibration, name))}  # {_UNITS[name]}")
+    document = tomlkit.document()
+    document.add(tomlkit.comment("A calibration of acoustube; every value with its unit."))
+    processing, fitted = tomlkit.table(), tomlkit.table()
+    for name in calibration.processing.__dataclass_fields__:
+        value = getattr(calibration.processing, name)
+        processing.add(name, False if value is None else _toml(value, _UNITS[name]))
+    for name in (*_NUMBERS, *_FITS, *_LISTS):
+        unit = f"{_UNITS[name]}; its deviation" if name in _FITS else _UNITS[name]
+        fitted.add(name, _toml(getattr(calibration, name), unit))
+    document.add("processing", processing)
+    document.add(tomlkit.nl())
+    document.add("calibration", fitted)
     try:
         with Path(path).open("x", encoding="utf-8") as file:
-            file.write("\n".join(lines) + "\n")
+            file.write(tomlkit.dumps(document))
     except OSError as error:
         raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
 
 
-def _written(value: Any) -> str:
-    """Return a number, or several, as TOML."""
-    if np.ndim(value):
-        return "[" + ", ".join(_written(one) for one in value) + "]"
-    return repr(float(value))
+def _toml(value: Any, unit: str) -> Item:
+    """Return a number, or several, with the unit as a comment."""
+    several = np.ndim(value) > 0
+    item = toml_array(float(one) for one in value) if several else tomlkit.item(float(value))
+    return item.comment(unit)
 
 
 def load(path: str | Path) -> Calibration:

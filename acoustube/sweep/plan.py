@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -27,6 +28,7 @@ from acoustube.config import (
     section_of,
 )
 from acoustube.errors import ConfigError
+from acoustube.io import toml_array
 from acoustube.rules import Choice, Number, short
 
 DEFAULTS: Given = {
@@ -271,9 +273,14 @@ def _range(name: str, word: str) -> list[float]:
 
 
 def _number(name: str, word: str, part: str) -> Fraction:
+    """Return a number exactly, if it is within the range of a float."""
     try:
-        return Fraction(part.strip())
-    except (ValueError, ZeroDivisionError) as error:
+        if re.search(r"e[+-]?\d{4}", part, re.IGNORECASE):  # as a fraction it may fill the memory
+            raise OverflowError
+        number = Fraction(part.strip())
+        float(number)
+        return number
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
         raise ConfigError(
             f"{name} = {word} is no range of numbers; write first:last:step, such as 0:8:0.5"
         ) from error
@@ -385,24 +392,31 @@ def _axis(path: Any, name: str, values: Any) -> Values | Interval:
 
 def to_toml(plan: Plan) -> str:
     """Return a plan as a TOML document that :func:`load_plan` reads back as it is."""
-    lines = [f'acoustube_version = "{__version__}"', ""]
+    import tomlkit
+
+    document = tomlkit.document()
+    document.add("acoustube_version", __version__)
+    document.add(tomlkit.nl())
     for section, values in plan.given.items():
         if values:
-            lines += [f"[{section}]", *(f"{n} = {_toml(v)}" for n, v in values.items()), ""]
-    lines.append("[sweep]")
+            document.add(section, tomlkit.item({n: _toml(v) for n, v in values.items()}))
+            document.add(tomlkit.nl())
+    sweep: dict[str, Any] = {}
     if plan.count:
-        lines += [f"count = {plan.count}", f'sampler = "{plan.sampler}"', f"seed = {plan.seed}"]
+        sweep |= {"count": plan.count, "sampler": plan.sampler, "seed": plan.seed}
     if plan.over:
-        lines += ["", "[sweep.over]", *(f"{n} = {_toml(v)}" for n, v in plan.over.items())]
-    for case in plan.cases:
-        lines += ["", "[[sweep.case]]", *(f"{n} = {_toml(v)}" for n, v in case.items())]
-    return "\n".join(lines) + "\n"
+        sweep["over"] = {name: _toml(values) for name, values in plan.over.items()}
+    if plan.cases:
+        sweep["case"] = [{n: _toml(v) for n, v in case.items()} for case in plan.cases]
+    document.add("sweep", tomlkit.item(sweep))
+    return tomlkit.dumps(document)
 
 
-def _toml(value: Any) -> str:
+def _toml(value: Any) -> Any:
+    """Return a value, or the values of an axis, for a TOML document."""
     if isinstance(value, Interval):
-        return json.dumps(str(value))
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+        return str(value)
+    return toml_array(value) if isinstance(value, tuple) else value
 
 
 def case_name(config: Config) -> str:
