@@ -13,6 +13,9 @@ def entry() -> None:
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        from acoustube.cache import keep_compiled_code
+
+        keep_compiled_code()
         from acoustube.cli import main
 
         code = main()

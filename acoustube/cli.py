@@ -1128,18 +1128,22 @@ def list_cache() -> None:
 
 @remembered.command(name="size")
 def cache_size() -> None:
-    """Print how many results are remembered, how large they are and where."""
-    found = cache.entries()
-    total = sum(entry.size for entry in found) / 1e6
-    print(f"{_results(len(found))}, {total:.1f} MB in {cache.folder()}")
+    """Print the number of results, their size and folder, and the size of JAX's compiled code."""
+    found, code = cache.entries(), cache.compiled()
+    print(f"{_results(len(found))}, {_megabytes(found)} in {cache.folder()}")
+    print(f"compiled code, {_megabytes(code)}")
 
 
 @remembered.command(name="clear")
 def clear_cache() -> None:
-    """Forget all of it."""
+    """Forget all of it, and JAX's compiled code."""
+    code = cache.compiled()
     gone = cache.clear()
-    total = sum(entry.size for entry in gone) / 1e6
-    print(f"{_results(len(gone))} forgotten, {total:.1f} MB freed")
+    print(f"{_results(len(gone))} forgotten, {_megabytes([*gone, *code])} freed")
+
+
+def _megabytes(entries: list[cache.Entry]) -> str:
+    return f"{sum(entry.size for entry in entries) / 1e6:.1f} MB"
 
 
 def _results(count: int) -> str:

@@ -5,12 +5,19 @@ from pathlib import Path
 
 import pytest
 
+from acoustube import cache
+
 # Read by jax when it is first imported: an accidental broadcast between ranks fails instead of
 # passing with the wrong shape. Set here and not through jax.config, so that tests which need no jax
 # do not import it.
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+# Presses, scattering and compiled code of the tests, apart from the user's, kept from run to run
+# and shared by all processes: the name of an entry holds the hash of the code that computed it. A
+# test that must compute sets a folder of its own. Removed by pytest --cache-clear.
+os.environ["ACOUSTUBE_CACHE"] = str(Path(__file__).parents[1] / ".pytest_cache/d/acoustube")
+cache.keep_compiled_code()
 
 
 def pytest_report_header():
@@ -18,14 +25,6 @@ def pytest_report_header():
     import acoustube
 
     return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _own_cache(tmp_path_factory):
-    """Keep the user's remembered presses out of the tests, and theirs out of the cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ACOUSTUBE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(autouse=True)

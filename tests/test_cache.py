@@ -1,8 +1,17 @@
 """Remembered results: found again, never trusted when damaged, listed and cleared."""
 
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import acoustube
 from acoustube import cache, mechanics
 from acoustube.config import Config, Mechanics, load_config
 from acoustube.indentation import indent
@@ -57,6 +66,182 @@ def test_name_depends_on_everything_given_and_on_the_code(monkeypatch):
     assert name != cache.key("scattering", {"depth": 1.0, "tube": {"wall": 2}})
     monkeypatch.setattr(cache, "_code", lambda _: "changed")
     assert name != cache.key("press", {"depth": 1.0, "tube": {"wall": 2}})
+
+
+MODULES = {
+    "__init__.py": "",
+    "entry.py": """
+        from typing import TYPE_CHECKING
+        import package.inner.deep
+        if TYPE_CHECKING:
+            from package import typed
+        def f():
+            from package import late
+            return late
+    """,
+    "inner/__init__.py": "",
+    "inner/deep.py": """
+        from package.inner.below import step as go
+        NUMBER = 3
+        def g(x):
+            return go(x) + NUMBER
+    """,
+    "inner/below/__init__.py": "from package.inner.below.steps import step",
+    "inner/below/steps.py": "def step(x): return x",
+    "late.py": "LATE = 1",
+    "typed.py": "T = int",
+    "apart.py": "import sys; sys.exit('imported')",
+}
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Modules that import one another, of which none can be imported without a trace."""
+    folder = tmp_path / "package"
+    for name, text in MODULES.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(textwrap.dedent(text))
+    return folder
+
+
+def digest(package):
+    return cache.code_digest(package.parent, ["package.entry"])
+
+
+def changed(package, name, old, new):
+    """Tell whether an edit changes the digest."""
+    before, path = digest(package), package / name
+    text = path.read_text()
+    assert not old or old in text
+    path.write_text(text.replace(old, new) if old else new + text)
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**9))
+    return digest(package) != before
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("entry.py", "return late", "return 2"),
+        ("inner/deep.py", "NUMBER = 3", "NUMBER = 4"),
+        ("inner/deep.py", "go(x)", "go(-x)"),
+        ("inner/below/__init__.py", "", "import os\n"),
+        ("inner/below/steps.py", "return x", "return -x"),
+        ("late.py", "LATE = 1", "LATE = 2"),
+    ],
+)
+def test_digest_changes_with_the_code_of_an_imported_module(package, name, old, new):
+    assert changed(package, name, old, new)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("entry.py", "", '"""A module."""\n'),
+        ("inner/deep.py", "NUMBER = 3", 'NUMBER = 3  # three\n"""A number."""'),
+        ("inner/deep.py", "def g(x):", "def g(\n    x\n):\n    'Add.'\n"),
+        ("typed.py", "int", "str"),
+        ("apart.py", "imported", "read"),
+    ],
+)
+def test_digest_keeps_with_prose_and_modules_apart(package, name, old, new):
+    assert not changed(package, name, old, new)
+
+
+def test_digest_is_remembered_but_not_from_a_damaged_file(package):
+    first = digest(package)
+    sources = cache.folder() / cache.SOURCES
+    assert sources.is_file()
+    for damaged in ("", "[]", "{", '{"a": 1}', '{"a": [1, 2, 3, 4]}'):
+        sources.write_text(damaged)
+        assert digest(package) == first
+
+
+def test_digest_of_a_module_that_is_gone_fails(package):
+    (package / "entry.py").unlink()
+    with pytest.raises(ModuleNotFoundError):
+        digest(package)
+
+
+@pytest.mark.parametrize(
+    ("kind", "module"),
+    [
+        ("press", "surfaces"),
+        ("press", "indentation.tetrahedra"),
+        ("press", "indentation.contact"),
+        ("scattering", "air"),
+        ("scattering", "lumen"),
+        ("scattering", "waves.scheme"),
+        ("scattering", "waves.column_kernel"),
+    ],
+)
+def test_every_stage_of_a_result_counts_in_its_key(kind, module, tmp_path):
+    """Changed in a copy of the package: what is hashed there is what is hashed here."""
+    root = Path(acoustube.__file__).parent
+    copied = tmp_path / "acoustube"
+    shutil.copytree(root, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    before = cache.code_digest(tmp_path, cache.CODE[kind])
+    assert before == cache.code_digest(root.parent, cache.CODE[kind])
+    home = copied.joinpath(*module.split("."))
+    path = home / "__init__.py" if home.is_dir() else home.with_suffix(".py")
+    path.write_text(path.read_text() + "\nMORE = 1\n")
+    assert cache.code_digest(tmp_path, cache.CODE[kind]) != before
+
+
+COMPILE = """
+from acoustube.cache import keep_compiled_code
+keep_compiled_code()
+import jax
+print(float(jax.jit(lambda x: x + 1)(1.0)), jax.config.jax_compilation_cache_dir)
+"""
+
+
+def compiling(largest_file=resource.RLIM_INFINITY, **environment):
+    """Compile in a process of its own, without the tests' folder for compiled code."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
+
+    own = {k: v for k, v in os.environ.items() if not k.startswith(("JAX", "PYTHONWARN"))}
+    ran = subprocess.run(
+        [sys.executable, "-c", COMPILE],
+        env=own | environment,
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0
+    assert ran.stdout.startswith("2.0 ")
+    assert ran.stderr == ""
+    return ran.stdout.split()[1]
+
+
+@pytest.mark.slow
+def test_compiled_code_is_kept_and_damaged_files_are_no_matter():
+    kept = Path(compiling())
+    assert kept.parent == cache.folder()
+    first = {entry.path.name for entry in cache.compiled()}
+    assert first
+    for entry in cache.compiled():
+        content = entry.path.read_bytes()
+        entry.path.write_bytes(content[: len(content) // 2])
+    compiling()
+    assert {entry.path.name for entry in cache.compiled()} == first
+    assert cache.clear() == []
+    assert not kept.exists()
+
+
+@pytest.mark.slow
+def test_compiling_needs_no_cache(tmp_path):
+    """Where it cannot be written, is full, is a file, and where the user has chosen another."""
+    compiling(ACOUSTUBE_CACHE="/proc/nothing/there")
+    compiling(largest_file=100, ACOUSTUBE_CACHE=str(tmp_path / "full"))
+    assert all(file.stat().st_size <= 100 for file in (tmp_path / "full").rglob("*-cache"))
+    compiling(ACOUSTUBE_CACHE=str(tmp_path / "full"))
+    (tmp_path / "file").write_text("")
+    assert compiling(ACOUSTUBE_CACHE=str(tmp_path / "file")) == "None"
+    chosen = str(tmp_path / "chosen")
+    assert compiling(JAX_COMPILATION_CACHE_DIR=chosen) == chosen
+    assert cache.compiled() == []
 
 
 def test_entries_are_listed_sized_and_cleared():

@@ -236,13 +236,17 @@ def test_cache_is_listed_sized_and_cleared(tmp_path):
     folder = tmp_path / "cache"
     folder.mkdir()
     (folder / f"{32 * '0'}.npz").write_bytes(bytes(2_000_000))
+    (folder / "compiled-x").mkdir()
+    (folder / "compiled-x" / "jit_f-cache").write_bytes(bytes(3_000_000))
     environment = {"ACOUSTUBE_CACHE": str(folder)}
     listed = call("cache", "list", **environment).stdout
     assert listed.startswith("20")
     assert listed.endswith("     2.0 MB  \n")
-    assert call("cache", "size", **environment).stdout == f"1 result, 2.0 MB in {folder}\n"
-    assert call("cache", "clear", **environment).stdout == "1 result forgotten, 2.0 MB freed\n"
-    assert call("cache", "size", **environment).stdout == f"0 results, 0.0 MB in {folder}\n"
+    size = f"1 result, 2.0 MB in {folder}\ncompiled code, 3.0 MB\n"
+    assert call("cache", "size", **environment).stdout == size
+    assert call("cache", "clear", **environment).stdout == "1 result forgotten, 5.0 MB freed\n"
+    size = f"0 results, 0.0 MB in {folder}\ncompiled code, 0.0 MB\n"
+    assert call("cache", "size", **environment).stdout == size
 
 
 @pytest.mark.parametrize(
