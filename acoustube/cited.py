@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
@@ -66,7 +67,8 @@ def topics_of(result: Path) -> set[str]:
     """
     result = result.parent if result.name == "run.nc" else result
     if (result / "run.nc").is_file():
-        return _of_settings(json.loads(_attributes(result / "run.nc")["configuration"]))
+        path = result / "run.nc"
+        return _of_text(_attributes(path).get("configuration"), path)
     if (result / "sleeve.csv").is_file() and (result / "layout.txt").is_file():
         fitted = (result / "layout.txt").read_text(encoding="utf-8").startswith("markers")
         return {"arm"} if fitted else set()
@@ -76,28 +78,38 @@ def topics_of(result: Path) -> set[str]:
         return set(OF_ESTIMATORS[load(result).name])
     if result.is_file() and result.suffix == ".nc":
         origin = _attributes(result)
-        if str(origin.get("title")).startswith("Scattering"):
+        if str(origin.get("title")).startswith("Scattering") and "losses" in origin:
             return {"air", "absorber", *(("losses",) if origin["losses"] != "none" else ())}
     return _of_sweep(result)
 
 
 def _of_sweep(result: Path) -> set[str]:
     """Return what the cases of a sweep, or the cycles made of them, made use of."""
-    from acoustube.opening import open_dataset
+    from acoustube.opening import PATTERNS, files_of, open_dataset
 
-    try:
-        data = open_dataset(result)
-    except ConfigError as error:
+    paths = []
+    with suppress(ConfigError):
+        paths = files_of(result)
+    if not any(path.match(pattern) for path in paths for pattern in PATTERNS.values()):
         raise ConfigError(
             f"{result} is no result of acoustube; name a folder of simulate, indent, sweep, "
             "dataset or sleeve, or a file of scatter or train"
-        ) from error
+        )
+    data = open_dataset(paths)
     if "cycle" in data.dims:
         return {"press", "air", "losses", "absorber", "cascade", "rangefinder"}
-    found: set[str] = set()
-    for text in data["configuration"].values:
-        found |= _of_settings(json.loads(str(text)))
-    return found
+    texts = data["configuration"].values if "configuration" in data else [None]
+    return set().union(*(_of_text(text, result) for text in texts))
+
+
+def _of_text(text: Any, source: Path) -> set[str]:
+    """Return what a run made use of whose settings are given as JSON, None where there are none."""
+    try:
+        return _of_settings(json.loads(str(text)))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ConfigError(
+            f"{source} holds no settings of acoustube; name what a command of it wrote"
+        ) from error
 
 
 def _of_settings(settings: dict[str, Any]) -> set[str]:

@@ -61,6 +61,8 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
             f"{where} holds sweeps and datasets, which have different dimensions; open one kind"
         )
     (dimension,) = kinds
+    for path in paths:
+        _check_file(path, dimension)
     found = xr.open_mfdataset(
         paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
         data_vars="minimal", coords="minimal", compat="override", combine_attrs="drop_conflicts",
@@ -72,6 +74,26 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
     if "sampling_rate" not in found.attrs:
         raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
     return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
+
+
+def _check_file(path: Path, dimension: str) -> None:
+    """Refuse a file that is damaged, or that another program wrote under a name of ours."""
+    import h5py
+
+    needed = ORDER if dimension == "press" else ("press", "signal")
+    try:
+        with h5py.File(path) as file:
+            missing = [name for name in needed if name not in file]
+    except OSError as error:
+        command = "sweep" if dimension == "press" else "dataset"
+        raise ConfigError(
+            f"{path} is damaged ({error}); repeat acoustube {command}, which computes it again"
+        ) from error
+    if missing:
+        raise ConfigError(
+            f"{path} is no file of acoustube sweep or dataset (it has no {missing[0]}); move it "
+            "elsewhere"
+        )
 
 
 def _sorted(cases: xr.Dataset) -> xr.Dataset:

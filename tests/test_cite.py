@@ -8,6 +8,7 @@ from pathlib import Path
 
 import h5py
 import pytest
+import xarray as xr
 
 import acoustube
 from acoustube.cited import topics_of
@@ -140,6 +141,24 @@ def test_what_is_no_result_is_refused(name, part, tmp_path, capsys):
     assert main(["cite", name]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert part in line
+
+
+@pytest.mark.parametrize("attributes", [{}, {"configuration": "{}"}, {"configuration": "[1]"}])
+@pytest.mark.parametrize("name", ["run.nc", "cases-1.nc"])
+def test_file_of_another_program_with_a_name_of_ours_is_refused(name, attributes, tmp_path, capsys):
+    xr.Dataset({"x": ("press", [1.0])}, attrs=attributes).to_netcdf(
+        tmp_path / name, engine="h5netcdf"
+    )
+    assert main(["cite", str(tmp_path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert name in line
+
+
+def test_file_with_the_title_of_a_scattering_alone_is_refused(tmp_path, capsys):
+    path = tmp_path / "s.nc"
+    xr.Dataset(attrs={"title": "Scattering of light"}).to_netcdf(path, engine="h5netcdf")
+    assert main(["cite", str(path)]) == 2
+    assert "s.nc" in capsys.readouterr().err
 
 
 def test_program_is_cited_as_the_citation_file_says():

@@ -157,6 +157,23 @@ def test_what_is_wrong_is_said_in_one_sentence(words, files, capsys):
     assert content(files) == before
 
 
+@pytest.mark.parametrize("command", ["show . --out a.png", "export . --out new", "cite ."])
+@pytest.mark.parametrize("kind", ["damaged", "foreign"])
+def test_file_that_is_no_sweeps_is_named_with_what_to_do(kind, command, tmp_path, capsys):
+    """Both under the name of a sweep's file: one is damaged, one another program wrote."""
+    path = tmp_path / "cases-1.nc"
+    xr.Dataset({"x": ("press", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
+    if kind == "damaged":
+        path.write_bytes(path.read_bytes()[:8] + bytes(4000))
+    before = content(tmp_path)
+    assert main(command.split()) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cases-1.nc" in line
+    assert "; " in line
+    assert "acoustube sweep" in line
+    assert content(tmp_path) == before
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [
