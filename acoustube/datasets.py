@@ -273,8 +273,11 @@ def read_rangefinder(path: Path) -> Rangefinder:
     drive = given.pop("drive", None)
     if not isinstance(drive, dict | None):
         raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
-    for names, kind in ((given, Rangefinder), (drive or {}, Burst)):
-        known = [field.name for field in dataclasses.fields(kind)]
+    kind = "Burst" if drive is None else drive.pop("kind", "Burst")
+    if kind != "Burst":
+        raise ConfigError(f"{path}: kind = {kind!r} cannot be given by a file; use 'Burst'")
+    for names, of in ((given, Rangefinder), (drive or {}, Burst)):
+        known = [field.name for field in dataclasses.fields(of)]
         for name in names:
             if name not in known:
                 raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")

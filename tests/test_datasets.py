@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pandas as pd
 import pytest
+import tomlkit
 import xarray as xr
 from rich.console import Console
 from scipy.io import wavfile
@@ -16,7 +17,7 @@ from acoustube.cli import main
 from acoustube.config import Config, configured
 from acoustube.datasets import read_rangefinder, run_dataset
 from acoustube.errors import ConfigError
-from acoustube.ranging import Rangefinder, record, recording
+from acoustube.ranging import Burst, Rangefinder, record, recording
 from acoustube.scattered import from_dataset
 from acoustube.sweep import store
 from acoustube.sweep.cycles import Recipe, seed_of
@@ -252,6 +253,9 @@ def test_what_cannot_be_done_is_said_in_one_sentence(words, parts, sweep, datase
         ("nose = 1", "nose is not a parameter; did you mean noise?"),
         ("[drive]\ncycle = 3", "cycle is not a parameter; did you mean cycles?"),
         ("noise =", "not valid TOML"),
+        ("[drive]\nkind = 'Pulse'", "kind"),
+        ("face_reflection = [0.8, 0.8]", "face_reflection"),
+        ("face_reflection = [0.3, true]", "face_reflection"),
     ],
 )
 def test_wrong_rangefinders_are_refused(text, part, tmp_path):
@@ -259,6 +263,14 @@ def test_wrong_rangefinders_are_refused(text, part, tmp_path):
     path.write_text(text)
     with pytest.raises(ConfigError, match=part.replace("?", r"\?")):
         read_rangefinder(path)
+
+
+@pytest.mark.parametrize("face", [0.3, 0.3 + 0.1j])
+def test_rangefinder_that_is_written_is_read_again(face, tmp_path):
+    written = Rangefinder(face_reflection=face, drive=Burst(cycles=8.0), noise=1e-3)
+    path = tmp_path / "sensor.toml"
+    path.write_text(tomlkit.dumps(json.loads(written.to_json())))
+    assert read_rangefinder(path) == written
 
 
 def test_rangefinder_is_read_from_a_file(tmp_path):

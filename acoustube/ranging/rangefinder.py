@@ -76,18 +76,30 @@ class _Kind:
 
     fits: Callable[[Any], bool]
     allowed: str
+    read: Callable[[Any], Any] = lambda value: value
 
     def check(self, name: str, value: Any) -> Any:
+        value = self.read(value)
         if not self.fits(value):
             raise ConfigError(f"{name} = {value!r} cannot be; use {self.allowed}")
         return value
+
+
+def _complex(value: Any) -> Any:
+    """Return a number of [real, imaginary], as files hold it; anything else as it is."""
+    if isinstance(value, list | tuple) and len(value) == 2:
+        parts = [isinstance(part, int | float) and not isinstance(part, bool) for part in value]
+        return complex(*value) if all(parts) else value
+    return value
 
 
 DRIVE = _Kind(lambda value: isinstance(value, Drive), "a Burst, a Pulse or a SampledPulse")
 FLAG = _Kind(lambda value: isinstance(value, bool), "True or False")
 FACE = _Kind(
     lambda value: isinstance(value, int | float | complex) and abs(value) <= 1 and value != -1,
-    "a number, real or complex, of magnitude 0 to 1, but not -1: such a face hears nothing",
+    "a number, real or complex as [real, imaginary], of magnitude 0 to 1, but not -1: such a face "
+    "hears nothing",
+    _complex,
 )
 
 
