@@ -204,3 +204,23 @@ def test_scattering_and_straight_tube_give_the_recording_of_the_whole_tube(datas
         )
     assert float(found["delay_bias"]) == 0.0 < abs(float(dataset["delay_bias"]))
     assert "the grid moves the echo" in dataset.attrs["accuracy"]
+
+
+@pytest.mark.parametrize("losses", ["off", "on"])
+def test_default_prominence_finds_the_press_with_and_without_losses(losses, dataset):
+    """The losses take the echo, 1.4 % of the pulse, below 1 %; both are of the pressed place."""
+    found = simulate(
+        load_config(
+            losses=losses,
+            indenter_mm=25,
+            depth_mm=4,
+            position_cm=18,
+            resolution=12,
+            temperature_c=25,
+        )
+    )
+    assert abs(float(found["distance"]) - 0.18) < 0.012
+    if losses == "off":
+        assert float(found["distance"]) == float(dataset["distance"])
+    else:
+        assert float(found["amplitude"]) < 0.7 * float(dataset["amplitude"])

@@ -33,10 +33,9 @@ from acoustube.rules import Choice, Number, short
 
 DEFAULTS: Given = {
     "waves": {"method": "scattering", "losses": "on", "resolution": 16},
-    "signals": {"prominence": 0.001},
 }
 """Where a sweep departs from the settings' own defaults: each press is computed once, with losses,
-on a grid that gives reflections to 0.005; and faint echoes count, as there is no noise."""
+on a grid that gives reflections to 0.005."""
 
 MOST_CASES = 10_000_000
 SAMPLERS = ("sobol", "latin")
