@@ -124,16 +124,8 @@ def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
 def test_pieces_are_computed_once_ever(tmp_path, capsys):
     """Other places, temperatures and a longer tube: only what is heard is new."""
     words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
-    words += [
-        "--vary",
-        "mesh=coarse",
-        "--position",
-        "30:60:5",
-        "--length",
-        "80",
-        "--temperature",
-        "20",
-    ]
+    words += ["--vary", "mesh=coarse", "--position", "30:60:5", "--length", "80"]
+    words += ["--temperature", "20"]
     assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out
     assert "paths of presses     1, 1 remembered" in out
@@ -141,19 +133,26 @@ def test_pieces_are_computed_once_ever(tmp_path, capsys):
     assert "paths: 0 computed, 1 reused; scattering: 0 computed, 2 reused; cases: 14 comp" in out
 
 
+SHARES = [[*SMALL, "--workers", "1", "--shard", f"{i}/2"] for i in (2, 1)]
+
+
 @pytest.mark.slow
-def test_workers_shares_and_order_do_not_matter(finished, tmp_path, monkeypatch):
-    """Each way computes all pieces anew."""
-    ways = {
-        "one": [[*SMALL, "--workers", "1"]],
-        "two": [[*SMALL, "--workers", "2"]],
-        "shares": [[*SMALL, "--workers", "1", "--shard", f"{i}/2"] for i in (2, 1)],
-    }
-    for name, commands in ways.items():
-        monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / f"cache of {name}"))
+def test_workers_and_shares_do_not_matter(finished, tmp_path, monkeypatch):
+    """Two processes compute all pieces anew; two shares find them and compute the cases."""
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
+    for name, commands in {"two": [[*SMALL, "--workers", "2"]], "shares": SHARES}.items():
         for words in commands:
             assert main(["sweep", *words, "--quiet", "--out", name]) == 0
         assert_same(finished, tmp_path / name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("commands", [[[*SMALL, "--workers", "1"]], SHARES], ids=["one", "shares"])
+def test_pieces_computed_anew_are_the_same(finished, tmp_path, monkeypatch, commands):
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
+    for words in commands:
+        assert main(["sweep", *words, "--quiet", "--out", "anew"]) == 0
+    assert_same(finished, tmp_path / "anew")
 
 
 @contextmanager
