@@ -27,6 +27,22 @@ def pytest_report_header():
     return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Keep tests that share a fixture on one worker; the others start with the slow ones."""
+    for item in items:
+        definitions = item._fixtureinfo.name2fixturedefs.values()
+        if any(found[-1].scope == "module" for found in definitions):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    items.sort(key=_rank)
+
+
+def _rank(item):
+    if item.get_closest_marker("xdist_group"):
+        return 1
+    return 0 if item.get_closest_marker("slow") else 2
+
+
 @pytest.fixture(autouse=True)
 def _in_empty_folder(tmp_path, monkeypatch):
     """Run each test in a folder of its own, so that nothing is written to the checkout."""
