@@ -139,11 +139,12 @@ def run_process(
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
     with heard_interrupts() as check, _opened(out) as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*COLUMNS, *(name for name, _ in TRUE.values())])
+        header = [[*COLUMNS, *(name for name, _ in TRUE.values())]]
         for path, data in recordings.read_all(
             paths, rate=rate, temperature=temperature, channel=channel, samples=samples
         ):
             found, loudest, shown = 0, 0.0, None
+            table: list[list[object]] = []  # written as a whole, or not at all
             try:
                 if isinstance(data, ConfigError):
                     raise data
@@ -151,7 +152,7 @@ def run_process(
                 for first, ranging in _with_progress(data, how, console, check, path):
                     these = data.isel(cycle=slice(first, first + len(ranging.detected)))
                     rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
-                    writer.writerows([*row, *labels] for row, labels in rows)
+                    table += ([*row, *labels] for row, labels in rows)
                     if ranging.detected.any():
                         found += int(ranging.detected.sum())
                         loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
@@ -162,6 +163,8 @@ def run_process(
                 named = text if str(path) in text else f"{path}: {text}"
                 errors.print(f"[red]not processed:[/] {escape(named)}", soft_wrap=True)
                 continue
+            writer.writerows([*header, *table])
+            header = []
             n_cycles, n_found = n_cycles + data.sizes["cycle"], n_found + found
             notes = str(data.attrs.get("warnings", "")).splitlines()
             if loudest > LOUD:

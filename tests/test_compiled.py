@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ import pytest
 from wave_lumens import BORE, pinched_tube
 
 from acoustube.air import air_at
+from acoustube.errors import SimulationError
 from acoustube.waves import cut_cells
 from acoustube.waves.compiled import CompiledMarcher
 from acoustube.waves.marching import initial_state, march
@@ -122,6 +124,29 @@ def test_antisymmetric_halves_march_as_jax_does(lossy):
     driven = replace(setup, scheme=scheme, source_layer=part.sources[0])
     source = np.sin(0.3 * np.arange(300))
     assert_same(driven, setup.state, source, ROUNDING[jnp.float32])
+
+
+def test_march_ends_where_a_thread_cannot_be_started(pinched, monkeypatch):
+    """The others do not wait for it, and the state is as it was."""
+    setup = prepare(pinched, AIR, probes=(0.01,))
+    alone, refused = (CompiledMarcher(setup, noisy(setup), n) for n in (1, 3))
+    start, started = threading.Thread.start, []
+
+    def start_two(thread):
+        if len(started) == 2:
+            raise RuntimeError("can't start new thread")
+        started.append(thread)
+        start(thread)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", start_two)
+        with pytest.raises(SimulationError):
+            refused.advance(np.ones(4))
+    for thread in started:
+        thread.join(10)
+        assert not thread.is_alive()
+    heard = [marcher.advance(np.ones(4)) for marcher in (alone, refused)]
+    assert difference(heard[1], heard[0]) < ROUNDING[jnp.float32]
 
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 5])

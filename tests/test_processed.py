@@ -10,7 +10,8 @@ import pytest
 from test_calibration import PLACES, blocked, untouched
 from test_pipeline import RATE, TIME, cycles_at
 
-from acoustube import signals
+from acoustube import processed, signals
+from acoustube.cli import main
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 DISTANCES = np.linspace(0.3, 1.9, 7)
@@ -223,3 +224,28 @@ def test_calibrations_that_cannot_be_are_refused():
         assert result.returncode == 2, words
         assert part in " ".join(result.stderr.split()), words
         assert not Path("c.toml").exists()
+
+
+@pytest.mark.parametrize("names", [["a.npz"], ["b.npz", "a.npz"]])
+def test_recording_that_fails_in_a_later_piece_leaves_no_rows(names, monkeypatch, capsys):
+    """Not even a header where nothing else is processed."""
+    whole, fails = signals.locate, cycles_at(DISTANCES)
+    fails[-1] *= 0.5
+
+    def locate(time, cycles, *words, **options):
+        if np.array_equal(cycles, fails[5:].astype(np.uint16)):
+            raise ValueError("the gain is negative")
+        return whole(time, cycles, *words, **options)
+
+    monkeypatch.setattr(signals, "locate", locate)
+    monkeypatch.setattr(processed, "CHUNK", 5)
+    save("a.npz", fails)
+    save("b.npz", cycles_at(DISTANCES))
+    alone = len(names) == 1
+    assert main(["process", *names, "--quiet"]) == (2 if alone else 1)
+    captured = capsys.readouterr()
+    assert "a.npz" in captured.err
+    rows = rows_of(captured.out)
+    assert {row["file"] for row in rows} == (set() if alone else {"b.npz"})
+    assert len(rows) == (0 if alone else len(DISTANCES))
+    assert (captured.out == "") is alone

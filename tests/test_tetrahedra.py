@@ -411,6 +411,16 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
     assert len(drawn) == (taken + 1 if shares[taken] <= 0.01 else 3)
 
 
+def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkeypatch):
+    """Such a node would stay unconstrained; `_quadratic` reports it as a share of one."""
+    shape = tetrahedra._quadratic
+    monkeypatch.setattr(tetrahedra, "_quadratic", lambda *piece: (shape(*piece)[0], 1.0))
+    monkeypatch.setattr(tetrahedra, "ATTEMPTS", 2)
+    size = TetrahedronSize(fine=1.5, coarse=1.5)
+    with pytest.raises(ConfigError):
+        tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
+
+
 def test_quality_of_a_regular_tetrahedron_is_one():
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 7
     points = np.concatenate([corners, [(corners[i] + corners[j]) / 2 for i, j in edges(3)]])

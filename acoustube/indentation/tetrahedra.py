@@ -315,7 +315,7 @@ def tetrahedral_mesh(
     z = np.linspace(piece.bounds[0, 2], piece.bounds[1, 2], SIZE_STATIONS)
     edge = whole.thickness * _edge_lengths(z, presses, size, whole.outer.extents[1])
     _check_thickness(piece, whole, edge)
-    best, least = None, np.inf
+    best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never taken
     for _ in range(ATTEMPTS):
         points, tetrahedra = _filled(piece, z, edge, whole.thickness)
         mesh, astray = _quadratic(points, tetrahedra, planes, whole, symmetric)

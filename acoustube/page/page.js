@@ -64,14 +64,15 @@ function draw(state) {
   element("shown").textContent = depthOf(state);
   slider.setAttribute("aria-valuetext", `${depthOf(state)} deep`);
   numbers(state);
+  // Before the charts, which are drawn as wide as their figures are.
+  for (const name of ["area", "spectrum"]) {
+    element(`${name}-figure`).classList.toggle("whole", !group.states.some((one) => one.spectrum));
+  }
   show("tube", state.shape, "shape", () => tubeChart(group, state, view, element("tube")));
   show("section", state.shape, "shape", () => sectionChart(group, state));
   show("area", true, "along", () => (state.along ? areaChart : areaByDepth)(group, state));
   show("spectrum", state.spectrum, "spectrum", () => spectrumChart(group, state));
   show("signal", state.signal, "signal", () => signalChart(group, state, element("same").checked));
-  for (const name of ["area", "spectrum"]) {
-    element(`${name}-figure`).classList.toggle("whole", !group.states.some((one) => one.spectrum));
-  }
   document.querySelector(".scale").hidden = !state.signal;
   captions(state);
   document.body.dataset.drawn = `${CONTENT.groups.indexOf(group)} ${slider.value}`;

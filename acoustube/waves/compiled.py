@@ -11,7 +11,9 @@ air's absorption adds to it, which depends on the cell alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,6 +21,7 @@ import numpy as np
 from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.errors import SimulationError
 from acoustube.waves.absorber import Absorber
 from acoustube.waves.column_kernel import (
     CORE,
@@ -92,6 +95,11 @@ class CompiledMarcher:
         -------
         ndarray
             What the probes hear after each step, (n, n_probes).
+
+        Raises
+        ------
+        SimulationError
+            If a thread cannot be started; the state is as it was.
         """
         change, columns = self._fields.change, self._problem[0]
         n_threads = len(columns.shares) - 1
@@ -106,8 +114,7 @@ class CompiledMarcher:
         if n_threads == 1:
             run(0)
         else:
-            with ThreadPoolExecutor(n_threads) as pool:
-                list(pool.map(run, range(n_threads)))
+            _run_together(run, n_threads)
         self._now = (self._now + len(samples)) % 2
         record = np.empty(heard.shape[1:], float)
         record[:, self._order] = heard.sum(axis=0)
@@ -131,6 +138,35 @@ class CompiledMarcher:
             behind=_absorber(self._state.behind, behind),
             memory=_memory(self._state.memory, self._losses, fields, self._now),
         )
+
+
+def _run_together(run: Callable[[int], None], n_threads: int) -> None:
+    """Run a function on several threads, none of which begins before all have started.
+
+    Raises
+    ------
+    SimulationError
+        If a thread cannot be started; the function has not run then.
+    """
+    gate = Barrier(n_threads)
+
+    def begin(thread: int) -> None:
+        gate.wait()
+        run(thread)
+
+    with ThreadPoolExecutor(n_threads) as pool:
+        try:
+            jobs = [pool.submit(begin, thread) for thread in range(n_threads)]
+        except BaseException as error:
+            gate.abort()  # or those that have started would wait for the others for ever
+            if not isinstance(error, RuntimeError):
+                raise
+            raise SimulationError(
+                f"the waves could not start {n_threads} threads ({error}); set the environment "
+                "variable NUMBA_NUM_THREADS to 1"
+            ) from error
+        for job in jobs:
+            job.result()
 
 
 def default_threads() -> int:
