@@ -10,15 +10,20 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:  # the solvers, which a command that draws nothing does not need
+    from acoustube.indentation import Press
+
 Image = NDArray[np.uint8]
 
+LAYER = "#cfdccb"
 WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", "#e9e9e9"
 STRIP_PIXELS = (2400, 260)
 CLOSE_UP_PIXELS = (1800, 760)
@@ -90,7 +95,7 @@ def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
 
 
 def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float) -> Any:
-    """Return an off-screen plotter with the opened tube and the rod; the tube's axis is z."""
+    """Return an off-screen plotter with the opened tube; the tube's axis is z."""
     import pyvista
 
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(pixels))
@@ -104,32 +109,90 @@ def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float)
     return plotter
 
 
-def close_up(dataset: xr.Dataset, rod_diameter: float) -> Image:
-    """Draw the pressed part in true proportions, with the rod and the floor."""
+def close_up(dataset: xr.Dataset, press: Press, layer: float | None = None) -> Image:
+    """Draw the pressed part in true proportions, with the tool and what the tube rests on.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A run.
+    press : Press
+    layer : float, optional
+        Thickness of the elastic layer under the tube in m, if there is one.
+    """
     import pyvista
 
     plotter = _plotter(dataset, CLOSE_UP_PIXELS, 1.0)
     position = float(dataset["true_distance"])
-    outer = dataset["outer_wall"].values
+    outer = dataset["outer_wall"].values - [0.0, 0.0, position]
     size = float(np.ptp(outer[0, :, 1]))
-    top = outer[np.argmin(np.abs(outer[:, 0, 2] - position)), outer.shape[1] // 2, 1]
-    rod = pyvista.Cylinder(
-        center=(-0.6 * size, top + rod_diameter / 2, position),
-        direction=(1, 0, 0),
-        radius=rod_diameter / 2,
-        height=1.2 * size,  # cut open at x = 0 like the tube
-        resolution=120,
-    )
-    plotter.add_mesh(rod, color=ROD, smooth_shading=True, split_sharp_edges=True, ambient=0.35)
-    near, far = position + 6 * size * np.array([-1, 1])
-    floor = pyvista.Box((-1.4 * size, 0.4 * size, -0.56 * size, -0.5 * size, near, far))
-    plotter.add_mesh(floor, color=GROUND)
+    moved = [0.0, 0.0, position]
+    points, faces = tool_behind(press, outer)
+    tool = pyvista.PolyData.from_regular_faces(points + moved, faces)
+    plotter.add_mesh(tool, color=ROD, smooth_shading=True, split_sharp_edges=True, ambient=0.35)
+    side, far = (-1.4 * size, 0.4 * size), 6 * size
+    if layer is None:
+        near, end = position - far, position + far
+        floor: Any = pyvista.Box((*side, -0.56 * size, -0.5 * size, near, end))
+        plotter.add_mesh(floor, color=GROUND)
+    else:
+        sheets = layer_sheets(outer, side, far, -0.5 * size - min(layer, size))
+        points, faces = _joined([_strip(sheet) for sheet in sheets])
+        floor = pyvista.PolyData.from_regular_faces(points + moved, faces)
+        plotter.add_mesh(floor, color=LAYER, smooth_shading=True, split_sharp_edges=True)
     plotter.camera.focal_point = (0, 0.25 * size, position)
     plotter.camera.position = (6.0 * size, 2.6 * size, position - 3.6 * size)
     plotter.camera.up = (0, 1, 0)
     plotter.camera.view_angle = 21
     plotter.camera.clipping_range = (0.1 * size, 40 * size)
     return np.asarray(plotter.screenshot(return_img=True))
+
+
+def tool_behind(press: Press, outer: Any) -> tuple[Any, Any]:
+    """Return points and triangles of a tool's half with x <= 0, where it touches the wall.
+
+    Parameters
+    ----------
+    press : Press
+    outer : array of shape (n_rings, n_around, 3)
+        The outer wall in m, the press at z = 0.
+    """
+    from acoustube.page.shapes import tool, tool_height
+
+    # `tool` makes the half x >= 0, and so the mirror image is asked for.
+    mirrored = replace(press, x=-press.x, yaw=-press.yaw)
+    made = tool(mirrored, float(np.ptp(outer[0, :, 1])))
+    raised = made.points * [-1.0, 1.0, 1.0]
+    raised[:, 1] += tool_height(press, outer.reshape(-1, 3))
+    return raised, made.faces[:, ::-1]
+
+
+def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: float) -> list[Any]:
+    """Return top and front of an elastic layer, which yields where the tube sinks into it.
+
+    Parameters
+    ----------
+    outer : array of shape (n_rings, n_around, 3)
+        The outer wall in m, the press at z = 0.
+    side : tuple of float
+        From where to where it reaches across, in m.
+    far : float
+        How far it reaches along the tube to both sides, in m.
+    bottom : float
+        Height of its underside in m.
+    """
+    rings = outer[np.abs(outer[:, 0, 2]) <= far]
+    unloaded = outer[0, :, 1].min()
+    x = np.linspace(*side, 160)
+    sheet = []
+    for ring in rings:
+        lower = ring[ring[:, 1] < ring[:, 1].mean()]
+        lower = lower[np.argsort(lower[:, 0])]
+        y = np.minimum(np.interp(x, lower[:, 0], lower[:, 1], np.inf, np.inf), unloaded)
+        sheet.append(np.stack([x, y, np.full_like(x, ring[0, 2])], axis=-1))
+    top = np.array(sheet)
+    below = top[:, -1] * [1.0, 0.0, 1.0] + [0.0, bottom, 0.0]
+    return [top, np.stack([top[:, -1], below])]
 
 
 def strip(dataset: xr.Dataset) -> Image:
@@ -149,7 +212,13 @@ def strip(dataset: xr.Dataset) -> Image:
 if __name__ == "__main__":
     import json
 
+    from acoustube.config import Mechanics, configured
+    from acoustube.mechanics import layer_from, press_from
+
     with xr.open_dataset(sys.argv[1], engine="h5netcdf") as run:
         settings = json.loads(run.attrs["configuration"])
-        diameter = 1e-3 * settings["indentation"]["indenter_mm"]
-        np.savez(sys.argv[2], close_up=close_up(run, diameter), strip=strip(run))
+        config = configured({n: settings[n] for n in ("tube", "indentation")}, Mechanics)
+        under = layer_from(config)
+        depth = None if under is None else under.thickness
+        picture = close_up(run, press_from(config), depth)
+        np.savez(sys.argv[2], close_up=picture, strip=strip(run))
