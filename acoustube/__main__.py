@@ -13,10 +13,10 @@ def entry() -> None:
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        from acoustube.cache import keep_compiled_code
+        from acoustube.base.cache import keep_compiled_code
 
         keep_compiled_code()
-        from acoustube.cli import main
+        from acoustube.cli._app import main
 
         code = main()
     except KeyboardInterrupt:

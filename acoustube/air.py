@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import exp, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 
 
 def shear_modulus_from_shore(shore_a: float) -> float:

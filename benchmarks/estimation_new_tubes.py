@@ -18,14 +18,14 @@ from rich.console import Console
 
 import acoustube
 from acoustube import estimation
-from acoustube.datasets import run_dataset
 from acoustube.estimation import Describing
 from acoustube.estimation.model import TARGETS
-from acoustube.studies.flat import processing_of
-from acoustube.sweep.cycles import Recipe
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
-from acoustube.trained import HUMAN
+from acoustube.reports.studies.flat import processing_of
+from acoustube.runs.sweep.cycles import Recipe
+from acoustube.runs.sweep.dataset import run_dataset
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
+from acoustube.runs.training import HUMAN
 
 OVER = {
     "indenter_mm": ["25"], "depth_mm": ["1:7:1"], "position_cm": ["20:180:10"],

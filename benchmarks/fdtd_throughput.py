@@ -27,8 +27,8 @@ import trimesh
 
 from acoustube.air import air_at
 from acoustube.waves import CutCells, Pulse, cut_cells, grid_spacing, propagate
-from acoustube.waves.marching import Marcher, _TracedMarcher
-from acoustube.waves.scheme import Setup, prepare
+from acoustube.waves.scheme.leapfrog import Marcher, _TracedMarcher
+from acoustube.waves.scheme.problem import Setup, prepare
 
 RADIUS, PROBES = 3.95e-3, (0.01, 0.02)
 AIR = air_at(20.0)
@@ -113,7 +113,8 @@ def triad(n_bytes: float, n_threads: int) -> float:
 
 def traffic(setup: Setup) -> float:
     """Return the bytes that a step of the compiled columns moves."""
-    from acoustube.waves.compiled import ABSORBING, CORE, CUT, _kinds
+    from acoustube.waves.scheme.cpu_kernel import CORE, CUT
+    from acoustube.waves.scheme.cpu_leapfrog import ABSORBING, _kinds
 
     kinds = _kinds(setup, setup.state)
     core, cut, absorbing = (np.sum(kinds == kind) for kind in (CORE, CUT, ABSORBING))
@@ -134,7 +135,7 @@ def report(setup: Setup) -> None:
     )
     if jax.default_backend() != "cpu":
         return
-    from acoustube.waves.compiled import CompiledMarcher
+    from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 
     moved = traffic(setup)
     for n_threads in (1, 2):

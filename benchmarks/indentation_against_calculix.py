@@ -31,10 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.indentation import MeshSize, Press, indent
-from acoustube.indentation.equilibrium import tool_force
+from acoustube.indentation.assembly import tool_force
+from acoustube.indentation.indenters import CONTACT_STIFFNESS
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.press import build
-from acoustube.indentation.tools import CONTACT_STIFFNESS
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]

@@ -27,15 +27,15 @@ from scipy import sparse
 from scipy.interpolate import RBFInterpolator
 from threadpoolctl import threadpool_limits
 
-from acoustube.indentation import Indentation, MeshSize, Press, indent, linear
-from acoustube.indentation.equilibrium import stiffness
+from acoustube.base.limits import pressed_reach
+from acoustube.indentation import Indentation, MeshSize, Press, indent, linear_solver
+from acoustube.indentation.assembly import stiffness
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.press import build
-from acoustube.limits import pressed_reach
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
-Factorise = Callable[[sparse.csc_array], linear.Solve]
+Factorise = Callable[[sparse.csc_array], linear_solver.Solve]
 
 TUBE, ROD, DEPTH, REPEATS = Tube(), Press(), 1e-3, 3
 REACH = pressed_reach(TUBE.outer_diameter, ROD.diameter)
@@ -78,11 +78,11 @@ def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, NDArray[
     displacement[~model.free] = 0
     return (
         stiffness(model, displacement, state.bodies()),
-        linear.section_order(mesh.points, model.free),
+        linear_solver.section_order(mesh.points, model.free),
     )
 
 
-def cholmod(library: Any, lower: sparse.csc_array) -> linear.Solve:
+def cholmod(library: Any, lower: sparse.csc_array) -> linear_solver.Solve:
     """Factorise by CHOLMOD, supernodal."""
     library.cholmod.options["supernodal"] = 2
     columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
@@ -101,19 +101,23 @@ def cholmod(library: Any, lower: sparse.csc_array) -> linear.Solve:
 def solvers(order: NDArray[np.int64]) -> dict[str, Factorise]:
     """Return the solvers that are installed; name the others."""
     found: dict[str, Factorise] = {
-        "banded Cholesky, as numbered": linear.banded,
-        "banded Cholesky, by sections": partial(linear.banded, order=order),
-        "SuperLU": linear.superlu,
+        "banded Cholesky, as numbered": linear_solver.banded,
+        "banded Cholesky, by sections": partial(linear_solver.banded, order=order),
+        "SuperLU": linear_solver.superlu,
     }
     for name, module, solver in (
-        ("PARDISO", "pypardiso.pardiso_wrapper", lambda lib: partial(linear.pardiso, library=lib)),
+        (
+            "PARDISO",
+            "pypardiso.pardiso_wrapper",
+            lambda lib: partial(linear_solver.pardiso, library=lib),
+        ),
         ("CHOLMOD", "cvxopt.cholmod", lambda _: partial(cholmod, import_module("cvxopt"))),
     ):
         try:
             found[name] = solver(import_module(module))
         except ImportError:
             print(f"{module.split('.')[0]} is not installed: {name} is left out.")
-    found["factorise()"] = partial(linear.factorise, order=order)
+    found["factorise()"] = partial(linear_solver.factorise, order=order)
     return found
 
 
@@ -148,7 +152,7 @@ if __name__ == "__main__":
         print(header + "| residual |\n" + "|" + "---|" * 9)
         for name, (size, halved) in CASES.items():
             lower, order = matrix(sweep(TUBE, REACH, size, halved=halved), pressed)
-            widths = linear.bandwidth(lower), linear.bandwidth(lower, order)
+            widths = linear_solver.bandwidth(lower), linear_solver.bandwidth(lower, order)
             case = f"| {name} | {lower.shape[0]} | {widths[0]} | {widths[1]} | {lower.nnz} "
             for solver, factorise in solvers(order).items():
                 if solver == "SuperLU" and lower.shape[0] * min(widths) > LARGEST_FOR_SUPERLU:

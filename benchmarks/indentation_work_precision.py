@@ -19,10 +19,10 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.limits import pressed_reach
 from acoustube.indentation import Indentation, MeshSize, Press, indent
 from acoustube.indentation.mesh import Mesh, sweep
-from acoustube.indentation.reference import FACE, HEX20, QUAD8, Reference, gauss
-from acoustube.limits import pressed_reach
+from acoustube.indentation.reference_element import FACE, HEX20, QUAD8, Reference, gauss
 from acoustube.lumen import measure
 from acoustube.tube import Tube
 

@@ -28,7 +28,7 @@ sys.path.insert(0, str(TESTS))
 
 from test_live import DISTANCES, FRAMES, Board, garbled  # noqa: E402
 
-from acoustube.live import Tally, run_live  # noqa: E402
+from acoustube.cli.live import Tally, run_live  # noqa: E402
 
 CYCLES_PER_SECOND, BYTES_PER_SECOND, CHUNK = 20.0, 1e5, 200
 DAMAGED = 100

@@ -52,9 +52,9 @@ def start() -> np.ndarray:
 def acoustube() -> Heard:
     """March whole, full cells; the second of two runs counts."""
     from acoustube.air import Air
-    from acoustube.waves.cells import CutCells
-    from acoustube.waves.marching import initial_state, march
-    from acoustube.waves.scheme import prepare
+    from acoustube.waves.grid.cells import CutCells
+    from acoustube.waves.scheme.leapfrog import initial_state, march
+    from acoustube.waves.scheme.problem import prepare
 
     shape = ACROSS, ACROSS, ALONG
     faces = [np.ones([n + (axis == k) for k, n in enumerate(shape)]) for axis in range(3)]

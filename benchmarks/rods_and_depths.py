@@ -12,9 +12,9 @@ import sys
 import numpy as np
 
 from acoustube import load_config
-from acoustube.chain import listen, locate
 from acoustube.lumen import lumen, measure
-from acoustube.mechanics import pressed
+from acoustube.runs.presses import pressed
+from acoustube.runs.sound import listen, locate
 
 RODS_MM, DEPTHS_MM = (10.0, 25.0, 35.0), (2.0, 4.0, 6.0)
 PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from acoustube.plot import save
+from acoustube.reports.figures.run import save
 from acoustube.signals import Processing, locate
 from acoustube.signals.calibration import untouched_deviation
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import signal
 
 from acoustube import recordings
-from acoustube.processed import CHUNK, located
+from acoustube.runs.recordings import CHUNK, located
 from acoustube.signals import Processing, TimeGain, template
 
 RATE, CARRIER, SPEED = 200e3, 42e3, 343.2415

@@ -18,16 +18,16 @@ from rich.console import Console
 from scipy.interpolate import CubicSpline
 
 import acoustube
-from acoustube import chain
-from acoustube.config import configured
-from acoustube.datasets import run_dataset
 from acoustube.lumen import whole_tube
-from acoustube.sweep import pieces
-from acoustube.sweep.cycles import Recipe
-from acoustube.sweep.execution import cores
-from acoustube.sweep.graph import depth_of
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.runs import sound
+from acoustube.runs.config import configured
+from acoustube.runs.sweep import tasks as sweep_tasks
+from acoustube.runs.sweep.cycles import Recipe
+from acoustube.runs.sweep.dataset import run_dataset
+from acoustube.runs.sweep.graph import depth_of
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
+from acoustube.runs.sweep.workers import cores
 from acoustube.waves import Pulse, cut_cells, grid_spacing, propagate
 
 REST = 0.5
@@ -67,7 +67,7 @@ def marched(data, count):
     for i in sorted(rng.choice(data.sizes["press"], count, replace=False)):
         case = data.isel(press=int(i)).sel(source_end="release")
         config = configured(json.loads(str(case["configuration"].values)))
-        pressed = pieces.press(config, depths).result.at[depth_of(config)]
+        pressed = sweep_tasks.press(config, depths).result.at[depth_of(config)]
         place, whole = float(case["true_distance"]), float(case["tube_length"])
         length = min(whole, place + REST)
         lumen = whole_tube(pressed.part, place, length)
@@ -80,12 +80,12 @@ def marched(data, count):
                 grid_spacing(bore, config.waves.resolution, probe),
                 half=lumen.symmetric,
             ),
-            chain.air_of(config),
+            sound.air_of(config),
             Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles),
             duration=duration,
             probes=(probe,),
             source_end="release",
-            lossy_band=chain.band_of(config),
+            lossy_band=sound.band_of(config),
         )
         seconds = time.perf_counter() - start
         costs.append(seconds * whole / length * (2 * whole / 343) / duration)

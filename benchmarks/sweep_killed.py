@@ -19,7 +19,7 @@ from pathlib import Path
 import xarray as xr
 
 import acoustube
-from acoustube.sweep import store
+from acoustube.runs.sweep import store
 
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
 COMMAND = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--resolution", "8", "--quiet"]

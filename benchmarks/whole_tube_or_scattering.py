@@ -14,9 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from acoustube import load_config
-from acoustube.chain import air_of, listen, listen_by_parts
 from acoustube.lumen import lumen, pressed_part
-from acoustube.mechanics import pressed
+from acoustube.runs.presses import pressed
+from acoustube.runs.sound import air_of, listen, listen_by_parts
 
 
 def compare(resolution: int, losses: str) -> None:

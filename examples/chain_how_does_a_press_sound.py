@@ -18,7 +18,7 @@ import numpy as np
 import pyvista
 
 import acoustube
-from acoustube.scene import half_walls
+from acoustube.reports.scenes.tube import half_walls
 
 config = acoustube.load_config(
     indenter_mm=10, depth_mm=5, mesh="coarse", resolution=12, source_end="absorbing"

@@ -19,15 +19,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pyvista
 
-from acoustube import vtu
 from acoustube.indentation import MeshSize, Press, indent
-from acoustube.indentation.tetrahedra import (
-    TetrahedronSize,
-    read_surface,
-    tetrahedral_mesh,
-    tube_of,
-)
+from acoustube.indentation.tetrahedra import TetrahedronSize, tetrahedral_mesh
+from acoustube.indentation.wall_surface import tube_of
 from acoustube.lumen import measure
+from acoustube.reports.export import vtu
+from acoustube.runs.imported_wall import read_surface
 from acoustube.tube import Tube
 
 DEPTH, REACH = 2e-3, 0.03

@@ -21,9 +21,9 @@ import numpy as np
 
 import acoustube
 from acoustube import ranging, recordings, signals
-from acoustube.chain import air_of, scattering_of
 from acoustube.lumen import pressed_part
-from acoustube.mechanics import pressed
+from acoustube.runs.presses import pressed
+from acoustube.runs.sound import air_of, scattering_of
 from acoustube.waves import Placed
 
 TRUE_DISTANCE, LENGTH, BORE = 0.4, 1.2, 7.9e-3

@@ -17,9 +17,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from acoustube.scene_sleeve import Picture, draw
+from acoustube.cli.sleeve import in_words
+from acoustube.reports.scenes.sleeve import Picture, draw
 from acoustube.sleeve import design, layout
-from acoustube.wrapped import in_words
 
 LENGTH, GIRTHS = 0.25, (0.17, 0.26)
 tubes = design(LENGTH, GIRTHS, pitch=0.05, n_tubes=2)

@@ -23,10 +23,10 @@ import numpy as np
 from rich.console import Console
 
 import acoustube
-from acoustube.datasets import run_dataset
-from acoustube.sweep.cycles import Recipe
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.runs.sweep.cycles import Recipe
+from acoustube.runs.sweep.dataset import run_dataset
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
 
 plan = load_plan(
     None,

@@ -21,8 +21,8 @@ from distributed import Client, get_task_stream
 from rich.console import Console
 
 import acoustube
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
 
 plan = load_plan(
     None,

@@ -16,7 +16,7 @@ import numpy as np
 
 import acoustube
 from acoustube.lumen import lumen
-from acoustube.mechanics import pressed
+from acoustube.runs.presses import pressed
 from acoustube.waves import cut_cells, grid_spacing, section_cut_ons
 
 config = acoustube.load_config(indenter_mm=10, depth_mm=6, mesh="coarse")

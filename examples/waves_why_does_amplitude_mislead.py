@@ -23,9 +23,9 @@ import numpy as np
 from rich.console import Console
 
 import acoustube
-from acoustube.studies.presses import matrices
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.reports.studies.presses import matrices
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
 
 plan = load_plan(
     None,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from acoustube import cache
+from acoustube.base import cache
 
 # Read by jax when it is first imported: an accidental broadcast between ranks fails instead of
 # passing with the wrong shape. Set here and not through jax.config, so that tests which need no jax

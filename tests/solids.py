@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 from jax.tree_util import Partial
 
-from acoustube.indentation.equilibrium import build_model, evaluate
+from acoustube.indentation.assembly import build_model, evaluate
 from acoustube.indentation.material import Material, mooney_rivlin, neo_hookean
 from acoustube.indentation.mesh import Mesh
-from acoustube.indentation.reference import HEX20
+from acoustube.indentation.reference_element import HEX20
 
 HEXAHEDRA_AT_4_MM = 2.1182
 """Force in N of the paper's tube under a 25 mm rod, free, on the default mesh of hexahedra."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from acoustube.air import air_at
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.sleeve.ovalisation import cut_on_shift
 from acoustube.waves import (
     Bent,

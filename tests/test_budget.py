@@ -5,7 +5,7 @@ import pytest
 from wave_lumens import BORE, straight_tube
 
 from acoustube.air import air_at
-from acoustube.config import load_config
+from acoustube.runs.config import load_config
 from acoustube.waves import (
     ModalProbe,
     Pulse,

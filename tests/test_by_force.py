@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from acoustube.by_force import by_force
-from acoustube.errors import ConfigError, SimulationError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.indentation import Layer, MeshSize, Press, indent
+from acoustube.runs.by_force import by_force
 from acoustube.tube import Tube
 
 COARSE = MeshSize(through_wall=1, around=12, along=10)

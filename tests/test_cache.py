@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import acoustube
-from acoustube import cache, mechanics
-from acoustube.config import Config, Mechanics, load_config
+from acoustube.base import cache
 from acoustube.indentation import indent
-from acoustube.indentation.press import MeshSize
+from acoustube.indentation.mesh import MeshSize
+from acoustube.runs import presses as press_runs
+from acoustube.runs.config import Config, Mechanics, load_config
 
 ARRAYS = {"depth": np.linspace(0, 1, 5), "count": np.arange(3), "none": np.zeros((0, 2))}
 
@@ -278,21 +279,21 @@ def test_press_is_computed_once_for_all_frequencies(monkeypatch):
         return indent(*arguments, **options)
 
     coarse = MeshSize(through_wall=1, around=6, along=5)
-    recalled = mechanics.restored
-    monkeypatch.setattr(mechanics, "indent", counted)
+    recalled = press_runs.restored
+    monkeypatch.setattr(press_runs, "indent", counted)
     monkeypatch.setattr(
-        mechanics, "restored", lambda *a, **o: recalled(*a, **(o | {"mesh": coarse}))
+        press_runs, "restored", lambda *a, **o: recalled(*a, **(o | {"mesh": coarse}))
     )
-    first = mechanics.pressed(Config(), [1e-4])
-    again = mechanics.pressed(load_config(frequency_khz=30), [1e-4])
+    first = press_runs.pressed(Config(), [1e-4])
+    again = press_runs.pressed(load_config(frequency_khz=30), [1e-4])
     assert len(calls) == 1
     assert np.array_equal(first.displacement, again.displacement)
     assert again.presses == first.presses
-    mechanics.pressed(Config(), [2e-4])
-    mechanics.pressed(load_config(None, Mechanics, wall_mm=1.5), [1e-4])
+    press_runs.pressed(Config(), [2e-4])
+    press_runs.pressed(load_config(None, Mechanics, wall_mm=1.5), [1e-4])
     assert len(calls) == 3
     for entry in cache.entries():
         entry.path.write_bytes(entry.path.read_bytes()[:500])
-    repaired = mechanics.pressed(Config(), [1e-4])
+    repaired = press_runs.pressed(Config(), [1e-4])
     assert len(calls) == 4
     assert np.array_equal(first.displacement, repaired.displacement)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_pipeline import OFFSET, TIME, burst
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.signals import Processing, calibrate, load, locate, save, speed_of_sound
 from acoustube.signals.calibration import arctan_fall, untouched_deviation

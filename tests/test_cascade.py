@@ -21,8 +21,8 @@ from acoustube.waves import (
     scatter,
     transfer,
 )
-from acoustube.waves.cascade import continued
-from acoustube.waves.duct_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.network import continued
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """That of the table below."""
@@ -116,7 +116,7 @@ def test_modes_that_meet_again_keep_their_power():
         presses.append(Placed(made(frequency, np.tile(unitary, (21, 1, 1)), modes), z))
     far = [[1.0], [0.0]]
     # The far end lets all through: the power there is that of both modes behind the last press.
-    from acoustube.waves import cascade
+    from acoustube.waves import network
 
     waves = np.stack(
         [axial_wavenumber(m, n, frequency, BORE, AIR, lossy=False) for m, n in ((0, 0), (1, 1))],
@@ -124,8 +124,8 @@ def test_modes_that_meet_again_keep_their_power():
     )
     matrices = [press.scattering.s for press in presses]
     lengths = np.array([0.5, 0.3, 0.2])
-    beyond = cascade._reflections(matrices, waves, lengths, 0.0)
-    forward = cascade._forward(matrices, waves, lengths, beyond, 0.0, 0)
+    beyond = network._reflections(matrices, waves, lengths, 0.0)
+    forward = network._forward(matrices, waves, lengths, beyond, 0.0, 0)
     reflected = np.sum(np.abs(beyond[0].at_start @ np.array(far)) ** 2, axis=(1, 2))
     passed = np.sum(np.abs(forward[2]) ** 2, axis=(1, 2))
     assert reflected + passed == pytest.approx(np.ones(21), rel=1e-9)

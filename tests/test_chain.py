@@ -10,11 +10,14 @@ import pytest
 import xarray as xr
 from scipy.interpolate import CubicSpline
 
-from acoustube import Config, load_config, plot, scene
-from acoustube.chain import listen, simulate, stage, warnings_for
-from acoustube.errors import SimulationError
+from acoustube import Config, load_config
+from acoustube.base.errors import SimulationError
 from acoustube.lumen import Lumen
-from acoustube.mechanics import tube_from
+from acoustube.reports.figures import run as run_figure
+from acoustube.reports.scenes import tube as tube_scene
+from acoustube.runs.presses import tube_from
+from acoustube.runs.simulate import simulate, stage, warnings_for
+from acoustube.runs.sound import listen
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
@@ -116,14 +119,14 @@ def test_probe_sees_the_pulse_before_any_echo_alike_at_both_ends(dataset):
 
 
 def test_figure_shares_the_distance_and_marks_both_pulses(dataset, finished):
-    images = scene.draw(finished[1] / "run.nc")
+    images = tube_scene.draw(finished[1] / "run.nc")
     assert images is not None
     strip = images["strip"]
-    assert strip.shape == (scene.STRIP_PIXELS[1], scene.STRIP_PIXELS[0], 3)
+    assert strip.shape == (tube_scene.STRIP_PIXELS[1], tube_scene.STRIP_PIXELS[0], 3)
     # The wall reaches both edges, and the picture's lowest lumen is where the press is.
     middle = strip[strip.shape[0] // 2].astype(int)
     assert np.all(np.ptp(middle[[0, -1]], axis=1) > 10)
-    sheet = plot.figure(dataset, images)
+    sheet = run_figure.figure(dataset, images)
     shared = sheet.axes[1:]
     assert {axes.get_xlim() for axes in shared} == {(0.0, 40.0)}
     texts = " ".join(text.get_text() for text in sheet.axes[-1].texts)
@@ -132,7 +135,7 @@ def test_figure_shares_the_distance_and_marks_both_pulses(dataset, finished):
 
 
 def test_figure_without_pictures_says_why(dataset):
-    sheet = plot.figure(dataset, None)
+    sheet = run_figure.figure(dataset, None)
     assert "VTK cannot draw" in sheet.axes[0].texts[0].get_text()
 
 

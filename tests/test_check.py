@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acoustube import checked, selftest
-from acoustube.cli import main
-from acoustube.selftest import Outcome, Trial, all_trials, run_trials
+from acoustube.cli import check as check_command
+from acoustube.cli._app import main
+from acoustube.runs import selftest
+from acoustube.runs.selftest import Outcome, Trial, all_trials, run_trials
 
 TRIALS = {trial.name.split()[0]: trial for trial in all_trials()}
 QUICK = ("distance", "cut-on")
@@ -21,8 +22,8 @@ def fixed(value):
 
 def only(monkeypatch, *trials):
     """Leave only these tests, and nothing that takes long."""
-    monkeypatch.setattr(checked, "all_trials", lambda: trials)
-    monkeypatch.setattr(checked, "can_draw", lambda: True)
+    monkeypatch.setattr(check_command, "all_trials", lambda: trials)
+    monkeypatch.setattr(check_command, "can_draw", lambda: True)
 
 
 @pytest.mark.slow
@@ -62,7 +63,7 @@ def test_quick_tests_pass(name):
     ],
 )
 def test_a_broken_stage_is_noticed(name, broken, monkeypatch):
-    monkeypatch.setattr(f"acoustube.selftest.{broken[0]}", broken[1])
+    monkeypatch.setattr(f"acoustube.runs.selftest.{broken[0]}", broken[1])
     (outcome,) = run_trials([TRIALS[name]])
     assert not outcome.passed
     assert ("TypeError" in outcome.problem) == (broken[1] is None)
@@ -98,21 +99,21 @@ def test_json_holds_what_could_not_be_computed(monkeypatch, capsys):
 
 def test_vtk_that_ends_its_process_does_not_end_ours(monkeypatch, capsys):
     """As VTK does where EGL is missing."""
-    monkeypatch.setattr(checked, "DRAWING", "import os; os.abort()")
-    monkeypatch.setattr(checked, "all_trials", lambda: (fixed(1.0),))
+    monkeypatch.setattr(check_command, "DRAWING", "import os; os.abort()")
+    monkeypatch.setattr(check_command, "all_trials", lambda: (fixed(1.0),))
     assert main(["check"]) == 0
     assert "drawing: does not work" in capsys.readouterr().out
 
 
 def test_extras_are_those_of_the_package_and_a_missing_one_tells_how_to_get_it():
-    found = checked.extras(
+    found = check_command.extras(
         ["numpy>=2.0", "no-such-package>=1; extra == 'c3d'", "numpy; extra == 'audio'",
          "pytest; extra == 'test'"],
     )  # fmt: skip
     assert [(extra.name, extra.present) for extra in found] == [("audio", True), ("c3d", False)]
     assert found[1].install == "pip install 'acoustube[c3d]'"
-    names = {extra.name for extra in checked.extras(requires("acoustube"))}
-    assert names == set(checked.PURPOSES)
+    names = {extra.name for extra in check_command.extras(requires("acoustube"))}
+    assert names == set(check_command.PURPOSES)
 
 
 def test_cache_that_cannot_be_written_is_told(monkeypatch, capsys, tmp_path):

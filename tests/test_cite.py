@@ -11,9 +11,9 @@ import pytest
 import xarray as xr
 
 import acoustube
-from acoustube.cited import topics_of
-from acoustube.cli import main
-from acoustube.references import REFERENCES, TOPICS, references
+from acoustube.cli._app import main
+from acoustube.cli.cite import topics_of
+from acoustube.cli.references import REFERENCES, TOPICS, references
 
 PACKAGE = Path(acoustube.__file__).parent
 DOI = re.compile(r"doi:(10\.\S+?)[.,)]?\s")
@@ -172,7 +172,7 @@ def test_program_is_cited_as_the_citation_file_says():
 
 
 def test_reader_that_has_had_enough_is_no_error():
-    command = "import sys; from acoustube.cli import main; sys.exit(main(['cite']))"
+    command = "import sys; from acoustube.cli._app import main; sys.exit(main(['cite']))"
     with subprocess.Popen(
         [sys.executable, "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import acoustube
-from acoustube import cli
-from acoustube.errors import SimulationError
-from acoustube.limits import SHALLOWEST_MM
+from acoustube.base.errors import SimulationError
+from acoustube.base.limits import SHALLOWEST_MM
+from acoustube.cli import _app
 
 COMMAND = Path(sys.executable).with_name("acoustube")
 HEAVY = ("jax", "scipy", "xarray", "h5netcdf", "pyvista", "vtk", "trimesh", "matplotlib", "numpy")
@@ -33,7 +33,7 @@ def call(*words, **environment):
 
 def refused(words, capsys):
     """Return the one line on standard error with which the command line refuses words."""
-    assert cli.main([str(word) for word in words]) == 2
+    assert _app.main([str(word) for word in words]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.startswith("acoustube: ")
@@ -104,23 +104,23 @@ def test_whole_numbers_are_exact_and_nothing_else_is_one(words, name, capsys):
     Path("a.stl").touch()
     for text, number in (("9007199254740993", 2**53 + 1), ("-3", -3), ("1e3", 1000)):
         tokens = words.replace("16", text).split()
-        _, bound, _ = cli.app.parse_args(tokens, exit_on_error=False, print_error=False)
+        _, bound, _ = _app.app.parse_args(tokens, exit_on_error=False, print_error=False)
         assert bound.arguments[name] == number
         assert type(bound.arguments[name]) is int
     for text in ("3.5", "inf", "nan", "many"):
-        assert cli.main(words.replace("16", text).split()) == 2
+        assert _app.main(words.replace("16", text).split()) == 2
         captured = capsys.readouterr()
         assert name.replace("_", "-") in captured.err
         assert text in captured.err
         assert captured.out == ""
-    assert cli.main([words.split()[0], "--help"]) == 0
+    assert _app.main([words.split()[0], "--help"]) == 0
     assert re.search(rf"--{name.replace('_', '-')}\s+INT\b", capsys.readouterr().out)
 
 
 def test_largest_seed_that_is_documented_is_taken(capsys):
     words = ["sweep", "--depth", "1:2", "--random", "2", "--dry-run", "--seed"]
-    assert cli.main([*words, str(2**63 - 1)]) == 0
-    assert cli.main([*words, str(2**63)]) == 2
+    assert _app.main([*words, str(2**63 - 1)]) == 0
+    assert _app.main([*words, str(2**63)]) == 2
     assert "seed = 9223372036854775808" in capsys.readouterr().err
 
 
@@ -129,11 +129,11 @@ def test_largest_seed_that_is_documented_is_taken(capsys):
 )
 def test_help_states_the_depths_that_a_command_takes(command, allowed, capsys):
     """Zero is a case of a sweep alone, and the help of the others starts at the least touch."""
-    cli.main([command, "--help"])
+    _app.main([command, "--help"])
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert f"{SHALLOWEST_MM:g} to 50 mm, or 0 in a sweep" in words
     dry = ["--dry-run"] if command == "sweep" else ["--out", "run"]
-    assert (cli.main([command, "--depth", "0", *dry]) == 0) is allowed
+    assert (_app.main([command, "--depth", "0", *dry]) == 0) is allowed
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_help_states_the_depths_that_a_command_takes(command, allowed, capsys):
 def test_help_and_refusals_import_nothing_heavy(words):
     code = (
         "import sys\n"
-        "from acoustube.cli import main\n"
+        "from acoustube.cli._app import main\n"
         f"main({words!r})\n"
         f"print('heavy:', [name for name in {HEAVY!r} if name in sys.modules])\n"
     )
@@ -315,7 +315,7 @@ def test_refusal_comes_before_any_solver_is_loaded():
     result = call("simulate", "--depth", "12", PYTHONPROFILEIMPORTTIME="1")
     assert result.returncode == 2
     loaded = {line.rsplit("|")[-1].strip() for line in result.stderr.splitlines()}
-    assert "acoustube.config" in loaded
+    assert "acoustube.runs.config" in loaded
     assert not loaded & {"jax", "numba", "scipy.sparse", "pyvista"}
 
 
@@ -331,8 +331,8 @@ def test_failure_in_a_command_is_one_sentence_and_a_code(monkeypatch, capsys, er
     def fail(*_args, **_options):
         raise error
 
-    monkeypatch.setattr(cli, "app", fail)
-    assert cli.main([]) == code
+    monkeypatch.setattr(_app, "app", fail)
+    assert _app.main([]) == code
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1

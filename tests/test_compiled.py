@@ -14,13 +14,13 @@ import pytest
 from wave_lumens import BORE, pinched_tube
 
 from acoustube.air import air_at
-from acoustube.errors import SimulationError
+from acoustube.base.errors import SimulationError
 from acoustube.waves import cut_cells
-from acoustube.waves.compiled import CompiledMarcher
-from acoustube.waves.marching import initial_state, march
+from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.scattering import _Part, straight_ends_cut
-from acoustube.waves.scheme import prepare
-from acoustube.waves.small_cells import share_small_volumes
+from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
+from acoustube.waves.scheme.leapfrog import initial_state, march
+from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
 ROUNDING = {jnp.float64: 1e-12, jnp.float32: 2e-4}
@@ -180,7 +180,9 @@ def test_a_start_is_not_changed(pinched):
 
 def test_threads_are_bounded_by_the_environment():
     """NUMBA_NUM_THREADS=1 leaves room for many processes."""
-    code = "from acoustube.waves.compiled import default_threads; print(default_threads())"
+    code = (
+        "from acoustube.waves.scheme.cpu_leapfrog import default_threads; print(default_threads())"
+    )
     run = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | {"NUMBA_NUM_THREADS": "1"},
         capture_output=True, text=True, check=True,

@@ -10,8 +10,10 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from acoustube.air import sound_speed
-from acoustube.chain import simulate, warnings_for
-from acoustube.config import (
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import CLEARANCE, pressed_reach
+from acoustube.base.rules import Choice, File, Number
+from acoustube.runs.config import (
     Config,
     IndentationSettings,
     Mechanics,
@@ -21,9 +23,7 @@ from acoustube.config import (
     load_config,
     to_toml,
 )
-from acoustube.errors import ConfigError
-from acoustube.limits import CLEARANCE, pressed_reach
-from acoustube.rules import Choice, File, Number
+from acoustube.runs.simulate import simulate, warnings_for
 
 ROOT = Path(__file__).parents[1]
 SECTIONS = (TubeSettings, IndentationSettings, WaveSettings, SignalSettings)

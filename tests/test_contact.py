@@ -11,15 +11,16 @@ from jax.tree_util import Partial
 from solids import bare_model, block, neo_hookean_solid
 from threadpoolctl import threadpool_limits
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.indentation import contact, indent
+from acoustube.indentation.assembly import evaluate, tool_force
 from acoustube.indentation.contact import Body
-from acoustube.indentation.equilibrium import evaluate, minimise, tool_force
+from acoustube.indentation.indenters import Layer, Press, ground, tools, touch_height
 from acoustube.indentation.mesh import MeshSize, sweep
+from acoustube.indentation.newton import minimise
 from acoustube.indentation.press import build
-from acoustube.indentation.reference import QUAD8, TRI6
+from acoustube.indentation.reference_element import QUAD8, TRI6
 from acoustube.indentation.self_contact import triangulated
-from acoustube.indentation.tools import Layer, Press, ground, tools, touch_height
 from acoustube.tube import Tube
 
 STIFFNESS, SMOOTHING = 1e11, 4e-6

@@ -6,9 +6,9 @@ import trimesh
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from wave_lumens import BORE, pinched_tube, straight_tube
 
-from acoustube.waves.cells import cut_cells, with_straight_ends
-from acoustube.waves.polyhedron import cut_polyhedron
-from acoustube.waves.small_cells import share_small_volumes
+from acoustube.waves.grid.cells import cut_cells, with_straight_ends
+from acoustube.waves.grid.polyhedron import cut_polyhedron
+from acoustube.waves.grid.small_cells import share_small_volumes
 
 SHAPE, SPACING, ORIGIN = (15, 14, 13), (0.10, 0.11, 0.12), (-0.75, -0.75, -0.75)
 

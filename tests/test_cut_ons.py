@@ -12,11 +12,11 @@ from wave_lumens import BORE, pinched_tube, staircase, straight_tube
 
 from acoustube.air import air_at
 from acoustube.waves import cut_cells, cut_on_frequency, section_cut_ons, stable_step
-from acoustube.waves.marching import initial_state, march
-from acoustube.waves.scheme import prepare
-from acoustube.waves.small_cells import share_small_volumes
-from acoustube.waves.stability import largest_eigenvalue
-from acoustube.waves.wave_operator import assemble, laplacian, with_halo
+from acoustube.waves.grid.small_cells import share_small_volumes
+from acoustube.waves.scheme.leapfrog import initial_state, march
+from acoustube.waves.scheme.operator import assemble, laplacian, with_halo
+from acoustube.waves.scheme.problem import prepare
+from acoustube.waves.scheme.time_step import largest_eigenvalue
 
 AIR = air_at(20.0)
 OFFSETS = [(0.0, 0.0), (0.5, 0.5), (0.13, 0.37), (0.31, 0.07)]

@@ -13,17 +13,17 @@ from scipy.io import wavfile
 
 import acoustube
 from acoustube import recordings, signals
-from acoustube.cli import main
-from acoustube.config import Config, configured
-from acoustube.datasets import read_rangefinder, run_dataset
-from acoustube.errors import ConfigError
-from acoustube.ranging import Burst, Rangefinder, record, recording
-from acoustube.scattered import from_dataset
-from acoustube.sweep import store
-from acoustube.sweep.cycles import Recipe, seed_of
-from acoustube.sweep.pieces import placed
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.base.errors import ConfigError
+from acoustube.cli._app import main
+from acoustube.ranging import Burst, Rangefinder, digitiser, record
+from acoustube.runs.config import Config, configured
+from acoustube.runs.scattering_file import from_dataset
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.cycles import Recipe, seed_of
+from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
+from acoustube.runs.sweep.tasks import placed
 
 pytestmark = pytest.mark.slow
 
@@ -121,7 +121,7 @@ def test_cycles_of_a_session_share_its_drift(dataset):
     counts = Recipe().rangefinder_for(Config())
     first = data["press"].values[data["session"].values == name]
     cycles = np.array([seed_of(str(press)) % 72_000 for press in first])
-    wander = recording._wander(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))
+    wander = digitiser._wander(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))
     expected = (counts.offset + wander) * 4096 / 1.8
     # Three cycles of a case are within 0.2 s; what is left of the sound is under a count.
     assert np.abs(offset[data["session"].values == name] - expected).max() < 1.5
@@ -176,7 +176,7 @@ def test_dataset_is_opened_lazily_in_chunks(dataset):
 def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
     sweep, dataset, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("acoustube.datasets.CYCLES_PER_FILE", 24)  # two cases a file
+    monkeypatch.setattr("acoustube.runs.sweep.dataset.CYCLES_PER_FILE", 24)  # two cases a file
     folder = run_dataset([sweep], tmp_path / "parts", RECIPE, QUIET, workers=1)
     files = sorted(folder.glob("cycles-*.nc"))
     assert len(files) == 4

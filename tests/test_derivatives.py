@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import pressed_reach
 from acoustube.indentation import Layer, MeshSize, Press, indent
+from acoustube.indentation.assembly import tool_force
 from acoustube.indentation.derivatives import Design, derivatives
-from acoustube.indentation.equilibrium import minimise, tool_force
 from acoustube.indentation.material import Material, mooney_rivlin
 from acoustube.indentation.mesh import sweep
+from acoustube.indentation.newton import minimise
 from acoustube.indentation.press import build, first_touch, neo_hookean_wall
-from acoustube.limits import pressed_reach
 from acoustube.lumen import measure
 from acoustube.tube import Tube
 

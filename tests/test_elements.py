@@ -18,10 +18,11 @@ from solids import (
 )
 from threadpoolctl import threadpool_limits
 
-from acoustube.indentation import element, linear
-from acoustube.indentation.equilibrium import minimise, stiffness
+from acoustube.indentation import element, linear_solver
+from acoustube.indentation.assembly import stiffness
 from acoustube.indentation.mesh import MeshSize, sweep
-from acoustube.indentation.reference import HEX20, TET10, monomials
+from acoustube.indentation.newton import minimise
+from acoustube.indentation.reference_element import HEX20, TET10, monomials
 from acoustube.tube import Tube
 
 MU, K = 0.5e6, 25e6
@@ -348,7 +349,7 @@ class Ring:
 def linear_response(model, load):
     """Return the displacements (n_nodes, 3) under small nodal forces."""
     displacement = np.zeros_like(model.mesh.points)
-    solve = linear.banded(stiffness(model, displacement, ()))
+    solve = linear_solver.banded(stiffness(model, displacement, ()))
     displacement[model.free] = solve(load[model.free])
     return displacement
 
@@ -584,7 +585,7 @@ def driven(tube, layers):
 
     displacement = np.zeros(ring.mesh.points.shape)
     displacement[wall] = pressure * lame(tube, inner) * ring.radial[wall]
-    solve = linear.banded(stiffness(model, np.zeros_like(displacement), ()))
+    solve = linear_solver.banded(stiffness(model, np.zeros_like(displacement), ()))
     displacement[model.free] -= solve(response(displacement)[model.free])
     force = np.sum(response(displacement)[wall] * ring.radial[wall])
     return force / (np.pi * inner * 1e-3 * pressure * tube.shear_modulus) - 1

@@ -12,8 +12,8 @@ from sklearn.base import clone
 from sklearn.ensemble import HistGradientBoostingRegressor
 
 from acoustube import estimation, signals
-from acoustube.cited import OF_ESTIMATORS, topics_of
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.cli.cite import OF_ESTIMATORS, topics_of
 from acoustube.estimation import Boosting, Describing, EchoEnsemble, errors, uncertainty
 from acoustube.estimation.trees import exported, summed
 from acoustube.ranging import blockage, record

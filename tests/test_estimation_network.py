@@ -8,7 +8,7 @@ import pytest
 from sklearn.base import clone
 from sklearn.neural_network import MLPRegressor
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.estimation import ForceNetwork, errors, folds, network
 
 RNG = np.random.default_rng(0)

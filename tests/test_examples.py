@@ -82,7 +82,7 @@ def webster_reflection(frequency, depth):
     """Return the plane wave's reflection by a 10 mm rod, from the lumen's area along the tube."""
     import acoustube
     from acoustube.lumen import measure
-    from acoustube.mechanics import pressed
+    from acoustube.runs.presses import pressed
 
     config = acoustube.load_config(indenter_mm=10, depth_mm=6, mesh="coarse")
     depths = [3e-3, 4e-3, 5e-3, 6e-3]

@@ -15,20 +15,20 @@ import soundfile
 import trimesh
 import xarray as xr
 
-from acoustube.cli import main
-from acoustube.config import Mechanics, load_config
-from acoustube.export import lerobot
-from acoustube.export.geometry import closed_wall
+from acoustube.base.limits import pressed_reach
+from acoustube.base.netcdf import write_dataset
+from acoustube.base.surfaces import read_lumen
+from acoustube.cli._app import main
 from acoustube.indentation.mesh import sweep
-from acoustube.io import write_dataset
-from acoustube.limits import pressed_reach
 from acoustube.lumen import Lumen, profile, ring_faces
-from acoustube.mechanics import SIZES, press_from, tube_from
-from acoustube.opening import ORDER
-from acoustube.scattered import to_dataset
-from acoustube.surfaces import read_lumen
-from acoustube.sweep import store
-from acoustube.walls import walls
+from acoustube.reports.export import lerobot
+from acoustube.reports.export.geometry import closed_wall
+from acoustube.runs.config import Mechanics, load_config
+from acoustube.runs.opening import ORDER
+from acoustube.runs.presses import SIZES, press_from, tube_from
+from acoustube.runs.scattering_file import to_dataset
+from acoustube.runs.sweep import store
+from acoustube.runs.walls import walls
 from acoustube.waves import Scattering
 
 CONFIG = load_config(None, Mechanics, mesh="coarse", depth_mm=2.0, steps=3)

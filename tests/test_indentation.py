@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from solids import HEXAHEDRA_AT_4_MM
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.indentation import (
     Layer,
     MeshSize,
     Press,
     PressError,
-    equilibrium,
-    folds,
+    assembly,
     indent,
+    load_path,
     press,
     restored,
+    wrinkle_penalty,
 )
 from acoustube.indentation.mesh import sweep
 from acoustube.indentation.self_contact import triangulated
@@ -155,7 +156,7 @@ def test_folds_stay_smooth_to_a_closed_lumen():
 def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
     """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
     with_skin = pressed(*DEEP)
-    monkeypatch.setattr(folds, "STIFFNESS", 0.0)
+    monkeypatch.setattr(wrinkle_penalty, "STIFFNESS", 0.0)
     without = indent(Tube(), Press(diameter=ROD), depth=[4e-3, 6e-3], support="free")
     for depth_mm in (4, 6):
         one, other = sections(with_skin, depth_mm), sections(without, depth_mm)
@@ -176,7 +177,7 @@ def test_asked_depths_are_met_exactly_and_in_order():
 def test_increments_are_in_equilibrium_and_on_their_symmetry_planes():
     """The norm of the out-of-balance forces is what FORCE_TOLERANCE promises."""
     found, tube = pressed(0.3, 0.31, 0.8, size=COARSE), Tube()
-    tolerance = press.FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2
+    tolerance = load_path.FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2
     assert found.residual.max() <= tolerance
     x, _, z = found.mesh.points.T
     assert np.all(found.displacement[:, x == 0, 0] == 0.0)
@@ -265,7 +266,7 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
     with pytest.raises(PressError, match=message) as stopped:
         indent(Tube(), depth=[1e-4, 1e-3], mesh=COARSE)
     kept = stopped.value.indentation
-    smallest = press.SMALLEST_INCREMENT * Tube().inner_diameter
+    smallest = load_path.SMALLEST_INCREMENT * Tube().inner_diameter
     assert wall - 2 * smallest < kept.depth[-1] <= wall
     assert 1e-4 in kept.depth
     assert len(kept.contact_force) == len(kept.displacement) == len(kept.depth)
@@ -274,8 +275,8 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
 
 def test_newton_without_iterations_stops_the_press(monkeypatch):
     """One iteration cannot find a contact; nothing but the first touch is reached."""
-    monkeypatch.setattr(equilibrium, "MAX_ITERATIONS", 1)
-    monkeypatch.setattr(press, "SMALLEST_INCREMENT", press.FIRST_INCREMENT)
+    monkeypatch.setattr(assembly, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(press, "SMALLEST_INCREMENT", load_path.FIRST_INCREMENT)
     with pytest.raises(PressError, match=r"depth of 0\.00 mm of 1\.00 mm") as stopped:
         indent(Tube(), depth=1e-3, mesh=COARSE)
     assert list(stopped.value.indentation.depth) == [0.0]

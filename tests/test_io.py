@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from acoustube.errors import ConfigError
-from acoustube.io import check_out, fresh_folder, partial_folder, publish
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_out, fresh_folder, partial_folder, publish
 
 
 def test_new_nested_and_empty_folders_are_accepted_without_a_trace(tmp_path):
@@ -90,7 +90,7 @@ def test_name_too_long_is_refused_without_a_trace(tmp_path):
 def test_interrupt_leaves_no_folder(tmp_path):
     code = (
         "import sys, time\n"
-        "from acoustube.io import partial_folder\n"
+        "from acoustube.base.files import partial_folder\n"
         "with partial_folder('run') as partial:\n"
         "    (partial / 'run.nc').write_text('half')\n"
         "    print('writing', flush=True)\n"

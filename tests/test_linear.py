@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.linalg import LinAlgError
 
-from acoustube.indentation import linear
+from acoustube.indentation import linear_solver
 
 N_NODES = 9
 ELEMENTS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5], [5, 7, 6]])
@@ -42,7 +42,7 @@ def dense_sum(matrices):
 
 def test_assembled_matrix_is_the_lower_triangle_of_the_dense_sum(free):
     """Of the unknowns only, in their order; to round-off of a few additions."""
-    pattern = linear.pattern(free, [ELEMENTS, FACES])
+    pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     lower = pattern.assemble(element_matrices())
     unknown = free.ravel()
     exact = np.tril(dense_sum(element_matrices())[np.ix_(unknown, unknown)])
@@ -54,14 +54,14 @@ def test_assembled_matrix_is_the_lower_triangle_of_the_dense_sum(free):
 
 def test_assembled_matrix_has_sorted_columns_without_duplicates(free):
     """What a factorisation may expect of a compressed sparse matrix."""
-    lower = linear.pattern(free, [ELEMENTS, FACES]).assemble(element_matrices())
+    lower = linear_solver.pattern(free, [ELEMENTS, FACES]).assemble(element_matrices())
     for start, end in zip(lower.indptr[:-1], lower.indptr[1:], strict=True):
         assert np.all(np.diff(lower.indices[start:end]) > 0)
 
 
 def test_one_pattern_serves_other_matrices(free):
     """The pattern keeps nothing of the values: twice the matrices are twice the sum."""
-    pattern = linear.pattern(free, [ELEMENTS, FACES])
+    pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     matrices = element_matrices()
     once, twice = (pattern.assemble([scale * m for m in matrices]) for scale in (1, 2))
     assert np.array_equal(2 * once.toarray(), twice.toarray())
@@ -70,7 +70,7 @@ def test_one_pattern_serves_other_matrices(free):
 def test_restricted_matrix_is_that_of_the_unknowns(free):
     """The same from a matrix of all components as from the elements'."""
     matrices = element_matrices()
-    pattern = linear.pattern(free, [ELEMENTS, FACES])
+    pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     restricted = pattern.restrict(sparse.csr_array(dense_sum(matrices)))
     assert np.abs((restricted - pattern.assemble(matrices)).toarray()).max() < 1e-14
 
@@ -88,10 +88,10 @@ def lower_of(matrix):
 
 
 def pardiso(lower):
-    return linear.pardiso(lower, pytest.importorskip("pypardiso.pardiso_wrapper"))
+    return linear_solver.pardiso(lower, pytest.importorskip("pypardiso.pardiso_wrapper"))
 
 
-METHODS = [linear.banded, linear.superlu, pardiso, linear.factorise]
+METHODS = [linear_solver.banded, linear_solver.superlu, pardiso, linear_solver.factorise]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -125,12 +125,12 @@ def shuffled():
     return matrix[np.ix_(order, order)], np.argsort(order)
 
 
-@pytest.mark.parametrize("method", [linear.banded, linear.factorise])
+@pytest.mark.parametrize("method", [linear_solver.banded, linear_solver.factorise])
 def test_another_order_narrows_the_band_and_leaves_the_solution(method):
     matrix, order = shuffled()
     lower = lower_of(matrix)
-    assert linear.bandwidth(lower) > 30
-    assert linear.bandwidth(lower, order) == np.max(np.nonzero(band_matrix()[0]))
+    assert linear_solver.bandwidth(lower) > 30
+    assert linear_solver.bandwidth(lower, order) == np.max(np.nonzero(band_matrix()[0]))
     right = np.random.default_rng(3).normal(size=(len(matrix), 2))
     exact = np.linalg.solve(matrix, right)
     assert np.abs(method(lower, order)(right) - exact).max() < 1e-10 * np.abs(exact).max()
@@ -141,7 +141,7 @@ def test_sections_are_numbered_one_after_the_other_from_below():
     free = np.ones((4, 3), bool)
     free[2, 1] = False
     # Unknowns 0-2 are of the first node, 3-5 of the second, 6-7 of the third, 8-10 of the fourth.
-    assert list(linear.section_order(points, free)) == [6, 7, 0, 1, 2, 8, 9, 10, 3, 4, 5]
+    assert list(linear_solver.section_order(points, free)) == [6, 7, 0, 1, 2, 8, 9, 10, 3, 4, 5]
 
 
 @pytest.fixture
@@ -149,7 +149,7 @@ def chosen(monkeypatch):
     """Record which methods are called."""
     called = []
     for name in ("banded", "superlu", "pardiso"):
-        monkeypatch.setattr(linear, name, lambda *_, name=name: called.append(name))
+        monkeypatch.setattr(linear_solver, name, lambda *_, name=name: called.append(name))
     return called
 
 
@@ -157,12 +157,12 @@ def test_banded_serves_until_its_work_is_large_and_superlu_beyond_its_memory(cho
     """PARDISO takes over where it is installed; without it the band goes on while it fits."""
     lower = lower_of(band_matrix())
     library = None
-    monkeypatch.setattr(linear, "_pypardiso", lambda: library)
-    linear.factorise(lower)
-    monkeypatch.setattr(linear, "LARGEST_BANDED_WORK", 1.0)
-    linear.factorise(lower)
-    monkeypatch.setattr(linear, "LARGEST_BAND", 1.0)
-    linear.factorise(lower)
+    monkeypatch.setattr(linear_solver, "_pypardiso", lambda: library)
+    linear_solver.factorise(lower)
+    monkeypatch.setattr(linear_solver, "LARGEST_BANDED_WORK", 1.0)
+    linear_solver.factorise(lower)
+    monkeypatch.setattr(linear_solver, "LARGEST_BAND", 1.0)
+    linear_solver.factorise(lower)
     library = object()
-    linear.factorise(lower)
+    linear_solver.factorise(lower)
     assert chosen == ["banded", "banded", "superlu", "pardiso"]

@@ -25,11 +25,11 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from acoustube import signals
-from acoustube.errors import ConfigError
-from acoustube.live import RATE, run_live, trace
+from acoustube.base.errors import ConfigError
+from acoustube.cli.live import RATE, run_live, trace
+from acoustube.recordings.echotube_stream import FRAME_BYTES, HEAD, Decoder, Receiver, encode
 from acoustube.signals import Processing, Tracker
 from acoustube.signals.calibration import arctan_fall
-from acoustube.stream import FRAME_BYTES, HEAD, Decoder, Receiver, encode
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 CARRIER, SPEED = 42e3, 343.24

@@ -6,13 +6,13 @@ import pytest
 from wave_lumens import BORE, pinched_tube, straight_tube
 
 from acoustube.air import Air, air_at, viscous_thickness
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.waves import ModalProbe, Pulse, attenuation, cut_cells, grid_spacing, propagate
-from acoustube.waves.losses import half_integral, wetted_area
-from acoustube.waves.marching import initial_state, march
+from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.scattering import _Part, scatter, straight_ends_cut
-from acoustube.waves.scheme import prepare
-from acoustube.waves.small_cells import share_small_volumes
+from acoustube.waves.scheme.leapfrog import initial_state, march
+from acoustube.waves.scheme.losses import half_integral, wetted_area
+from acoustube.waves.scheme.problem import prepare
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """That of the table below."""

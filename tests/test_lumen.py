@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_indentation import DEEP, pressed, reference
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import CLEARANCE, pressed_reach
 from acoustube.indentation import MeshSize, Press, indent
 from acoustube.indentation.mesh import sweep
 from acoustube.indentation.press import CLOSING_DISTANCE, build, first_touch, neo_hookean_wall
-from acoustube.limits import CLEARANCE, pressed_reach
 from acoustube.lumen import (
     deformed_wall,
     lumen,

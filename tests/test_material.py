@@ -7,8 +7,8 @@ import pytest
 from solids import bare_model, block, mooney_rivlin_solid, neo_hookean_solid, nodal_forces
 from threadpoolctl import threadpool_limits
 
-from acoustube.indentation.equilibrium import minimise
 from acoustube.indentation.material import determinant, mooney_rivlin, neo_hookean, volumetric
+from acoustube.indentation.newton import minimise
 
 MU, K = 0.5e6, 25e6
 C1, C2 = 0.17e6, 0.08e6

@@ -6,7 +6,7 @@ import pytest
 
 from acoustube.indentation import contact, element
 from acoustube.indentation.mesh import MeshSize, sweep
-from acoustube.indentation.reference import HEX20, QUAD8
+from acoustube.indentation.reference_element import HEX20, QUAD8
 from acoustube.tube import Tube
 
 REACH = 60e-3

@@ -16,7 +16,7 @@ from acoustube.waves.modes import (
     cut_ons_in_band,
     modes_below,
 )
-from acoustube.waves.pulse import Pulse, SampledPulse
+from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 
 RADIUS = 3.95e-3
 

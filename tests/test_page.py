@@ -13,20 +13,21 @@ import xarray as xr
 from rich.console import Console
 
 import acoustube
-from acoustube.cli import main
-from acoustube.config import Mechanics, load_config
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.cli._app import main
+from acoustube.cli.indent import run_press
+from acoustube.cli.simulate import run
 from acoustube.indentation import MeshSize, Press
 from acoustube.indentation.mesh import sweep as swept_tube
-from acoustube.page import content, read, shapes, write
-from acoustube.page.encoded import Arrays
-from acoustube.page.solid import Solid
-from acoustube.run import run, run_press
-from acoustube.sweep import store
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.lumen.thinning import RINGS, thinned
+from acoustube.reports.page import content, read, shapes, write
+from acoustube.reports.page.encoded import Arrays
+from acoustube.reports.page.solid import Solid
+from acoustube.runs.config import Mechanics, load_config
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
 from acoustube.tube import Tube
-from acoustube.walls import RINGS, thinned
 
 QUIET = Console(quiet=True)
 OVER = {
@@ -401,7 +402,7 @@ def test_sweep_of_earlier_files_says_what_is_missing(sweep, tmp_path):
 
 @slow
 def test_many_places_are_thinned_out_evenly(sweep, monkeypatch):
-    from acoustube.page import cases
+    from acoustube.reports.page import cases
 
     monkeypatch.setattr(cases, "MOST_CASES", 30)
     groups = {(str(tool), 10.0 * place, ""): [None] * 3 for tool in range(2) for place in range(20)}

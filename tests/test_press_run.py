@@ -12,10 +12,13 @@ import pyvista
 import xarray as xr
 from rich.console import Console
 
-from acoustube import load_config, mechanics, plot, run
-from acoustube.config import Mechanics
+from acoustube import load_config
+from acoustube.cli import indent as indent_command
 from acoustube.indentation import MeshSize, PressError, indent, press, restored
 from acoustube.indentation.self_contact import triangulated
+from acoustube.reports.figures import run as run_figure
+from acoustube.runs import presses as press_runs
+from acoustube.runs.config import Mechanics
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 COARSE = MeshSize(through_wall=1, around=6, along=6)
@@ -50,7 +53,7 @@ def test_coarse_mesh_is_stiffer_by_what_is_documented(monkeypatch, tmp_path):
     force = {}
     for mesh in ("coarse", "usual"):
         config = load_config(None, Mechanics, depth_mm=1, mesh=mesh)
-        force[mesh] = mechanics.pressed(config, [1e-3]).contact_force[-1]
+        force[mesh] = press_runs.pressed(config, [1e-3]).contact_force[-1]
     assert 1.02 < force["coarse"] / force["usual"] < 1.06
 
 
@@ -153,14 +156,14 @@ def test_remembered_press_that_was_cut_short_is_computed_again_and_said(tmp_path
         return indent(*args, **(options | {"mesh": COARSE}))
 
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(mechanics, "indent", coarse)
+    monkeypatch.setattr(press_runs, "indent", coarse)
     monkeypatch.setattr(
-        mechanics, "restored", lambda *a, **o: restored(*a, **(o | {"mesh": COARSE}))
+        press_runs, "restored", lambda *a, **o: restored(*a, **(o | {"mesh": COARSE}))
     )
     config, found = load_config(None, Mechanics, depth_mm=0.05, steps=1), []
     for name in ("first", "second", "third"):
         printed = StringIO()
-        run.run_press(config, tmp_path / name, Console(file=printed, width=400))
+        indent_command.run_press(config, tmp_path / name, Console(file=printed, width=400))
         (entry,) = (tmp_path / "cache").glob("*.npz")
         if name == "first":
             entry.write_bytes(entry.read_bytes()[:500])
@@ -185,17 +188,17 @@ def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch
         return found
 
     monkeypatch.setattr(press, "minimise", blocked)
-    monkeypatch.setattr(mechanics, "indent", lambda *a, **o: indent(*a, **(o | {"mesh": COARSE})))
+    monkeypatch.setattr(press_runs, "indent", lambda *a, **o: indent(*a, **(o | {"mesh": COARSE})))
     config = load_config(None, Mechanics, depth_mm=0.6, steps=6)
     with pytest.raises(PressError, match=r"stopped at a depth of 0\.35 mm of 0\.60 mm"):
-        run.run_press(config, tmp_path / "kept", Console(quiet=True))
+        indent_command.run_press(config, tmp_path / "kept", Console(quiet=True))
     with xr.open_dataset(tmp_path / "kept" / "run.nc", engine="h5netcdf") as data:
         assert list(data["converged"].values) == [1, 1, 1, 0, 0, 0]
         assert np.all(np.isfinite(data["contact_force"].values[:3]))
         assert np.all(np.isnan(data["contact_force"].values[3:]))
         assert np.all(np.isnan(data["lumen_area_profile"].values[3:]))
         assert "the wall buckles" in data.attrs["warnings"]
-        sheet = plot.press_figure(data)
+        sheet = run_figure.press_figure(data)
     assert len(sheet.axes) == 5  # force, lumen with its area, profiles with their colours
 
 
@@ -209,4 +212,4 @@ def test_triangles_of_the_lumen_are_oriented_alike():
 
 
 def load_tube():
-    return mechanics.tube_from(load_config(None, Mechanics))
+    return press_runs.tube_from(load_config(None, Mechanics))

@@ -10,10 +10,10 @@ from scipy.signal import hilbert
 
 from acoustube import signals
 from acoustube.air import air_at
-from acoustube.errors import ConfigError
-from acoustube.io import write_dataset
+from acoustube.base.errors import ConfigError
+from acoustube.base.netcdf import write_dataset
 from acoustube.ranging import IDEAL, Burst, Rangefinder, blockage, clutter, record, response
-from acoustube.signals.echoes import _refine
+from acoustube.signals.peaks import _refine
 from acoustube.waves import Placed, Pulse, SampledPulse, axial_wavenumber
 
 BORE = 3.95e-3

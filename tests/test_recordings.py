@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat, wavfile
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.recordings import find, read, read_all, write
-from acoustube.recordings.containers import KINDS
+from acoustube.recordings.formats import KINDS
 
 RATE, LENGTH, N = 200e3, 400, 3
 TEMPERATURE = np.array([20.0, 21.5, 19.25])

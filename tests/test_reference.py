@@ -6,7 +6,7 @@ from math import factorial
 import numpy as np
 import pytest
 
-from acoustube.indentation.reference import (
+from acoustube.indentation.reference_element import (
     FACE,
     HEX20,
     QUAD8,

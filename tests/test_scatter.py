@@ -12,9 +12,9 @@ import xarray as xr
 from test_scattering import MIDDLE, RADIUS, REFERENCE, pinched
 
 from acoustube.air import Air
-from acoustube.errors import ConfigError
-from acoustube.scattered import read
-from acoustube.surfaces import read_lumen
+from acoustube.base.errors import ConfigError
+from acoustube.base.surfaces import read_lumen
+from acoustube.runs.scattering_file import read
 from acoustube.waves import cut_cells
 from acoustube.waves.scattering import is_symmetric, scatter, straight_ends_cut
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
-from acoustube.indentation.reference import TET10, TRI6
+from acoustube.indentation.reference_element import TET10, TRI6
 from acoustube.indentation.self_contact import SAFETY, self_contact, triangulated
 from acoustube.tube import Tube
 

@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 from scipy.special import jv, jvp
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.sleeve import Frame, Helix, design, layout, nearest, spacing
 from acoustube.sleeve.ovalisation import cut_on_shift, ovality
 from acoustube.tube import Tube

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acoustube import cli, scene_sleeve
+from acoustube.cli import _app
+from acoustube.reports.scenes import sleeve as sleeve_scene
 from acoustube.sleeve import fit_arm, read_markers, wound
 
 MARKERS = Path(__file__).parents[1] / "examples" / "forearm_markers.csv"
@@ -21,13 +22,13 @@ def undrawn(monkeypatch):
     def dies(command, **_):
         raise subprocess.CalledProcessError(-11, command)
 
-    monkeypatch.setattr(scene_sleeve.subprocess, "run", dies)
+    monkeypatch.setattr(sleeve_scene.subprocess, "run", dies)
 
 
 @pytest.mark.slow
 def test_markers_become_a_table_figures_in_words_and_a_picture(tmp_path, capsys):
     words = ["sleeve", str(MARKERS), "--loops", "9", "--distance", "80", "2:140"]
-    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    assert _app.main([*words, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     for part in (
         "1 left out as outliers", "1 gap", "9 loops each", "contact at 80 cm on tube 1",
@@ -51,7 +52,7 @@ def test_markers_become_a_table_figures_in_words_and_a_picture(tmp_path, capsys)
 @pytest.mark.usefixtures("undrawn")
 def test_sleeve_is_written_where_nothing_can_be_drawn(tmp_path, capsys):
     words = ["sleeve", *FOREARM, "--pitch", "4", "--tubes", "1", "--lead", "5"]
-    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    assert _app.main([*words, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "VTK cannot draw on this machine" in said
     assert "its first 10 cm on the arm are in the dead zone" in said
@@ -79,7 +80,7 @@ def test_sleeve_is_written_where_nothing_can_be_drawn(tmp_path, capsys):
     ],
 )
 def test_sleeves_that_cannot_be_are_refused_in_a_line(words, parts, tmp_path, capsys):
-    assert cli.main(["sleeve", *words, "--out", str(tmp_path / "out")]) == 2
+    assert _app.main(["sleeve", *words, "--out", str(tmp_path / "out")]) == 2
     printed, said = capsys.readouterr()
     assert printed == ""
     assert said.count("\n") == 1
@@ -93,7 +94,7 @@ def test_picture_shows_every_part():
     from acoustube.sleeve import design, layout
 
     tubes = design(0.25, (0.17, 0.26), loops=6, lead=0.05)
-    picture = scene_sleeve.Picture(
+    picture = sleeve_scene.Picture(
         tubes=tuple(tubes),
         heard=layout(tubes).heard,
         outer_diameter=11.1e-3,
@@ -101,7 +102,7 @@ def test_picture_shows_every_part():
         deviation=0.05,
         markers=np.full((3, 3), np.nan),
     )
-    plotter = scene_sleeve.render(picture)
+    plotter = sleeve_scene.render(picture)
     # The arm; of each tube its dead part, the rest and the lead; of each contact two things.
     assert len(plotter.renderer.actors) >= 1 + 2 * 3 + 2 * 2
     low, high = np.reshape(plotter.bounds, (3, 2))[2]

@@ -5,7 +5,7 @@ import pytest
 
 from acoustube import signals
 from acoustube.air import sound_speed
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.signals import Processing
 from acoustube.sleeve import ContactTracker, Following, Helix, contacts_of_their_own, nearest
 from acoustube.waves import Pulse

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.sleeve import fit_arm, read_markers, wound
 
 RADIUS, TAPER, LENGTH = 0.0326, 0.057, 0.25

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from acoustube import cli
+from acoustube.cli import _app
 
 FORBIDDEN = (
     "jax", "numpy", "scipy", "numba", "xarray", "pandas", "dask", "h5py", "matplotlib", "pyvista",
@@ -16,7 +16,7 @@ FORBIDDEN = (
 )  # fmt: skip
 """Each takes longer to import than help to be printed; the last pulls in the e-mail package."""
 OPTIONAL = ("pyarrow", "soundfile", "serial", "cobs", "ezc3d", "distributed", "plotly", "pypardiso")
-COMMANDS = [name for name in cli.app if not name.startswith("-")]
+COMMANDS = [name for name in _app.app if not name.startswith("-")]
 
 
 def loaded_after(code):
@@ -35,7 +35,7 @@ def test_importing_the_package_imports_nothing_heavy():
 def test_help_of_no_command_imports_anything_heavy():
     words = [["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)]
     assert len(words) > 15
-    code = "from acoustube.cli import main\n" + "\n".join(f"main({w!r})" for w in words)
+    code = "from acoustube.cli._app import main\n" + "\n".join(f"main({w!r})" for w in words)
     assert loaded_after(code) == []
 
 
@@ -58,9 +58,9 @@ def test_every_module_loads_without_the_optional_packages():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_says_what_each_option_of_a_command_is(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    assert cli.main([name, "--help"]) == 0
+    assert _app.main([name, "--help"]) == 0
     text = capsys.readouterr().out
-    app = cli.app[name]
+    app = _app.app[name]
     if app.default_command is None:  # it has commands of its own
         assert all(f"{inner} " in text for inner in app if not inner.startswith("-"))
         return
@@ -72,7 +72,7 @@ def test_help_says_what_each_option_of_a_command_is(name, capsys, monkeypatch):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_of_a_shell_knows_commands_options_and_choices(shell, tmp_path):
-    assert cli.main(["--install-completion", "--shell", shell, "--output", "script"]) == 0
+    assert _app.main(["--install-completion", "--shell", shell, "--output", "script"]) == 0
     text = (tmp_path / "script").read_text(encoding="utf-8")
     assert all(name in text for name in COMMANDS)
     assert "source-end" in text
@@ -97,7 +97,7 @@ def _own_home(tmp_path, monkeypatch):
     ids=" ".join,
 )
 def test_bash_completes(words, expected):
-    assert cli.main(["--install-completion", "--shell", "bash", "--output", "script"]) == 0
+    assert _app.main(["--install-completion", "--shell", "bash", "--output", "script"]) == 0
     press_tab = (
         'source ./script; COMP_WORDS=(acoustube "$@"); COMP_CWORD=$#; _acoustube; '
         'printf "%s\\n" "${COMPREPLY[@]}"'
@@ -109,7 +109,7 @@ def test_bash_completes(words, expected):
 
 
 def test_completion_of_an_unknown_shell_is_refused(capsys, tmp_path):
-    assert cli.main(["--install-completion", "--shell", "tcsh"]) == 2
+    assert _app.main(["--install-completion", "--shell", "tcsh"]) == 2
     assert '"tcsh"' in capsys.readouterr().err
     assert list(Path(tmp_path).iterdir()) == []
 

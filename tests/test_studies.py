@@ -12,12 +12,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from acoustube.cli import app, main
-from acoustube.errors import ConfigError
-from acoustube.reproduced import STUDIES, run_reproduce
+from acoustube.base.errors import ConfigError
+from acoustube.cli._app import app, main
+from acoustube.cli.reproduce import STUDIES, run_reproduce
+from acoustube.reports.studies import calibration, echotube, flat_figures, ranged, simulation
+from acoustube.reports.studies.report import COLUMNS, Row, Scale, Study, page, write
 from acoustube.signals import Echoes, Ranging
-from acoustube.studies import calibration, echotube, flat_figures, ranged, simulation
-from acoustube.studies.report import COLUMNS, Row, Scale, Study, page, write
 
 
 def table(presses):

@@ -5,11 +5,11 @@ import pytest
 import xarray as xr
 
 from acoustube.air import air_at
-from acoustube.by_force import ByForce
 from acoustube.ranging import blockage
+from acoustube.reports.studies import arm, human, mannequin, swipe
+from acoustube.reports.studies.calibration import BAND
+from acoustube.runs.by_force import ByForce
 from acoustube.sleeve import Contacts, Helix
-from acoustube.studies import arm, human, mannequin, swipe
-from acoustube.studies.calibration import BAND
 
 CONE = Helix(radius=0.045, taper=-0.06, length=0.2, loops=7, lead=0.15)
 CYLINDER = Helix(radius=0.04, length=0.2, loops=7, lead=0.15)

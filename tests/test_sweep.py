@@ -18,19 +18,21 @@ from rich.console import Console
 from wave_lumens import BORE, pinched_tube
 
 import acoustube
-from acoustube import cache, chain
 from acoustube.air import air_at
-from acoustube.cli import main
-from acoustube.config import configured
-from acoustube.errors import ConfigError
+from acoustube.base import cache
+from acoustube.base.errors import ConfigError
+from acoustube.cli._app import main
 from acoustube.lumen import pressed_part
-from acoustube.mechanics import pressed
-from acoustube.sweep import pieces, store
-from acoustube.sweep.graph import Case, structured
-from acoustube.sweep.plan import load_plan
-from acoustube.swept import run_sweep
+from acoustube.runs import sound
+from acoustube.runs.config import configured
+from acoustube.runs.presses import pressed
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep import tasks as sweep_tasks
+from acoustube.runs.sweep.graph import Case, structured
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
 from acoustube.waves import Placed, cut_cells, scatter
-from acoustube.waves.cascade import rescaled
+from acoustube.waves.network import rescaled
 
 # Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
@@ -73,14 +75,14 @@ def test_cases_are_what_simulate_computes(finished):
         row = press.rows_at([float(case["depth"])])[0]
         part = pressed_part(press, row)
         (group,) = structured([Case("a", config)])[0].groups
-        matrix, _ = chain.scattering_of(
-            part, chain.air_of(config), (group.band.low, group.band.high),
+        matrix, _ = sound.scattering_of(
+            part, sound.air_of(config), (group.band.low, group.band.high),
             bore=7.9e-3, resolution=8, lossy=True,
         )  # fmt: skip
         position = 1e-2 * config.indentation.position_cm
-        same = chain.joined(config, [Placed(matrix, position)])
-        alone, _ = chain.listen_by_parts(config, part)
-        for end in chain.SOURCE_ENDS:
+        same = sound.joined(config, [Placed(matrix, position)])
+        alone, _ = sound.listen_by_parts(config, part)
+        for end in sound.SOURCE_ENDS:
             found = case["pressure"].sel(source_end=end).values
             assert np.abs(found - same[end].pressure[0]).max() < 1e-6
             assert np.abs(found - alone[end].pressure[0]).max() < 2e-3
@@ -112,8 +114,8 @@ def test_labels_are_those_of_the_settings_and_the_press(finished):
 @pytest.mark.slow
 def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
     before = {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")}
-    monkeypatch.setattr(pieces, "press", None)
-    monkeypatch.setattr(pieces, "hear", None)
+    monkeypatch.setattr(sweep_tasks, "press", None)
+    monkeypatch.setattr(sweep_tasks, "hear", None)
     assert main(["sweep", *SMALL, "--out", str(finished)]) == 0
     assert "nothing to compute" in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")} == before
@@ -262,14 +264,14 @@ def _alive(pid):
 
 @pytest.mark.slow
 def test_a_failed_case_is_recorded_and_stops_no_other(finished, tmp_path, monkeypatch, capsys):
-    real = chain.locate
+    real = sound.locate
 
     def refuse(config, recording):
         if config.indentation.position_cm == 25 and config.indentation.depth_mm == 0.3:
             raise ConfigError("this one does not work")
         return real(config, recording)
 
-    monkeypatch.setattr(chain, "locate", refuse)
+    monkeypatch.setattr(sound, "locate", refuse)
     folder = tmp_path / "failing"
     assert not small_sweep(folder)
     (name,) = store.failures(folder)
@@ -291,14 +293,14 @@ def test_a_failed_case_is_recorded_and_stops_no_other(finished, tmp_path, monkey
 
 @pytest.mark.slow
 def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
-    real = pieces.press
+    real = sweep_tasks.press
 
     def stop(config, depths):
         done = real(config, depths)
         at = {depth: value for depth, value in done.result.at.items() if depth < 0.5e-3}
-        return done._replace(result=pieces.PressPath(at, "cannot go beyond 0.5 mm"))
+        return done._replace(result=sweep_tasks.PressPath(at, "cannot go beyond 0.5 mm"))
 
-    monkeypatch.setattr(pieces, "press", stop)
+    monkeypatch.setattr(sweep_tasks, "press", stop)
     folder = tmp_path / "stopped"
     assert not small_sweep(folder)
     assert set(store.failures(folder).values()) == {"cannot go beyond 0.5 mm"}
@@ -373,10 +375,10 @@ def test_scattering_of_another_air_is_that_of_the_same_wavelengths():
 
 def test_scattering_is_remembered_under_all_that_it_depends_on():
     (config,) = load_plan(None, {"depth_mm": ["2"]}).configs()
-    band = pieces.Band(30e3, 50e3, 20.0)
+    band = sweep_tasks.Band(30e3, 50e3, 20.0)
 
     def name(config=config, depths=(1e-3, 2e-3), depth=2e-3, band=band):
-        return pieces.scattering_name(config, depths, depth, band)
+        return sweep_tasks.scattering_name(config, depths, depth, band)
 
     def varied(section, **values):
         part = dataclasses.replace(getattr(config, section), **values)

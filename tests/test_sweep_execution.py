@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from acoustube.errors import SimulationError
-from acoustube.sweep import execution, store
-from acoustube.sweep.execution import ATTEMPTS, Task, crew, process_pool, run_tasks
+from acoustube.base.errors import SimulationError
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep import workers as sweep_workers
+from acoustube.runs.sweep.workers import ATTEMPTS, Task, crew, process_pool, run_tasks
 
 
 def square(x):
@@ -205,7 +206,7 @@ def test_workers_that_cannot_start_fail_no_task(monkeypatch, processes):
     def refused(workers):
         return ProcessPoolExecutor(workers, get_context("spawn"), initializer=refuse)
 
-    monkeypatch.setattr(execution, "process_pool", refused)
+    monkeypatch.setattr(sweep_workers, "process_pool", refused)
     with pytest.raises(SimulationError, match=r"no worker can start: .*__main__"):
         run_tasks([record.task("a", square, 2)], processes, 1, int)
     assert record.failures == {}

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from acoustube.air import sound_speed
-from acoustube.chain import band_of
-from acoustube.cli import main
-from acoustube.config import Config
-from acoustube.errors import ConfigError
-from acoustube.sweep.graph import Case, kept, shard, structured
-from acoustube.sweep.plan import Interval, Plan, case_name, load_plan, parsed, to_toml
+from acoustube.base.errors import ConfigError
+from acoustube.cli._app import main
+from acoustube.runs.config import Config
+from acoustube.runs.sound import band_of
+from acoustube.runs.sweep.graph import Case, kept, shard, structured
+from acoustube.runs.sweep.plan import Interval, Plan, case_name, load_plan, parsed, to_toml
 
 PAPER = {"indenter_mm": ["10", "25", "35"], "depth_mm": ["0.5:8:0.5"]}
 

@@ -13,18 +13,14 @@ import trimesh
 from scipy.sparse.linalg import splu
 from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces
 
-from acoustube.errors import ConfigError
-from acoustube.indentation import Press, element, indent, tetrahedra
-from acoustube.indentation.linear import pattern
+from acoustube.base.errors import ConfigError
+from acoustube.indentation import Press, boundary_nodes, element, indent, tetrahedra
+from acoustube.indentation.linear_solver import pattern
 from acoustube.indentation.mesh import Mesh
-from acoustube.indentation.reference import TET10, edges, gauss
-from acoustube.indentation.tetrahedra import (
-    TetrahedronSize,
-    read_surface,
-    tetrahedral_mesh,
-    tube_of,
-    walls,
-)
+from acoustube.indentation.reference_element import TET10, edges, gauss
+from acoustube.indentation.tetrahedra import TetrahedronSize, tetrahedral_mesh
+from acoustube.indentation.wall_surface import tube_of, walls
+from acoustube.runs.imported_wall import read_surface
 
 MU, K = 0.5e6, 25e6
 BORE, WALL, LENGTH = 7.9, 1.6, 160.0  # the paper's tube, in mm, cut shorter
@@ -193,11 +189,11 @@ def test_walls_and_symmetry_planes_are_where_they_belong(quarter):
     for nodes, wall in ((inner, 3.95e-3), (outer, 5.55e-3)):
         off = np.abs(radius[nodes] - wall)
         assert np.mean(off < 2e-6) > 0.99
-        assert off.max() < 1.5 * tetrahedra.ENVELOPE * 1.6e-3
+        assert off.max() < 1.5 * boundary_nodes.ENVELOPE * 1.6e-3
     assert quarter.points[:, [0, 2]].min() == 0
     assert quarter.points[:, 2].max() == 10e-3
     sides = np.concatenate([quarter.inner_faces, quarter.outer_faces])
-    every = tetrahedra._boundary(quarter.elements, quarter.points)
+    every = boundary_nodes._boundary(quarter.elements, quarter.points)
     sides, every = ({tuple(sorted(face)) for face in faces} for faces in (sides, every))
     faces = np.array(list(every - sides))
     x, z = quarter.points[faces][..., 0], quarter.points[faces][..., 2]
@@ -233,10 +229,10 @@ def test_element_whose_curved_side_would_turn_it_over_stays_straight():
     straight = TET10.nodes
     target = straight.copy()
     target[4] = straight[3]
-    kept = tetrahedra._sound(straight, target, np.arange(10)[None])
+    kept = boundary_nodes._sound(straight, target, np.arange(10)[None])
     np.testing.assert_array_equal(kept, straight)
     target[4] = straight[4] + [0, -0.02, 0]
-    moved = tetrahedra._sound(straight, target, np.arange(10)[None])
+    moved = boundary_nodes._sound(straight, target, np.arange(10)[None])
     np.testing.assert_array_equal(moved, target)
 
 
@@ -248,7 +244,7 @@ def test_affine_displacement_leaves_inner_nodes_of_straight_elements_free(quarte
     mesh = straightened(quarter)
     stretch = np.array([[0.2, 0.1, -0.1], [0.05, -0.1, 0.2], [-0.15, 0.1, 0.05]])
     forces = nodal_forces(mesh, neo_hookean_solid(MU, K), mesh.points @ stretch.T)
-    faces = mesh.elements[:, tetrahedra._FACES].reshape(-1, 6)
+    faces = mesh.elements[:, boundary_nodes._FACES].reshape(-1, 6)
     _, first, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
     )
@@ -396,7 +392,7 @@ def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
 )
 def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, monkeypatch):
     """Until one in a hundred or fewer are; of three that have more, the best is taken."""
-    shape, drawn = tetrahedra._quadratic, []
+    shape, drawn = boundary_nodes._quadratic, []
 
     def astray(*piece):
         drawn.append(shape(*piece)[0])
@@ -413,7 +409,7 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
 
 def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkeypatch):
     """Such a node would stay unconstrained; `_quadratic` reports it as a share of one."""
-    shape = tetrahedra._quadratic
+    shape = boundary_nodes._quadratic
     monkeypatch.setattr(tetrahedra, "_quadratic", lambda *piece: (shape(*piece)[0], 1.0))
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 2)
     size = TetrahedronSize(fine=1.5, coarse=1.5)

@@ -132,5 +132,5 @@ def test_files_without_a_session_are_one_each(recorded):
 
 
 def test_help_loads_no_solver():
-    loaded = loaded_by("import acoustube.cli")
+    loaded = loaded_by("import acoustube.cli._app")
     assert not {"jax", "sklearn", "optax", "numba", "xarray"} & set(loaded)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.tube import Tube, shear_modulus_from_shore
 
 

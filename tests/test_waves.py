@@ -10,12 +10,12 @@ from scipy.special import jv
 from wave_lumens import BORE, pinched_tube, stepped_tube, straight_tube
 
 from acoustube.air import air_at
-from acoustube.errors import SimulationError
+from acoustube.base.errors import SimulationError
 from acoustube.waves import Pulse, cut_cells, cut_on_frequency, grid_spacing, propagate, stable_step
-from acoustube.waves.column_kernel import advance
-from acoustube.waves.marching import CHUNK, _run_chunk, acoustic_energy, initial_state, march
-from acoustube.waves.scheme import prepare
-from acoustube.waves.wave_operator import assemble, dispersion_coefficient
+from acoustube.waves.scheme.cpu_kernel import advance
+from acoustube.waves.scheme.leapfrog import CHUNK, _run_chunk, acoustic_energy, initial_state, march
+from acoustube.waves.scheme.operator import assemble, dispersion_coefficient
+from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
 PULSE = Pulse(frequency=42e3)

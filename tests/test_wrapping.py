@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acoustube.air import air_at
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.sleeve import Helix, winding, wrapped
 from acoustube.tube import Tube
 from acoustube.waves import Bent, Placed, cut_on_frequency, joined_bends, transfer

@@ -10,10 +10,10 @@ follow scikit-learn's convention: ``fit(X, y)``, ``predict(X, return_std=True)``
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
 from acoustube.estimation.features import Describing, described, echo_features
-from acoustube.estimation.files import load, save
 from acoustube.estimation.force_network import ForceNetwork
 from acoustube.estimation.metrics import Errors, bins, errors
 from acoustube.estimation.model import Model, estimate, train
+from acoustube.estimation.model_file import load, save
 from acoustube.estimation.splits import folds, groups, split
 
 __all__ = [

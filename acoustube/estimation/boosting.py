@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import HistGradientBoostingRegressor
 
+from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
-from acoustube.estimation.checks import added, checked, checked_inputs
+from acoustube.estimation.inputs import added, checked, checked_inputs
 from acoustube.estimation.splits import folds
 from acoustube.estimation.trees import exported, summed
-from acoustube.signals.steps import Array
 
 NARROWEST = 0.05
 """Smallest stated scale, as a share of the median size of the held-out residuals."""

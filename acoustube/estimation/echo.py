@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 
+from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.checks import added, checked, checked_inputs
+from acoustube.estimation.inputs import added, checked, checked_inputs
 from acoustube.estimation.splits import folds
-from acoustube.signals.steps import Array
 
 
 class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):

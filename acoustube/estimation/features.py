@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.air import air_at
+from acoustube.base.types import Array
 from acoustube.signals import (
     Echoes,
     Processing,
@@ -31,8 +32,7 @@ from acoustube.signals import (
     speed_of_sound,
     suited,
 )
-from acoustube.signals.echoes import highest
-from acoustube.signals.steps import Array
+from acoustube.signals.peaks import highest
 from acoustube.waves.modes import axial_wavenumber
 
 PAPER = ("amplitude", "distance")

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.checks import checked, checked_inputs
+from acoustube.estimation.inputs import checked, checked_inputs
 from acoustube.estimation.splits import folds
-from acoustube.signals.steps import Array
 
 
 class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acoustube.signals.steps import Array
+from acoustube.base.types import Array
 
 
 @dataclass(frozen=True, kw_only=True)

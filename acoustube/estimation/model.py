@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.estimation import splits
 from acoustube.estimation.boosting import Boosting
-from acoustube.estimation.checks import FEWEST_ROWS, is_constant
 from acoustube.estimation.echo import EchoEnsemble
 from acoustube.estimation.features import Describing
 from acoustube.estimation.force_network import ForceNetwork
+from acoustube.estimation.inputs import FEWEST_ROWS, is_constant
 
 Estimator = ForceNetwork | EchoEnsemble | Boosting
 

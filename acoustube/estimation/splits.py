@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 
 Index = NDArray[np.intp]
 

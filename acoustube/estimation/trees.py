@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.signals.steps import Array
+from acoustube.base.types import Array
 
 
 class Trees(NamedTuple):

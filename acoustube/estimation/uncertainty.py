@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acoustube.errors import ConfigError
-from acoustube.signals.steps import Array
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 
 LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 """Coverages at which the quantiles are kept."""

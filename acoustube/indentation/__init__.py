@@ -7,9 +7,10 @@ stiffness matrix), ``equilibrium`` (Newton's method), ``press`` (the increments)
 (by the design), ``tetrahedra`` (walls of any shape).
 """
 
+from acoustube.indentation.indenters import Layer, Press, Support
 from acoustube.indentation.mesh import Mesh, MeshSize
-from acoustube.indentation.press import Indentation, PressError, indent, restored
-from acoustube.indentation.tools import Layer, Press, Support
+from acoustube.indentation.press import indent, restored
+from acoustube.indentation.result import Indentation, PressError
 
 __all__ = [
     "Indentation",

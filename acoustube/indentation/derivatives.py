@@ -16,20 +16,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 from threadpoolctl import threadpool_limits
 
-from acoustube.errors import ConfigError, SimulationError
-from acoustube.indentation import contact, element, linear, tools
+from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.limits import pressed_reach
+from acoustube.base.types import Array
+from acoustube.indentation import contact, element, indenters, linear_solver
+from acoustube.indentation.assembly import Model, stiffness
 from acoustube.indentation.contact import Body
-from acoustube.indentation.equilibrium import Model, stiffness
 from acoustube.indentation.material import Material, neo_hookean
-from acoustube.indentation.press import Indentation, build, neo_hookean_wall
+from acoustube.indentation.press import build, neo_hookean_wall
+from acoustube.indentation.result import Indentation
 from acoustube.indentation.self_contact import triangulated
-from acoustube.limits import pressed_reach
-
-Array = NDArray[np.float64]
 
 SECTION_PARTS = 8
 """Edges of the polygon in which the lumen's area is measured, along the edge of an element."""
@@ -109,7 +108,7 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
         problem = _problem(indentation, model, increment)
         try:
             lower = stiffness(model, displacement, indentation.bodies(increment))
-            solve = linear.factorise(lower)
+            solve = linear_solver.factorise(lower)
         except LinAlgError as error:
             raise SimulationError(
                 "The press has no derivative at a depth of "
@@ -174,8 +173,8 @@ def _problem(
         gap = press.gap(diameter)
         height = _touch_height(gap, row @ points, touch)
         bodies = (
-            Body(gap, height - press.share * depth, tools.rigid_law(mu, wall)),
-            tools.ground(mu, wall, -(bore / 2 + wall), indentation.layer),
+            Body(gap, height - press.share * depth, indenters.rigid_law(mu, wall)),
+            indenters.ground(mu, wall, -(bore / 2 + wall), indentation.layer),
         )
         corners = points[mesh.outer_faces]
         return _Problem(
@@ -190,7 +189,7 @@ def _problem(
     return problem
 
 
-def _first_point(points: Array, press: tools.Press, touch: float) -> int:
+def _first_point(points: Array, press: indenters.Press, touch: float) -> int:
     """Return which of the outer wall's points is touched first."""
     gaps = jax.vmap(press.gap())(points - np.array([0.0, touch, 0.0]))
     return int(np.argmin(gaps))

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from acoustube.indentation.material import Array, Material, determinant, shear_modulus, volumetric
-from acoustube.indentation.reference import Reference
+from acoustube.indentation.reference_element import Reference
 
 ELEMENTS_PER_BATCH = 32
 """Elements whose tangents are formed together: enough to vectorise, few enough for the cache."""

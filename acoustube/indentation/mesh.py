@@ -8,13 +8,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acoustube.indentation.reference import FACE, HEX20, Reference, lattice
+from acoustube.base.types import Array, Index
+from acoustube.indentation.reference_element import FACE, HEX20, Reference, lattice
 from acoustube.tube import Tube
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 BOTTOM = 1e-3
 """How far above its lowest point the outer wall counts as its bottom line, in its heights."""

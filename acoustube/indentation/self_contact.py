@@ -20,15 +20,12 @@ from typing import Any
 
 import ipctk
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import KDTree
 
+from acoustube.base.types import Array, Index
 from acoustube.indentation.mesh import Mesh
-from acoustube.indentation.reference import QUAD8
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+from acoustube.indentation.reference_element import QUAD8
 
 PARTS = 4
 """Triangles' edges along the edge of an element's face."""

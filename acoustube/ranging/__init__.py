@@ -6,8 +6,8 @@ record of that. Each part can be switched off; :data:`IDEAL` has none of them.
 """
 
 from acoustube.ranging.analogue import blockage, clutter, response
+from acoustube.ranging.digitiser import digitise, record
 from acoustube.ranging.rangefinder import IDEAL, Burst, Drive, Rangefinder
-from acoustube.ranging.recording import digitise, record
 
 __all__ = [
     "IDEAL",

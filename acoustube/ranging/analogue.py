@@ -10,11 +10,11 @@ from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
-from acoustube.waves.cascade import FADED, Placed, continued, in_band, transfer
+from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.polyhedron import Array
-from acoustube.waves.pulse import check_duration
+from acoustube.waves.network import FADED, Placed, continued, in_band, transfer
 from acoustube.waves.scattering import Complex, Scattering
+from acoustube.waves.scheme.pulse import check_duration
 
 GRAIN = 0.5e-3
 """Distance in m between the reflectors that stand for clutter: under a quarter wave at 100 kHz."""

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from acoustube.errors import ConfigError
-from acoustube.rules import Choice, Number, Section, setting
-from acoustube.waves.pulse import Pulse, SampledPulse
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice, Number, Section, setting
 from acoustube.waves.scattering import Complex
+from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ Drive = Burst | Pulse | SampledPulse
 
 @dataclass(frozen=True)
 class _Kind:
-    """The rule of a setting that is no plain number; see :class:`~acoustube.rules.Number`."""
+    """The rule of a setting that is no plain number; see :class:`~acoustube.base.rules.Number`."""
 
     fits: Callable[[Any], bool]
     allowed: str

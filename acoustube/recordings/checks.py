@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import TEMPERATURES
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 
 SEND_TIME = 3e-3
 """Time in s in which the send pulse may reach the extreme codes."""

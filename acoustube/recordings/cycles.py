@@ -11,12 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from acoustube import __version__
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.version import __version__
 from acoustube.recordings.checks import check_samples, check_temperature, clipping, dead
-from acoustube.recordings.containers import open_netcdf
+from acoustube.recordings.formats import open_netcdf
 from acoustube.recordings.tables import meaning
-from acoustube.rules import Number
 from acoustube.signals import sampling_rate
 
 Named = dict[str, Any]

@@ -13,10 +13,11 @@ from typing import Any
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from acoustube.errors import ConfigError
-from acoustube.io import check_netcdf_name, partial_file, write_dataset
-from acoustube.recordings.containers import KINDS, load
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_netcdf_name, partial_file
+from acoustube.base.netcdf import write_dataset
 from acoustube.recordings.cycles import as_written, assemble, part_known
+from acoustube.recordings.formats import KINDS, load
 
 _SIDECAR = {
     "sampling_rate_hz": "sampling_rate",

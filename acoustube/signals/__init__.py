@@ -5,19 +5,9 @@ The steps are the paper's: for recordings (section II-B) :func:`locate`, for sim
 arrays of shape (..., time) and treat each cycle on its own.
 """
 
-from acoustube.signals.calibration import Calibration, calibrate, load, save
-from acoustube.signals.echoes import Echoes, find_echoes, send_pulse
-from acoustube.signals.localise import (
-    Processing,
-    Ranging,
-    blind_time,
-    distance,
-    locate,
-    process,
-    speed_of_sound,
-    suited,
-)
-from acoustube.signals.steps import (
+from acoustube.signals.calibration import Calibration, calibrate
+from acoustube.signals.calibration_file import load, save
+from acoustube.signals.filters import (
     FILTER_ORDER,
     TimeGain,
     compensate,
@@ -30,7 +20,17 @@ from acoustube.signals.steps import (
     sampling_rate,
     template,
 )
-from acoustube.signals.tracking import Tracker
+from acoustube.signals.localise import (
+    Ranging,
+    blind_time,
+    distance,
+    locate,
+    process,
+    speed_of_sound,
+)
+from acoustube.signals.peaks import Echoes, find_echoes, send_pulse
+from acoustube.signals.processing import Processing, suited
+from acoustube.signals.tracker import Tracker
 
 __all__ = [
     "FILTER_ORDER",

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acoustube.errors import ConfigError
-
-Array = NDArray[np.float64]
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 
 GRID = 2000
 """Intervals of the arc-length table; on a forearm its error is under 1e-9 of the length."""

@@ -8,9 +8,10 @@ from math import pi
 
 import numpy as np
 
-from acoustube.errors import ConfigError
-from acoustube.sleeve.fit import Arm
-from acoustube.sleeve.helix import Array, Helix, nearest
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.sleeve.arm_fit import Arm
+from acoustube.sleeve.helix import Helix, nearest
 
 DEAD_ZONE = 0.15
 """Distance in m within which the send pulse drowns every echo: the start of the paper's window."""

@@ -8,7 +8,7 @@ Proceedings of the Royal Society A 116, 104-114. doi:10.1098/rspa.1927.0125
 
 from __future__ import annotations
 
-from acoustube.errors import ConfigError
+from acoustube.base.errors import ConfigError
 from acoustube.tube import Tube
 from acoustube.waves.modes import bessel_zero
 

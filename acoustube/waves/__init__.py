@@ -2,9 +2,8 @@
 
 from acoustube.waves.bends import Bent, bend, joined_bends
 from acoustube.waves.budget import Budget, error_budget
-from acoustube.waves.cascade import Placed, heard, transfer
-from acoustube.waves.cells import CutCells, cut_cells
-from acoustube.waves.fdtd import Recording, grid_spacing, propagate
+from acoustube.waves.grid.cells import CutCells, cut_cells
+from acoustube.waves.grid.section import section_cut_ons
 from acoustube.waves.modes import (
     Mode,
     attenuation,
@@ -13,12 +12,13 @@ from acoustube.waves.modes import (
     cut_ons_in_band,
     modes_below,
 )
-from acoustube.waves.probes import ModalProbe, PointProbe
-from acoustube.waves.pulse import Pulse, SampledPulse
+from acoustube.waves.modes.probes import ModalProbe, PointProbe
+from acoustube.waves.network import Placed, heard, transfer
+from acoustube.waves.propagation import Recording, grid_spacing, propagate
 from acoustube.waves.scattering import Scattering, scatter
-from acoustube.waves.scheme import SourceEnd
-from acoustube.waves.section import section_cut_ons
-from acoustube.waves.stability import stable_step
+from acoustube.waves.scheme.problem import SourceEnd
+from acoustube.waves.scheme.pulse import Pulse, SampledPulse
+from acoustube.waves.scheme.time_step import stable_step
 
 __all__ = [
     "Bent",

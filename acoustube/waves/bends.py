@@ -48,10 +48,10 @@ from scipy.linalg import expm
 from scipy.special import jv, jvp
 
 from acoustube.air import Air
-from acoustube.errors import ConfigError
-from acoustube.waves.duct_modes import mode_numbers
+from acoustube.base.errors import ConfigError
+from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber, bessel_zero, cut_on_frequency, modes_below
-from acoustube.waves.polyhedron import Array
+from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex, ModalScattering
 
 HIGHEST = 10.0

@@ -8,11 +8,11 @@ from math import asin, log10, pi, sin, sqrt
 import numpy as np
 
 from acoustube.air import Air
-from acoustube.waves.absorber import REFLECTION
-from acoustube.waves.cells import CutCells
+from acoustube.waves.grid.cells import CutCells
+from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.grid.section import section_cut_ons
 from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.polyhedron import Array
-from acoustube.waves.section import section_cut_ons
+from acoustube.waves.scheme.pml import REFLECTION
 
 PLANE_WAVE = -60.0
 """What an absorbing end returns of the plane wave in dB, at most; without losses under -86 dB."""
@@ -149,7 +149,7 @@ def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: 
 
     Notes
     -----
-    The slope of the dispersion relation in :mod:`acoustube.waves.wave_operator`: with X =
+    The slope of the dispersion relation in :mod:`acoustube.waves.scheme.operator`: with X =
     4 sin^2(theta/2), d theta / d Omega = sin(Omega) / (nu^2 sin(theta) (1 + 2 beta X)), which is
     1 / nu without a grid.
     """

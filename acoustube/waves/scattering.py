@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import Air
-from acoustube.errors import ConfigError
-from acoustube.waves.cells import CutCells, with_straight_ends
-from acoustube.waves.duct_modes import Phases, duct_modes, labels, mode_numbers, phases
-from acoustube.waves.marching import march
+from acoustube.base.errors import ConfigError
+from acoustube.waves.grid.cells import CutCells, with_straight_ends
+from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import bessel_zero
-from acoustube.waves.polyhedron import Array
-from acoustube.waves.scheme import FADING, Setup, prepare
+from acoustube.waves.modes.grid_modes import Phases, duct_modes, labels, mode_numbers, phases
+from acoustube.waves.scheme.leapfrog import march
+from acoustube.waves.scheme.problem import FADING, Setup, prepare
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Progress = Callable[[float], object]

@@ -15,8 +15,8 @@ import trimesh
 
 from acoustube.air import air_at
 from acoustube.waves import Pulse, cut_cells, cut_on_frequency
-from acoustube.waves.duct_modes import duct_modes, labels
-from acoustube.waves.scheme import prepare
+from acoustube.waves.modes.grid_modes import duct_modes, labels
+from acoustube.waves.scheme.problem import prepare
 
 RADIUS, AIR = 3.95e-3, air_at(20.0)
 h = 2 * RADIUS / 40

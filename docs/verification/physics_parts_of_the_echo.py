@@ -12,9 +12,9 @@ import numpy as np
 
 import acoustube
 from acoustube.air import air_at
-from acoustube.chain import scattering_of
 from acoustube.lumen import pressed_part
-from acoustube.mechanics import pressed
+from acoustube.runs.presses import pressed
+from acoustube.runs.sound import scattering_of
 
 config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")
 depths = 1e-3 * np.arange(1.0, 7.0)

@@ -18,7 +18,7 @@ import trimesh
 
 from acoustube.air import air_at
 from acoustube.waves import cut_cells, cut_on_frequency, section_cut_ons
-from acoustube.waves.small_cells import share_small_volumes
+from acoustube.waves.grid.small_cells import share_small_volumes
 
 RADIUS, AIR = 3.95e-3, air_at(20.0)
 MODES = [(1, 1), (1, 1), (2, 1), (2, 1), (0, 1)]

@@ -1,0 +1,374 @@
+"""Results that need not be computed twice, in files named by the hash of what they depend on.
+
+An entry is a NumPy archive with the SHA-256 of its own content. One that cannot be read, or whose
+content is not what it was, counts as missing and is replaced. Beside the entries JAX keeps the
+machine code that it compiled.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import json
+import os
+import re
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from platformdirs import user_cache_path
+
+from acoustube.base.errors import ConfigError
+
+if TYPE_CHECKING:  # the command line lists and clears without NumPy
+    from numpy.typing import NDArray
+
+    Arrays = Mapping[str, NDArray[Any]]
+
+DIGEST = "digest"
+NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
+LIBRARIES = ("ipctk", "pytetwild")
+"""Packages whose version decides a result, beside acoustube's own code."""
+CODE = {
+    "press": ("acoustube.runs.presses", "acoustube.indentation"),
+    "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
+}
+"""Modules that compute each kind of result; what they import counts too."""
+NOT_FOLLOWED = (
+    "acoustube.base.cache",
+    "acoustube.runs.config",
+    "acoustube.base.errors",
+    "acoustube.runs.results",
+    "acoustube.base.rules",
+    "acoustube.signals",
+    "acoustube.waves.bends",
+    "acoustube.waves.network",
+)
+"""Imported modules, and packages, that decide no result: what they make of the settings is among
+the dependencies of the key, or they work on what was computed."""
+SOURCES = "sources.json"
+"""A file of the cache: the digest of each module, so that a key takes milliseconds."""
+COMPILED = "compiled-"
+"""Start of the names of folders in which JAX keeps machine code."""
+MOST_COMPILED = 4000
+"""Files in one of them; every new size of mesh adds some, of 7 kB in the mean."""
+UNUSABLE = (
+    "Error reading persistent compilation cache entry",
+    "Error writing persistent compilation cache entry",
+)
+"""JAX's warnings of a file that another process has half written, or of a disk that is full or
+cannot be written. It compiles then, as it does without a cache."""
+
+
+class Entry(NamedTuple):
+    """A result in the cache.
+
+    Attributes
+    ----------
+    path : Path
+    size : int
+        In bytes.
+    modified : float
+        When it was written, in seconds since 1970.
+    """
+
+    path: Path
+    size: int
+    modified: float
+
+    @property
+    def label(self) -> str:
+        """What it is, in words; empty where it cannot be read."""
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                return archive.comment.decode(errors="replace")
+        except (OSError, zipfile.BadZipFile):
+            return ""
+
+
+def folder() -> Path:
+    """Return where entries are kept: ``$ACOUSTUBE_CACHE``, or the user's cache folder.
+
+    Raises
+    ------
+    ConfigError
+        If a file is there.
+    """
+    chosen = os.environ.get("ACOUSTUBE_CACHE")
+    found = Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
+    if found.is_file():
+        raise ConfigError(f"ACOUSTUBE_CACHE = {found} is a file; name a folder")
+    return found
+
+
+def key(kind: str, dependencies: Mapping[str, Any]) -> str:
+    """Return the name of a result.
+
+    Parameters
+    ----------
+    kind : {"press", "scattering"}
+        What it is.
+    dependencies : mapping
+        Everything that the result depends on, in what JSON can hold. The source code that computes
+        it is added here.
+    """
+    text = json.dumps(dict(dependencies) | {"code": _code(kind)}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+@cache
+def _code(kind: str) -> str:
+    """Return the hash of the code that computes a kind of result."""
+    # Slow to import, and the command line's help needs neither.
+    from importlib.metadata import version
+
+    found = code_digest(Path(__file__).parents[1], CODE[kind])
+    return " ".join([found, *(version(library) for library in LIBRARIES)])
+
+
+def code_digest(root: Path, entries: Sequence[str]) -> str:
+    """Return the hash of modules and of all that they import from their own package.
+
+    Docstrings, comments and line breaks do not count. No module is imported.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that holds the package.
+    entries : sequence of str
+        Full names of modules.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no file of one of ``entries``.
+    """
+    known = _known_sources()
+    parsed: dict[str, list[Any]] = {}
+    found: dict[str, str] = {}
+    waiting = list(entries)
+    while waiting:
+        name = waiting.pop()
+        path = _module_file(root, name)
+        if path is None and name in entries:
+            raise ModuleNotFoundError(f"{name} is not in {root}")
+        if path is None or name in found:
+            continue
+        status = path.stat()
+        stamp = [status.st_mtime_ns, status.st_size]
+        source = known.get(str(path))
+        if source is None or source[:2] != stamp:
+            tree = ast.parse(path.read_bytes())
+            imports = sorted(set(_imports(tree, name.partition(".")[0])))
+            source = parsed[str(path)] = [*stamp, _tree_digest(tree), imports]
+        found[name] = source[2]
+        waiting += [name for name in source[3] if not _is_within(name, NOT_FOLLOWED)]
+    if parsed:
+        _write_in_one_step(SOURCES, json.dumps(known | parsed).encode())
+    return hashlib.sha256(json.dumps(sorted(found.items())).encode()).hexdigest()
+
+
+def _known_sources() -> dict[str, list[Any]]:
+    """Return time, size, digest and imports of modules that were parsed before, by their path."""
+    try:
+        known = json.loads((folder() / SOURCES).read_bytes())
+        return {path: source for path, source in known.items() if len(source) == 4}
+    except (OSError, ValueError, TypeError, AttributeError):  # missing, damaged, or not ours
+        return {}
+
+
+def _module_file(root: Path, name: str) -> Path | None:
+    """Return the file of a module or package; None where the name is of something else."""
+    path = root.joinpath(*name.split("."))
+    candidates = path / "__init__.py", path.with_suffix(".py")
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _is_within(name: str, packages: Sequence[str]) -> bool:
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def _imports(tree: ast.AST, package: str) -> Iterator[str]:
+    """Yield the full names that a module imports from a package, except for types only.
+
+    Of ``from a.b import c`` both a.b and a.b.c, since c may be a module.
+    """
+    if isinstance(tree, ast.If) and ast.unparse(tree.test).endswith("TYPE_CHECKING"):
+        return
+    names: list[str] = []
+    if isinstance(tree, ast.Import):
+        names = [alias.name for alias in tree.names]
+    elif isinstance(tree, ast.ImportFrom) and tree.module:
+        names = [tree.module, *(f"{tree.module}.{alias.name}" for alias in tree.names)]
+    # The package's own __init__ computes nothing.
+    yield from (name for name in names if name.startswith(f"{package}."))
+    for part in ast.iter_child_nodes(tree):
+        yield from _imports(part, package)
+
+
+def _tree_digest(tree: ast.AST) -> str:
+    """Return the hash of a module's code without its docstrings, which it loses."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [part for part in node.body if not _is_text(part)]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+def _is_text(node: ast.stmt) -> bool:
+    """Tell whether a statement is a docstring, of a definition or below a constant."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def holds(name: str) -> bool:
+    """Tell whether there is an entry, which may still prove damaged."""
+    return (folder() / f"{name}.npz").is_file()
+
+
+def recall(name: str) -> dict[str, NDArray[Any]] | None:
+    """Return the arrays of an entry, or None where there is none that can be trusted."""
+    import numpy as np
+
+    try:
+        with (folder() / f"{name}.npz").open("rb") as file, np.load(file) as archive:
+            arrays = {array: archive[array] for array in archive.files}
+    except Exception:  # a damaged archive fails in many ways, and all mean the same
+        return None
+    digest = arrays.pop(DIGEST, None)
+    return arrays if digest is not None and str(digest) == _digest(arrays) else None
+
+
+def store(name: str, arrays: Arrays, label: str = "") -> None:
+    """Write an entry in one step; where that is impossible it is only not remembered.
+
+    Parameters
+    ----------
+    name : str
+        From :func:`key`.
+    arrays : mapping of str to array
+    label : str
+        What it is, in words, for a list.
+    """
+    import numpy as np
+
+    content = io.BytesIO()
+    named: dict[str, Any] = {**arrays, DIGEST: np.array(_digest(arrays))}
+    np.savez_compressed(content, **named)
+    with zipfile.ZipFile(content, "a") as archive:
+        archive.comment = label.encode()
+    _write_in_one_step(f"{name}.npz", content.getvalue())
+
+
+def _write_in_one_step(name: str, content: bytes) -> None:
+    """Write a file of the cache, whole or not at all; where that is impossible there is none."""
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
+        with tempfile.NamedTemporaryFile(**part, delete=False) as file:
+            try:
+                file.write(content)
+                file.close()
+                Path(file.name).replace(folder() / name)
+            except BaseException:
+                file.close()
+                Path(file.name).unlink(missing_ok=True)
+                raise
+    except OSError:
+        return
+
+
+def _digest(arrays: Arrays) -> str:
+    import numpy as np
+
+    content = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        content.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        content.update(array.tobytes())
+    return content.hexdigest()
+
+
+def entries() -> list[Entry]:
+    """Return all entries, the newest first."""
+    return _listed(path for path in folder().glob("*.npz") if NAME.fullmatch(path.stem))
+
+
+def _listed(paths: Iterable[Path]) -> list[Entry]:
+    """Return files as entries, the newest first."""
+    found = []
+    for path in paths:
+        with suppress(FileNotFoundError):  # another process has removed it
+            status = path.stat()
+            found.append(Entry(path, status.st_size, status.st_mtime))
+    return sorted(found, key=lambda entry: -entry.modified)
+
+
+def clear() -> list[Entry]:
+    """Remove all entries and compiled code, and what an interrupted write left, but nothing else.
+
+    Returns
+    -------
+    list of Entry
+        What was removed, without the compiled code.
+    """
+    gone = entries()
+    paths = [entry.path for entry in [*gone, *compiled()]]
+    for path in [*paths, *folder().glob(f"{PREFIX}*.part"), folder() / SOURCES]:
+        path.unlink(missing_ok=True)
+    for emptied in folder().glob(f"{COMPILED}*"):
+        with suppress(OSError):  # somebody else's file is in it
+            emptied.rmdir()
+    return gone
+
+
+def compiled() -> list[Entry]:
+    """Return the files of machine code that JAX compiled, of all machines, the newest first."""
+    return _listed(folder().glob(f"{COMPILED}*/*-cache"))
+
+
+def keep_compiled_code() -> None:
+    """Let JAX keep in the cache what it compiles, in this process and those that it starts.
+
+    Has to run before JAX is imported. Does nothing where the user has chosen a folder for JAX. The
+    code is kept for one kind of processor, since JAX would also load, with a line of log each time,
+    what another one cannot run.
+    """
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    try:
+        kept = folder() / f"{COMPILED}{_processor()}"
+    except ConfigError:  # the command that needs the cache says so
+        return
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(kept)
+    # Hundreds of small functions take longer to compile together than the few large ones.
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    for message in UNUSABLE:
+        warnings.filterwarnings("ignore", re.escape(message), UserWarning)
+    said = os.environ.get("PYTHONWARNINGS", "")
+    os.environ["PYTHONWARNINGS"] = ",".join([*filter(None, [said]), *_IGNORED])
+    with suppress(OSError):
+        for entry in _listed(kept.glob("*-cache"))[MOST_COMPILED:]:
+            entry.path.unlink(missing_ok=True)
+
+
+_IGNORED = tuple(f"ignore:{message}:UserWarning" for message in UNUSABLE)
+
+
+def _processor() -> str:
+    """Return a name for processors that run the same machine code."""
+    kind = os.uname().machine
+    with suppress(OSError):  # there is no such file but on Linux
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        told = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
+        kind += " ".join(sorted(set(told)))
+    return hashlib.sha256(kind.encode()).hexdigest()[:12]

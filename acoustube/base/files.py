@@ -1,0 +1,224 @@
+"""Files and folders: where a run may be written, and how it gets there in one piece."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import shutil
+import tempfile
+import uuid
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acoustube.base.errors import ConfigError
+
+if TYPE_CHECKING:  # the command line imports this module before it needs xarray
+    from tomlkit.items import Array
+
+
+def check_out(path: str | Path) -> Path:
+    """Check that a run can be written to a folder, and leave no trace.
+
+    Parameters
+    ----------
+    path : str or path
+        The folder. It need not exist, nor need its parents; an empty folder will do.
+
+    Returns
+    -------
+    Path
+        The folder as an absolute path.
+
+    Raises
+    ------
+    ConfigError
+        If something is there already, or nothing can be written there.
+    """
+    try:
+        folder = Path(path).expanduser().resolve()
+        _check_free(path, folder)
+        ancestor = next(parent for parent in folder.parents if parent.exists())
+        # Trying is the only test that holds for root, read-only disks and access lists alike.
+        with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=ancestor):
+            return folder
+    except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"out = {path} cannot be written ({reason}); name a writable folder"
+        ) from error
+
+
+def check_surface(path: str | Path) -> None:
+    """Refuse the file of a wall that is not there.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if not Path(path).is_file():
+        what = "is a folder" if Path(path).is_dir() else "does not exist"
+        raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP.")
+
+
+def check_netcdf_name(path: Path) -> None:
+    """Refuse a name that is not that of a netCDF file.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if path.suffix.lower() != ".nc":
+        raise ConfigError(f"out = {path} is not the name of a netCDF file; let it end in .nc")
+
+
+def check_new_file(path: Path, name: str = "out") -> None:
+    """Refuse a file that is there already, or in a folder that is not.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        Of the option that gave it.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if path.exists():
+        raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ConfigError(f"{name} = {path} is in a folder that does not exist; make it first")
+    try:
+        with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=folder):
+            pass
+    except OSError as error:
+        raise ConfigError(
+            f"{name} = {path} cannot be written ({error.strerror}); name a writable folder"
+        ) from error
+
+
+def fresh_folder(stem: str) -> Path:
+    """Return a folder name in the current folder that is not taken, such as ``simulate-3``.
+
+    Parameters
+    ----------
+    stem : str
+        What the name begins with.
+    """
+    return next(name for n in itertools.count(1) if not (name := Path(f"{stem}-{n}")).exists())
+
+
+def _check_free(path: str | Path, folder: Path) -> None:
+    """Refuse a name that is taken."""
+    if folder.exists() or folder.is_symlink():
+        if not folder.is_dir():
+            raise ConfigError(f"out = {path} is a file; name a new folder")
+        if any(folder.iterdir()):
+            raise ConfigError(
+                f"out = {path} is not empty and nothing is overwritten; name a new folder"
+            )
+        # The finished run is renamed to its final name, and these two cannot be replaced so.
+        if os.path.ismount(folder) or folder == Path.cwd():
+            raise ConfigError(f"out = {path} cannot be replaced; name a new folder inside it")
+
+
+@contextlib.contextmanager
+def partial_folder(path: str | Path) -> Iterator[Path]:
+    """Make a temporary folder beside the one to be written, and leave nothing of it behind.
+
+    Parameters
+    ----------
+    path : str or path
+        The folder to be made in the end, by :func:`publish`; see :func:`check_out`.
+
+    Yields
+    ------
+    Path
+        A temporary folder beside it. If it is still there when the block ends, by an exception,
+        an interrupt included, it is removed with the parents that were made for it.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is taken or cannot be made.
+    """
+    folder = check_out(path)
+    made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
+    partial = folder.parent / f".acoustube-partial-{uuid.uuid4().hex[:8]}"
+    try:
+        try:
+            partial.mkdir(parents=True)
+        except OSError as error:
+            raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
+        yield partial
+    finally:
+        if partial.exists():
+            shutil.rmtree(partial, ignore_errors=True)
+            for parent in made:
+                with contextlib.suppress(OSError):  # another run has put something there
+                    parent.rmdir()
+
+
+def publish(partial: Path, path: str | Path) -> Path:
+    """Give a complete folder its name, in one step.
+
+    Parameters
+    ----------
+    partial : path
+        The folder of :func:`partial_folder`.
+    path : str or path
+        The name that it should get.
+
+    Returns
+    -------
+    Path
+        The name that it got: where another run has taken `path` in the meantime, a number is
+        added, so that nothing is overwritten and nothing lost.
+    """
+    folder = Path(path).absolute()
+    for name in itertools.chain([folder], _numbered(folder)):
+        try:
+            _check_free(path, name)
+            with contextlib.suppress(FileNotFoundError):
+                name.rmdir()  # only ever an empty one; not every system renames onto it
+            return partial.rename(name)
+        except (ConfigError, FileExistsError):
+            continue
+    raise AssertionError  # the numbers do not end
+
+
+def _numbered(folder: Path) -> Iterator[Path]:
+    return (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
+
+
+@contextlib.contextmanager
+def partial_file(path: Path) -> Iterator[Path]:
+    """Yield a name beside a file, which takes the file's name when the block ends well."""
+    partial = path.with_name(f".acoustube-partial-{uuid.uuid4().hex[:8]}")
+    try:
+        yield partial
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def toml_array(values: Iterable[Any]) -> Array:
+    """Return the array of TOML that holds some values.
+
+    It is made from text: to append to an array takes tomlkit a time that grows with its length.
+
+    Parameters
+    ----------
+    values : iterable
+        Numbers or words.
+    """
+    import tomlkit
+
+    return tomlkit.array(f"[{', '.join(tomlkit.item(value).as_string() for value in values)}]")

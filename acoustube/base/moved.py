@@ -1,0 +1,59 @@
+"""Former addresses of modules, which still import for one version, with a warning."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from functools import partial
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+NEW_ADDRESSES = {
+    "acoustube.by_force": "acoustube.runs.by_force",
+    "acoustube.cache": "acoustube.base.cache",
+    "acoustube.chain": "acoustube.runs.sound",
+    "acoustube.config": "acoustube.runs.config",
+    "acoustube.datasets": "acoustube.runs.sweep.dataset",
+    "acoustube.errors": "acoustube.base.errors",
+    "acoustube.indentation.tools": "acoustube.indentation.indenters",
+    "acoustube.mechanics": "acoustube.runs.presses",
+    "acoustube.opening": "acoustube.runs.opening",
+    "acoustube.plot": "acoustube.reports.figures.run",
+    "acoustube.scattered": "acoustube.runs.scattering_file",
+    "acoustube.scene": "acoustube.reports.scenes.tube",
+    "acoustube.surfaces": "acoustube.base.surfaces",
+    "acoustube.sweep": "acoustube.runs.sweep",
+    "acoustube.sweep.cycles": "acoustube.runs.sweep.cycles",
+    "acoustube.sweep.plan": "acoustube.runs.sweep.plan",
+    "acoustube.swept": "acoustube.runs.sweep.run",
+    "acoustube.vtu": "acoustube.reports.export.vtu",
+}
+"""Modules that users of version 0.1 imported, and where they are now."""
+
+
+class _Moved(MetaPathFinder, Loader):
+    """Finder of modules under their former addresses; they forward to the new ones."""
+
+    def find_spec(
+        self, fullname: str, _path: Sequence[str] | None = None, _target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the specification of a module that moved, or None."""
+        if fullname not in NEW_ADDRESSES:
+            return None
+        package = any(name.startswith(f"{fullname}.") for name in NEW_ADDRESSES)
+        return ModuleSpec(fullname, self, is_package=package)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Forward every name of a module to its new address, with a warning."""
+        new = NEW_ADDRESSES[module.__name__]
+        warnings.warn(f"{module.__name__} is {new} now", DeprecationWarning, stacklevel=2)
+        vars(module)["__getattr__"] = partial(getattr, import_module(new))
+
+
+def announce() -> None:
+    """Let former addresses be imported."""
+    if not any(isinstance(finder, _Moved) for finder in sys.meta_path):
+        sys.meta_path.append(_Moved())

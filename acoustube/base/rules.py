@@ -1,0 +1,169 @@
+"""Rules that a setting carries, and the check that every section of settings shares."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+from acoustube.base.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number within bounds, both included.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds.
+    unit : str
+        Unit of the value and of the bounds, empty for a pure number.
+    meaning : str
+        What the setting is; it becomes the comment in a written configuration.
+    whole : bool
+        Whether only whole numbers are allowed.
+    """
+
+    low: float
+    high: float
+    unit: str
+    meaning: str
+    whole: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """The range in words."""
+        kind = "a whole number from " if self.whole else ""
+        return f"{kind}{self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def check(self, name: str, value: Any) -> float | int:
+        """Return the value as a plain number.
+
+        Raises
+        ------
+        ConfigError
+            If it is not a finite number of the right kind within the bounds.
+        """
+        if not _is_number(value):
+            raise ConfigError(f"{name} = {value!r} is not a number; use {self.allowed}")
+        # Written so that nan fails too; Python compares an int of any size, float() would not.
+        if not self.low <= value <= self.high:
+            raise ConfigError(
+                f"{name} = {short(value)} is out of range; use {self.allowed} ({self.meaning})"
+            )
+        if not self.whole:
+            return float(value)
+        if value != int(value):
+            raise ConfigError(f"{name} = {short(value)} is not a whole number; use {self.allowed}")
+        return int(value)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of a few words.
+
+    Parameters
+    ----------
+    options : tuple of str
+        The words.
+    meaning : str
+        What the setting is.
+    """
+
+    options: tuple[str, ...]
+    meaning: str
+
+    @property
+    def allowed(self) -> str:
+        """The words, joined."""
+        return " or ".join(f'"{option}"' for option in self.options)
+
+    def check(self, name: str, value: Any) -> str:
+        """Return the value.
+
+        Raises
+        ------
+        ConfigError
+            If it is not one of the options.
+        """
+        if value not in self.options:
+            raise ConfigError(f"{name} = {value!r} is not a choice; use {self.allowed}")
+        return str(value)
+
+
+@dataclass(frozen=True)
+class File:
+    """The name of a file.
+
+    Parameters
+    ----------
+    meaning : str
+        What the setting is.
+    """
+
+    meaning: str
+
+    @property
+    def allowed(self) -> str:
+        """What it may be, in words."""
+        return "the name of a file"
+
+    def check(self, name: str, value: Any) -> str:
+        """Return the value.
+
+        Raises
+        ------
+        ConfigError
+            If it is not a name; whether there is such a file is found out when it is read.
+        """
+        if not (isinstance(value, str) and value.strip()):
+            raise ConfigError(f"{name} = {value!r} is not a name; use {self.allowed}")
+        try:
+            value.encode()
+        except UnicodeEncodeError as error:  # the shell's stand-ins for bytes of another encoding
+            raise ConfigError(f"{name} = {value!r} is not in UTF-8; rename the file") from error
+        return value
+
+
+def _is_number(value: Any) -> bool:
+    """Tell numbers from the rest; a bool is one to Python, but `wall_mm = true` is a slip."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def setting(default: Any, rule: Number | Choice | File) -> Any:
+    """Return a dataclass field that carries its rule."""
+    return dataclasses.field(default=default, metadata={"rule": rule})
+
+
+class Section:
+    """A group of settings that checks each of its fields when it is made."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            checked = field.metadata["rule"].check(field.name, value)
+            object.__setattr__(self, field.name, checked)
+
+
+def short(value: Any) -> str:
+    """Return a number in the digits that say it exactly, and 12 rather than 12.0."""
+    return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
+
+
+def filled(value: float | None) -> float:
+    """Return a setting that :class:`~acoustube.runs.config.Config` has filled in."""
+    assert value is not None
+    return value
+
+
+def nearest(name: str, known: Any) -> str:
+    """Return advice that names the nearest known word, or all of them when none is near."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean {near[0]}?"
+    return f"; known are {', '.join(known)}"

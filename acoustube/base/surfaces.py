@@ -1,0 +1,155 @@
+"""Closed surfaces from files: what walls and lumens have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import ipctk
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_surface
+
+SHORTEST = 1.0
+"""Length in mm below which metres are suspected."""
+
+
+def load(path: Path) -> trimesh.Trimesh:
+    """Read triangles from an STL, PLY, OBJ or VTP file, corners at one place joined.
+
+    Raises
+    ------
+    ConfigError
+        If there are none, or the file cannot be read.
+    """
+    check_surface(path)
+    try:
+        surface = _polydata(path) if path.suffix.lower() == ".vtp" else trimesh.load_mesh(path)
+    # The readers raise whatever their parsing trips over.
+    except Exception as error:
+        raise ConfigError(
+            f"{path} cannot be read as a surface ({error}); use STL, PLY, OBJ or VTP."
+        ) from error
+    if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
+        raise ConfigError(f"{path} holds no triangles; export it as one surface.")
+    surface.merge_vertices(merge_tex=True, merge_norm=True)
+    return surface
+
+
+def _polydata(path: Path) -> trimesh.Trimesh:
+    import pyvista  # slow to import, and only these files need it
+
+    found = pyvista.PolyData(str(path)).triangulate()
+    return trimesh.Trimesh(np.asarray(found.points, float), found.regular_faces)
+
+
+def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
+    """Refuse a surface that is open, touches itself, of facets both ways, or of several bodies.
+
+    Raises
+    ------
+    ConfigError
+    """
+    _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
+    lone, shared = np.sum(count == 1), np.sum(count > 2)
+    if lone:
+        raise ConfigError(
+            f"{path}: the surface is not closed: {lone} edges belong to one facet only and "
+            f"{shared} to more than two; repair it, or export it as a solid."
+        )
+    if shared:
+        raise ConfigError(
+            f"{path}: the surface touches itself: {shared} edges belong to more than two facets; "
+            "leave a gap there, or export it as a solid."
+        )
+    if not surface.is_winding_consistent:
+        raise ConfigError(f"{path}: some facets are inside out; unify their orientation.")
+    n = len(np.unique(components(surface)))
+    if n != 1:
+        raise ConfigError(f"{path} holds {n} separate bodies; export one alone.")
+
+
+def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
+    """Refuse a surface whose numbers seem to be metres.
+
+    Raises
+    ------
+    ConfigError
+    """
+    longest = float(surface.extents.max())
+    if longest < SHORTEST:
+        raise ConfigError(
+            f"{path} is {longest:.3g} mm long, which would be {1e3 * longest:.3g} mm if its "
+            "numbers were metres; give it in mm."
+        )
+
+
+def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
+    """Refuse a surface that crosses itself; the library's tolerances want lengths near one.
+
+    Raises
+    ------
+    ConfigError
+    """
+    vertices = np.asfortranarray(surface.vertices / surface.extents.min())
+    faces = surface.faces.astype(np.int32)
+    if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):
+        raise ConfigError(f"{path}: the surface crosses itself; repair it.")
+
+
+def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
+    """Return the number of the connected part that each facet belongs to."""
+    return trimesh.graph.connected_component_labels(
+        surface.face_adjacency, node_count=len(surface.faces)
+    )
+
+
+def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
+    """Read a lumen that sound may pass.
+
+    Parameters
+    ----------
+    path : str or Path
+        STL, PLY, OBJ or VTP, in mm, along z, closed by flat caps at both ends.
+
+    Returns
+    -------
+    surface : trimesh.Trimesh
+        In m, moved along z to begin at zero.
+    start : float
+        Where it began, in m.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is open, inside out or crosses itself, does not lie along z between
+        flat ends, or seems to be given in metres.
+    """
+    path = Path(path)
+    surface = load(path)
+    check_closed(surface, path)
+    extents = surface.extents
+    check_millimetres(surface, path)
+    if surface.euler_number < 2:
+        raise ConfigError(
+            f"{path} has a hole through it, as the wall of a tube has; give the air inside. "
+            "acoustube indent --tube presses walls."
+        )
+    if surface.volume < 0:
+        raise ConfigError(f"{path} is inside out; turn its facets so that they point outwards.")
+    low, high = surface.bounds[:, 2]
+    z = surface.triangles[..., 2]
+    tolerance = 1e-4 * extents.min()
+    caps = [np.all(np.abs(z - end) < tolerance, axis=1) for end in (low, high)]
+    if extents[2] < extents[:2].max() or not all(cap.any() for cap in caps):
+        raise ConfigError(
+            f"{path} is {extents[0]:.3g} x {extents[1]:.3g} x {extents[2]:.3g} mm and does not lie "
+            "along z between two flat ends; turn it, and cut its ends square."
+        )
+    check_crossings(surface, path)
+    surface.apply_translation([0.0, 0.0, -low])
+    # In place, a scale of 1e-3 would make the library join corners.
+    scaled = trimesh.Trimesh(1e-3 * surface.vertices, surface.faces, process=False)
+    return scaled, float(1e-3 * low)

@@ -1,0 +1,25 @@
+"""The first lines that commands print: the tube and its material."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from acoustube.runs.config import Config, Mechanics
+
+
+def print_wall(config: Config | Mechanics, console: Console) -> None:
+    """Print the tube's sizes and material."""
+    tube = config.tube
+    hardness = (
+        f"{tube.shore_a:g} Shore A"
+        if tube.shore_a is not None
+        else f"shear modulus {tube.shear_modulus_mpa:g} MPa"
+    )
+    shape = (
+        f"bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm, {tube.length_cm:g} cm long"
+        if tube.surface is None
+        else f"surface {tube.surface}"
+    )
+    console.print(
+        f"tube: {shape}, {hardness}, Poisson's ratio {tube.poisson_ratio:g}", soft_wrap=True
+    )

@@ -1,0 +1,293 @@
+"""The command ``acoustube check``: what is installed, what there is to compute on, a self-test."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from acoustube.base import cache
+from acoustube.base.errors import SimulationError
+from acoustube.base.version import __version__
+from acoustube.runs.selftest import Outcome, all_trials, run_trials
+
+PACKAGES = (
+    "numpy", "scipy", "jax", "numba", "xarray", "h5netcdf", "ipctk", "pytetwild", "trimesh",
+    "pyvista", "vtk", "matplotlib", "scikit-learn", "cyclopts",
+)  # fmt: skip
+"""Whose versions decide results, or are asked for in reports."""
+PURPOSES = {
+    "audio": "reads FLAC files",
+    "c3d": "reads markers of motion capture",
+    "dask": "sweeps on a cluster",
+    "page": "writes pages of results",
+    "parquet": "writes Parquet tables",
+    "pardiso": "factorises large meshes faster",
+    "serial": "reads the board of `acoustube live`",
+}
+"""Of the optional extras."""
+FOR_OTHERS = ("test", "docs")
+DRAWING = """\
+import pyvista
+plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
+plotter.add_mesh(pyvista.Sphere())
+assert plotter.screenshot(return_img=True).std() > 1
+"""
+DRAWING_SECONDS = 120.0
+HELP_WITH_CACHE = (
+    "it cannot be written, so that nothing is remembered: set ACOUSTUBE_CACHE to a folder that can"
+)
+HELP_WITH_DRAWING = (
+    "the two pictures of the tube will be missing from figures; on Debian and Ubuntu: "
+    "apt-get install libegl1 libgl1-mesa-dri libx11-6"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extra:
+    """An optional part of the installation.
+
+    Attributes
+    ----------
+    name, purpose : str
+    present : bool
+        Whether all of its packages are there.
+    install : str
+        The command that brings it.
+    """
+
+    name: str
+    purpose: str
+    present: bool
+    install: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """What acoustube runs on.
+
+    Attributes
+    ----------
+    python, system : str
+    packages : dict of str
+        Versions; empty where a package is missing.
+    device, precision : str
+        What JAX computes on.
+    cores, threads : int
+        That this process may use; threads of the compiled kernels.
+    memory_gb, memory_free_gb : float or None
+        None where the system does not tell.
+    cache_folder : str
+    cache_writable : bool
+    disk_free_gb : float
+        Where the cache is.
+    extras : tuple of Extra
+    """
+
+    python: str
+    system: str
+    packages: dict[str, str]
+    device: str
+    precision: str
+    cores: int
+    threads: int
+    memory_gb: float | None
+    memory_free_gb: float | None
+    cache_folder: str
+    cache_writable: bool
+    disk_free_gb: float
+    extras: tuple[Extra, ...]
+
+
+def run_check(console: Console, *, as_json: bool = False) -> None:
+    """Look at the installation and compute what is known.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where to print.
+    as_json : bool
+        Print one JSON object instead.
+
+    Raises
+    ------
+    SimulationError
+        If a test of the self-test failed. A missing extra, or a machine that cannot draw, is no
+        failure.
+    """
+    started = time.perf_counter()
+    told = Console(quiet=True) if as_json else console
+    machine = look()
+    _print_machine(machine, told)
+    with told.status("drawing without a screen"):
+        drawing = can_draw()
+    state = "works" if drawing else f"does not work; {HELP_WITH_DRAWING}"
+    told.print(f"drawing: {state}", soft_wrap=True)
+    outcomes = _tested(told)
+    failed = [outcome for outcome in outcomes if not outcome.passed]
+    if as_json:
+        found = {"acoustube": __version__, **dataclasses.asdict(machine), "drawing": drawing}
+        # Not console.print, which would break lines.
+        print(json.dumps(found | {"tests": _rows(outcomes), "passed": not failed}, indent=2))
+    if failed:
+        raise SimulationError(
+            f"{len(failed)} of {len(outcomes)} tests failed ({failed[0].name}), so that results of "
+            "this installation cannot be trusted; install acoustube in a fresh environment"
+        )
+    elapsed = time.perf_counter() - started
+    told.print(f"all {len(outcomes)} tests passed, in {elapsed:.0f} s.", highlight=False)
+
+
+def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
+    """Return tests as JSON can hold them: it knows no nan."""
+    return [
+        outcome._asdict()
+        | {
+            "computed": None if outcome.problem else outcome.computed,
+            "passed": outcome.passed,
+        }
+        for outcome in outcomes
+    ]
+
+
+def look() -> Machine:
+    """Return what acoustube runs on."""
+    import jax
+    import numba
+
+    from acoustube.runs.sweep.workers import cores
+
+    device = jax.devices()[0]
+    folder = cache.folder()
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    return Machine(
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.release()} {platform.machine()}",
+        packages={name: _version(name) for name in PACKAGES},
+        device=f"{device.platform} ({device.device_kind})",
+        precision="float64 wall, float32 air",
+        cores=cores(),
+        threads=numba.get_num_threads(),
+        memory_gb=_memory(),
+        memory_free_gb=_free_memory(),
+        cache_folder=str(folder),
+        cache_writable=there.is_dir() and os.access(there, os.W_OK),
+        disk_free_gb=round(shutil.disk_usage(there).free / 1e9, 2),
+        extras=extras(requires("acoustube") or []),
+    )
+
+
+def extras(requirements: list[str]) -> tuple[Extra, ...]:
+    """Return the optional extras, and whether they are there.
+
+    Parameters
+    ----------
+    requirements : list of str
+        As a package's metadata lists them.
+    """
+    needed: dict[str, list[str]] = {}
+    for line in requirements:
+        found = re.match(r"([\w.-]+).*;.*extra == ['\"]([\w-]+)['\"]", line)
+        if found and found[2] not in FOR_OTHERS:
+            needed.setdefault(found[2], []).append(found[1])
+    return tuple(
+        Extra(
+            name=name,
+            purpose=PURPOSES.get(name, ""),
+            present=all(_version(package) for package in packages),
+            install=f"pip install 'acoustube[{name}]'",
+        )
+        for name, packages in sorted(needed.items())
+    )
+
+
+def can_draw() -> bool:
+    """Return whether VTK can draw off screen, tried in a process of its own, which it may end."""
+    command = [sys.executable, "-c", DRAWING]
+    try:
+        subprocess.run(command, capture_output=True, check=True, timeout=DRAWING_SECONDS)
+    except (subprocess.SubprocessError, OSError):
+        return False
+    return True
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def _memory() -> float | None:
+    """Return the machine's memory in GB, if the system tells."""
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 2)
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def _free_memory() -> float | None:
+    """Return the memory in GB that can be had without swapping, if the system tells."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        kilobytes = next(line.split()[1] for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration):
+        return None
+    return round(int(kilobytes) * 1024 / 1e9, 2)
+
+
+def _print_machine(machine: Machine, console: Console) -> None:
+    def line(text: str) -> None:
+        console.print(text, soft_wrap=True, highlight=False)
+
+    line(f"[bold]acoustube {__version__}[/], Python {machine.python} on {machine.system}")
+    versions = (f"{name} {number or 'MISSING'}" for name, number in machine.packages.items())
+    line(f"packages: {', '.join(versions)}")
+    line(
+        f"device: {machine.device}, {machine.precision}; {machine.cores} cores, "
+        f"{machine.threads} threads"
+    )
+    line(f"memory: {_in_gb(machine.memory_gb)}, {_in_gb(machine.memory_free_gb)} free")
+    advice = "" if machine.cache_writable else f"; {HELP_WITH_CACHE}"
+    line(f"cache: {machine.cache_folder}, {machine.disk_free_gb:.1f} GB free{advice}")
+    for extra in machine.extras:
+        state = "there" if extra.present else f"missing; {escape(extra.install)}"
+        line(f"extra {extra.name}, which {extra.purpose}: {state}")
+
+
+def _in_gb(size: float | None) -> str:
+    return "unknown" if size is None else f"{size:.1f} GB"
+
+
+def _tested(console: Console) -> list[Outcome]:
+    """Run the self-test, and print each row when it is there."""
+    outcomes = []
+    trials = all_trials()
+    for trial in trials:
+        with console.status(f"testing: {trial.name}"):
+            (outcome,) = run_trials([trial])
+        outcomes.append(outcome)
+        console.print(_row(outcome), soft_wrap=True, highlight=False)
+    return outcomes
+
+
+def _row(outcome: Outcome) -> str:
+    """Return a test in one line."""
+    state = "[green]passed[/]" if outcome.passed else "[red]FAILED[/]"
+    unit = "" if outcome.unit == "1" else f" {outcome.unit}"
+    expected = f"{outcome.expected:.5g}{unit} within {outcome.tolerance:.2g}"
+    computed = escape(outcome.problem) or f"{outcome.computed:.5g}{unit}"
+    return f"{state}  {outcome.name}: {computed}, expected {expected} ({outcome.seconds:.1f} s)"

@@ -1,0 +1,141 @@
+"""The command ``acoustube cite``: the references of the methods, or of those that a result used."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from zipfile import is_zipfile
+
+from acoustube.base.errors import ConfigError
+from acoustube.cli.references import TOPICS, Reference, references
+
+CREASING = 0.72
+"""Share of the bore beyond which the inner surface of the folds may crease."""
+OF_ESTIMATORS = {
+    "network": {"network", "intervals"},
+    "echo": {"network", "ensemble", "intervals"},
+    "boosting": {"intervals"},
+}
+
+
+def run_cite(result: Path | None, *, bibtex: bool) -> None:
+    """Print references.
+
+    Parameters
+    ----------
+    result : Path, optional
+        What a command wrote: those that it used, instead of all.
+    bibtex : bool
+        Print BibTeX.
+
+    Raises
+    ------
+    ConfigError
+        If the result is none of acoustube's.
+    """
+    found = references(None if result is None else topics_of(result))
+    print("\n\n".join(entry.bibtex() for entry in found) if bibtex else in_words(found))
+
+
+def in_words(found: Iterable[Reference]) -> str:
+    """Return references under the headings of their topics."""
+    listed = list(found)
+    parts = []
+    for topic, heading in TOPICS.items():
+        lines = [f"  {entry.in_words()}" for entry in listed if entry.topic == topic]
+        if lines:
+            parts.append("\n".join([f"{heading}:", *lines]))
+    return "\n".join(parts)
+
+
+def topics_of(result: Path) -> set[str]:
+    """Return what a result made use of.
+
+    Parameters
+    ----------
+    result : Path
+        A folder of ``simulate``, ``indent``, ``sweep``, ``dataset`` or ``sleeve``, or a file of
+        ``scatter`` or ``train``.
+
+    Raises
+    ------
+    ConfigError
+        If it is none of these.
+    """
+    result = result.parent if result.name == "run.nc" else result
+    if (result / "run.nc").is_file():
+        path = result / "run.nc"
+        return _of_text(_attributes(path).get("configuration"), path)
+    if (result / "sleeve.csv").is_file() and (result / "layout.txt").is_file():
+        fitted = (result / "layout.txt").read_text(encoding="utf-8").startswith("markers")
+        return {"arm"} if fitted else set()
+    if result.is_file() and is_zipfile(result):  # as NumPy's archives are, whatever their name
+        from acoustube.estimation import load
+
+        return set(OF_ESTIMATORS[load(result).name])
+    if result.is_file() and result.suffix == ".nc":
+        origin = _attributes(result)
+        if str(origin.get("title")).startswith("Scattering") and "losses" in origin:
+            return {"air", "absorber", *(("losses",) if origin["losses"] != "none" else ())}
+    return _of_sweep(result)
+
+
+def _of_sweep(result: Path) -> set[str]:
+    """Return what the cases of a sweep, or the cycles made of them, made use of."""
+    from acoustube.runs.opening import PATTERNS, files_of, open_dataset
+
+    paths = []
+    with suppress(ConfigError):
+        paths = files_of(result)
+    if not any(path.match(pattern) for path in paths for pattern in PATTERNS.values()):
+        raise ConfigError(
+            f"{result} is no result of acoustube; name a folder of simulate, indent, sweep, "
+            "dataset or sleeve, or a file of scatter or train"
+        )
+    data = open_dataset(paths)
+    if "cycle" in data.dims:
+        return {"press", "air", "losses", "absorber", "cascade", "rangefinder"}
+    texts = data["configuration"].values if "configuration" in data else [None]
+    return set().union(*(_of_text(text, result) for text in texts))
+
+
+def _of_text(text: Any, source: Path) -> set[str]:
+    """Return what a run made use of whose settings are given as JSON, None where there are none."""
+    try:
+        return _of_settings(json.loads(str(text)))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ConfigError(
+            f"{source} holds no settings of acoustube; name what a command of it wrote"
+        ) from error
+
+
+def _of_settings(settings: dict[str, Any]) -> set[str]:
+    """Return what a run with these settings made use of."""
+    press, tube = settings["indentation"], settings["tube"]
+    found = {"press"}
+    if press["depth_mm"] > CREASING * tube["inner_diameter_mm"]:
+        found.add("folds")
+    if tube.get("surface"):
+        found.add("surface")
+    waves = settings.get("waves")
+    if waves is not None:
+        # Both source ends are computed, one of them absorbing.
+        found |= {"air", "absorber"}
+        found |= {"losses"} if waves["losses"] == "on" else set()
+        found |= {"cascade"} if waves["method"] == "scattering" else set()
+    return found
+
+
+def _attributes(path: Path) -> dict[str, Any]:
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            return dict(file.attrs)
+    except OSError as error:
+        raise ConfigError(
+            f"{path} cannot be read ({error}); name a result that is whole"
+        ) from error

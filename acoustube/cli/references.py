@@ -1,0 +1,267 @@
+"""Where the methods come from: what a publication that used them should cite.
+
+Each entry repeats what the docstring of the module that uses it says under References.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from acoustube.base.version import __version__
+
+
+class Reference(NamedTuple):
+    """A publication.
+
+    Attributes
+    ----------
+    key : str
+        Its name in BibTeX.
+    kind : str
+        Its BibTeX type.
+    topic : str
+        What it is used for; see :data:`TOPICS`.
+    author, title : str
+        Authors in the order of the publication, joined by "and"; either may be empty.
+    fields : dict of str
+        Further BibTeX fields.
+    """
+
+    key: str
+    kind: str
+    topic: str
+    author: str
+    title: str
+    fields: dict[str, str]
+
+    def bibtex(self) -> str:
+        """Return the entry in BibTeX."""
+        known = {"author": self.author, "title": self.title} | self.fields
+        lines = [f"  {name} = {{{value}}}," for name, value in known.items() if value]
+        return "\n".join([f"@{self.kind}{{{self.key},", *lines, "}"])
+
+    def in_words(self) -> str:
+        """Return the entry as one line of text."""
+        fields = dict(self.fields)
+        year, doi = fields.pop("year", ""), fields.pop("doi", "")
+        eprint = fields.pop("eprint", "")
+        fields.pop("archiveprefix", None)
+        if "volume" in fields:
+            fields["volume"] = f"vol. {fields['volume']}"
+        if "pages" in fields:
+            fields["pages"] = fields["pages"].replace("--", "-")
+        author = self.author.replace(" and others", " et al.").replace(" and ", "; ")
+        year = "" if any(year in value for value in (self.title, *fields.values())) else year
+        parts = [author, self.title, *fields.values(), year]
+        parts += [f"doi:{doi}" if doi else "", f"arXiv:{eprint}" if eprint else ""]
+        return ", ".join(part for part in parts if part).replace("{", "").replace("}", "")
+
+
+TOPICS = {
+    "software": "the program",
+    "sensor": "the sensor, its signals and its estimators",
+    "press": "the press: elements, material and contact",
+    "folds": "the folds of a deep press",
+    "surface": "meshes of imported walls",
+    "mooney": "the Mooney-Rivlin material",
+    "air": "the air in the tube",
+    "losses": "losses in the air",
+    "absorber": "ends that absorb",
+    "cascade": "scattering matrices joined to straight tube",
+    "bends": "bends",
+    "rangefinder": "the rangefinder",
+    "arm": "the axis of an arm from markers",
+    "flattening": "the flattening of a wrapped tube",
+    "tissue": "the tissue of an arm",
+    "contacts": "contacts followed from cycle to cycle",
+    "network": "networks",
+    "ensemble": "ensembles of networks",
+    "intervals": "prediction intervals",
+}
+"""What references are used for, in the order of the data."""
+
+_GRAPHICS = "ACM Transactions on Graphics"
+_STATISTICS = "Journal of the American Statistical Association"
+
+REFERENCES = (
+    Reference(
+        "acoustube", "software", "software", "{acoustube developers}",
+        "{acoustube: simulating a soft tube that feels by ultrasound}",
+        {"version": __version__},
+    ),
+    Reference(
+        "sleeve_paper", "misc", "sensor", "",
+        "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact Localization and "
+        "Force Sensing",
+        {},
+    ),
+    Reference(
+        "simo1985", "article", "press", "Simo, J. C. and Taylor, R. L. and Pister, K. S.",
+        "Variational and projection methods for the volume constraint in finite deformation "
+        "elasto-plasticity",
+        {"journal": "Computer Methods in Applied Mechanics and Engineering", "volume": "51",
+         "pages": "177--208", "year": "1985", "doi": "10.1016/0045-7825(85)90033-7"},
+    ),
+    Reference(
+        "flory1961", "article", "press", "Flory, P. J.",
+        "Thermodynamic relations for high elastic materials",
+        {"journal": "Transactions of the Faraday Society", "volume": "57", "pages": "829--838",
+         "year": "1961", "doi": "10.1039/TF9615700829"},
+    ),
+    Reference(
+        "li2020", "article", "press",
+        "Li, M. and Ferguson, Z. and Schneider, T. and Langlois, T. and Zorin, D. and Panozzo, D. "
+        "and Jiang, C. and Kaufman, D. M.",
+        "Incremental potential contact: intersection- and inversion-free, large-deformation "
+        "dynamics",
+        {"journal": _GRAPHICS, "volume": "39", "pages": "49", "year": "2020",
+         "doi": "10.1145/3386569.3392425"},
+    ),
+    Reference(
+        "hong2009", "article", "folds", "Hong, W. and Zhao, X. and Suo, Z.",
+        "Formation of creases on the surfaces of elastomers and gels",
+        {"journal": "Applied Physics Letters", "volume": "95", "pages": "111901", "year": "2009",
+         "doi": "10.1063/1.3211917"},
+    ),
+    Reference(
+        "biot1963", "article", "folds", "Biot, M. A.",
+        "Surface instability of rubber in compression",
+        {"journal": "Applied Scientific Research, Section A", "volume": "12", "pages": "168--182",
+         "year": "1963", "doi": "10.1007/BF03184638"},
+    ),
+    Reference(
+        "hu2020", "article", "surface",
+        "Hu, Y. and Schneider, T. and Wang, B. and Zorin, D. and Panozzo, D.",
+        "Fast tetrahedral meshing in the wild",
+        {"journal": _GRAPHICS, "volume": "39", "pages": "117", "year": "2020",
+         "doi": "10.1145/3386569.3392385"},
+    ),
+    Reference(
+        "rivlin1951", "article", "mooney", "Rivlin, R. S. and Saunders, D. W.",
+        "Large elastic deformations of isotropic materials {VII}",
+        {"journal": "Philosophical Transactions of the Royal Society A", "volume": "243",
+         "pages": "251--288", "year": "1951", "doi": "10.1098/rsta.1951.0004"},
+    ),
+    Reference(
+        "atmosphere1976", "techreport", "air", "", "{U.S. Standard Atmosphere}, 1976",
+        {"number": "NOAA-S/T 76-1562", "year": "1976"},
+    ),
+    Reference(
+        "iso9613", "techreport", "losses", "{International Organization for Standardization}",
+        "Acoustics - Attenuation of sound during propagation outdoors - Part 1: Calculation of "
+        "the absorption of sound by the atmosphere",
+        {"number": "ISO 9613-1:1993", "year": "1993"},
+    ),
+    Reference(
+        "roden2000", "article", "absorber", "Roden, J. A. and Gedney, S. D.",
+        "Convolution {PML} ({CPML}): an efficient {FDTD} implementation of the {CFS-PML} for "
+        "arbitrary media",
+        {"journal": "Microwave and Optical Technology Letters", "volume": "27",
+         "pages": "334--339", "year": "2000",
+         "doi": "10.1002/1098-2760(20001205)27:5<334::AID-MOP14>3.0.CO;2-A"},
+    ),
+    Reference(
+        "redheffer1962", "article", "cascade", "Redheffer, R.",
+        "On the relation of transmission-line theory to scattering and transfer",
+        {"journal": "Journal of Mathematics and Physics", "volume": "41", "pages": "1--41",
+         "year": "1962", "doi": "10.1002/sapm19624111"},
+    ),
+    Reference(
+        "felix2001", "article", "bends", "Félix, S. and Pagneux, V.",
+        "Sound propagation in rigid bends: a multimodal approach",
+        {"journal": "Journal of the Acoustical Society of America", "volume": "110",
+         "pages": "1329--1337", "year": "2001", "doi": "10.1121/1.1391249"},
+    ),
+    Reference(
+        "felix2002", "article", "bends", "Félix, S. and Pagneux, V.",
+        "Multimodal analysis of acoustic propagation in three-dimensional bends",
+        {"journal": "Wave Motion", "volume": "36", "pages": "157--168", "year": "2002",
+         "doi": "10.1016/S0165-2125(02)00009-4"},
+    ),
+    Reference(
+        "maxbotix", "manual", "rangefinder", "{MaxBotix}",
+        "{LV-MaxSonar-EZ1} ({MB1010}), data sheet", {},
+    ),
+    Reference(
+        "ti_am335x", "manual", "rangefinder", "{Texas Instruments}",
+        "{AM335x}, reference manual", {},
+    ),
+    Reference(
+        "echotube2019", "inproceedings", "rangefinder", "", "{EchoTube}",
+        {"booktitle": "ISS 2019", "year": "2019", "doi": "10.1145/3343055.3359712"},
+    ),
+    Reference(
+        "rousseeuw1984", "article", "arm", "Rousseeuw, P. J.",
+        "Least median of squares regression",
+        {"journal": _STATISTICS, "volume": "79", "pages": "871--880", "year": "1984",
+         "doi": "10.1080/01621459.1984.10477105"},
+    ),
+    Reference(
+        "brazier1927", "article", "flattening", "Brazier, L. G.",
+        "On the flexure of thin cylindrical shells and other \"thin\" sections",
+        {"journal": "Proceedings of the Royal Society A", "volume": "116", "pages": "104--114",
+         "year": "1927", "doi": "10.1098/rspa.1927.0125"},
+    ),
+    Reference(
+        "zheng1999", "article", "tissue", "Zheng, Y. and Mak, A. F. T.",
+        "Extraction of quasi-linear viscoelastic parameters for lower limb soft tissues from "
+        "manual indentation experiment",
+        {"journal": "Journal of Biomechanical Engineering", "volume": "121", "pages": "330--339",
+         "year": "1999"},
+    ),
+    Reference(
+        "iivarinen2011", "article", "tissue", "Iivarinen, J. T. and others",
+        "Experimental and computational analysis of soft tissue stiffness in forearm using a "
+        "manual indentation device",
+        {"journal": "Medical Engineering and Physics", "volume": "33", "pages": "1245--1253",
+         "year": "2011", "doi": "10.1016/j.medengphy.2011.05.015"},
+    ),
+    Reference(
+        "isogai2022", "article", "tissue", "Isogai, K. and others",
+        "Young's moduli of subcutaneous tissues and muscles under different loads at the gluteal "
+        "region calculated using ultrasonography",
+        {"journal": "Journal of Physical Therapy Science", "volume": "34", "pages": "777--783",
+         "year": "2022", "doi": "10.1589/jpts.34.777"},
+    ),
+    Reference(
+        "barshalom2001", "book", "contacts",
+        "Bar-Shalom, Y. and Li, X. R. and Kirubarajan, T.",
+        "Estimation with Applications to Tracking and Navigation",
+        {"publisher": "Wiley", "year": "2001", "doi": "10.1002/0471221279"},
+    ),
+    Reference(
+        "blackman1999", "book", "contacts", "Blackman, S. and Popoli, R.",
+        "Design and Analysis of Modern Tracking Systems",
+        {"publisher": "Artech House", "year": "1999"},
+    ),
+    Reference(
+        "he2015", "inproceedings", "network", "He, K. and others", "Delving deep into rectifiers",
+        {"booktitle": "ICCV 2015", "year": "2015", "doi": "10.1109/ICCV.2015.123"},
+    ),
+    Reference(
+        "lakshminarayanan2017", "inproceedings", "ensemble", "Lakshminarayanan, B. and others",
+        "Simple and scalable predictive uncertainty estimation using deep ensembles",
+        {"booktitle": "NeurIPS 2017", "year": "2017", "archiveprefix": "arXiv",
+         "eprint": "1612.01474"},
+    ),
+    Reference(
+        "lei2018", "article", "intervals", "Lei, J. and others",
+        "Distribution-free predictive inference for regression",
+        {"journal": _STATISTICS, "volume": "113", "pages": "1094--1111", "year": "2018",
+         "doi": "10.1080/01621459.2017.1307116"},
+    ),
+)  # fmt: skip
+"""All of them, in the order of :data:`TOPICS`."""
+
+
+def references(topics: Iterable[str] | None = None) -> list[Reference]:
+    """Return the references of some topics, or all of them.
+
+    Parameters
+    ----------
+    topics : iterable of str, optional
+        From :data:`TOPICS`. The program itself and the sensor's paper are always among them.
+    """
+    wanted = set(TOPICS if topics is None else topics) | {"software", "sensor"}
+    return [reference for reference in REFERENCES if reference.topic in wanted]

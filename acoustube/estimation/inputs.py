@@ -1,0 +1,92 @@
+"""What all estimators ask of their rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+
+FEWEST_ROWS = 50
+"""Rows to train with: fewer tell nothing of a deviation."""
+
+
+def is_constant(values: Array) -> bool:
+    """Tell whether a target is the same in all rows, but for rounding."""
+    return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
+
+
+def checked(X: Any, y: Any) -> tuple[Array, Array]:
+    """Return inputs (row, input) and targets (row, target) as float64.
+
+    Raises
+    ------
+    ConfigError
+        If they do not fit each other, are not finite or too few, or a target is constant.
+    """
+    x, targets = checked_inputs(X), np.asarray(y, float)
+    targets = targets[:, None] if targets.ndim == 1 else targets
+    if targets.ndim != 2 or len(targets) != len(x):
+        raise ConfigError(
+            f"y has shape {np.shape(y)} and X {np.shape(X)}; give one row of targets for each row"
+        )
+    if bad := int(np.sum(~np.isfinite(targets).all(axis=1))):
+        raise ConfigError(
+            f"{bad} of {len(targets)} rows have a target that is not finite; leave them out"
+        )
+    if len(x) < FEWEST_ROWS:
+        raise ConfigError(
+            f"{len(x)} rows are too few to train with; record {FEWEST_ROWS} cycles with an echo or "
+            "more"
+        )
+    for column, values in enumerate(targets.T):
+        if is_constant(values):
+            raise ConfigError(
+                f"target {column} is {values[0]:g} in all rows, and nothing can be learned of it; "
+                "record different ones"
+            )
+    return x, targets
+
+
+def checked_inputs(X: Any, columns: int | None = None) -> Array:
+    """Return inputs (row, input) as float64.
+
+    Raises
+    ------
+    ConfigError
+        If they are no table of finite numbers, or not of that many columns.
+    """
+    x = np.asarray(X, float)
+    if x.ndim != 2 or (columns is not None and x.shape[1] != columns):
+        wanted = "(rows, inputs)" if columns is None else f"(rows, {columns})"
+        raise ConfigError(f"X has shape {x.shape}; give {wanted}")
+    if bad := int(np.sum(~np.isfinite(x).all(axis=1))):
+        raise ConfigError(
+            f"{bad} of {len(x)} rows have an input that is not finite; leave them out"
+        )
+    return x
+
+
+def added(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) -> Array:
+    """Return what each target is learned as an addition to, (row, target).
+
+    Parameters
+    ----------
+    x : array of shape (row, input)
+    columns : tuple of int or None, optional
+        For each target a column of x, or None for nothing.
+    n_targets : int
+
+    Raises
+    ------
+    ConfigError
+        If there is not one entry for each target.
+    """
+    chosen = (None,) * n_targets if columns is None else tuple(columns)
+    if len(chosen) != n_targets:
+        raise ConfigError(
+            f"added_to has {len(chosen)} entries for {n_targets} targets; give one for each"
+        )
+    return np.stack([np.zeros(len(x)) if c is None else x[:, c] for c in chosen], axis=-1)

@@ -1,0 +1,222 @@
+"""Models as files: arrays and one line of JSON, in which nothing can be run."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import partial_file
+from acoustube.base.version import __version__
+from acoustube.estimation.boosting import Boosting
+from acoustube.estimation.features import Describing, names
+from acoustube.estimation.model import ESTIMATORS, TARGETS, Estimator, Model, kind_of_features
+from acoustube.estimation.network import Fitted, Standards
+from acoustube.estimation.trees import Trees
+from acoustube.estimation.uncertainty import LEVELS
+from acoustube.signals import Processing, TimeGain
+
+Arrays = dict[str, NDArray[Any]]
+
+FORMAT = 1
+"""Of the file; raised when what is stored, or what features mean, changes."""
+KIND = "acoustube model"
+
+
+def save(model: Model, path: str | Path) -> None:
+    """Write a model as a NumPy archive (.npz), whatever its name ends in.
+
+    Parameters
+    ----------
+    model : Model
+    path : str or Path
+        An existing file is replaced once the new one is complete.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written.
+    """
+    header = {
+        "kind": KIND,
+        "format": FORMAT,
+        "acoustube_version": __version__,
+        "estimator": model.name,
+        "settings": model.estimator.get_params(),
+        "targets": model.targets,
+        "features": model.describing.kind,
+        "radius": model.describing.radius,
+        "processing": asdict(model.describing.processing),
+        "sampling_rate": model.sampling_rate,
+        "origin": dict(model.origin),
+    }
+    arrays: dict[str, Any] = {"header": np.array(json.dumps(header))} | _arrays(model.estimator)
+    try:
+        with partial_file(Path(path)) as partial, partial.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
+
+
+def load(path: str | Path) -> Model:
+    """Read what :func:`save` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ConfigError
+        If it is no model, or one that another version wrote in another format.
+    """
+    try:
+        if not zipfile.is_zipfile(path):  # of which NumPy says how to load it, and run it
+            raise ValueError("no NumPy archive")
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        if "header" not in arrays:
+            raise ValueError("an archive without a header")
+        header = json.loads(str(arrays.pop("header")))
+        if header["kind"] != KIND:
+            raise ValueError(f"it is a {header['kind']}")
+        if header["format"] == FORMAT:
+            return _model(header, arrays)
+    except (
+        OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile
+    ) as error:  # fmt: skip
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(
+            f"{path} is not a model ({reason}); acoustube train writes one"
+        ) from error
+    raise ConfigError(
+        f"{path} was written by acoustube {header.get('acoustube_version')} in format "
+        f"{header['format']}, and this is acoustube {__version__}, which reads format {FORMAT}; "
+        "train it again"
+    )
+
+
+def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
+    name, targets = header["estimator"], tuple(header["targets"])
+    gain = header["processing"]["gain"]
+    gain = None if gain is None else TimeGain(*(float(c) for c in gain))
+    processing = Processing(**(header["processing"] | {"gain": gain}))
+    describing = Describing(
+        kind=header["features"], processing=processing, radius=float(header["radius"])
+    )
+    if describing.kind != kind_of_features(name) or not targets or set(targets) - set(TARGETS):
+        raise ValueError(f"{name} does not tell {', '.join(targets)} from {describing.kind}")
+    settings = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in header["settings"].items()
+    }
+    make: Any = ESTIMATORS[name]
+    estimator = make(**settings)
+    _restore(estimator, arrays, len(names(describing)), len(targets))
+    return Model(
+        name=name,
+        estimator=estimator,
+        targets=targets,
+        describing=describing,
+        sampling_rate=float(header["sampling_rate"]),
+        origin=header["origin"],
+    )
+
+
+def _arrays(estimator: Estimator) -> Arrays:
+    """Return what an estimator has learned, by name."""
+    learned: Arrays = {"quantiles": estimator.quantiles_}
+    if isinstance(estimator, Boosting):
+        learned["narrowest"] = estimator.narrowest_
+        for part, trees in (("mean", estimator.means_), ("scale", estimator.scales_)):
+            learned |= {f"{part}_{name}": array for name, array in trees._asdict().items()}
+        return learned
+    networks = estimator.networks_
+    for i, (weights, bias) in enumerate(networks.layers):
+        learned |= {f"weights_{i}": weights, f"bias_{i}": bias}
+    learned |= {name: np.asarray(a) for name, a in networks.standards._asdict().items()}
+    learned |= {"training": networks.training, "validation": networks.validation}
+    if hasattr(estimator, "weights_"):
+        learned |= {"fold_weights": estimator.weights_, "scale": np.stack(estimator.scale_)}
+    return learned
+
+
+def _restore(estimator: Estimator, arrays: Arrays, n_features: int, n_targets: int) -> None:
+    """Give an estimator what it has learned, once that fits together."""
+    estimator.n_features_in_ = n_features
+    estimator.quantiles_ = _shaped(arrays, "quantiles", (len(LEVELS), n_targets))
+    if isinstance(estimator, Boosting):
+        estimator.n_targets_ = n_targets
+        estimator.narrowest_ = _shaped(arrays, "narrowest", (n_targets,))
+        count = n_targets * estimator.n_folds
+        estimator.means_ = _trees(arrays, "mean", n_features, count)
+        estimator.scales_ = _trees(arrays, "scale", n_features, count)
+        return
+    if hasattr(estimator, "added_to"):
+        estimator.n_targets_ = n_targets
+        own = n_features - len({c for c in estimator.added_to or () if c is not None})
+        widths, outputs = (own, *estimator.hidden), 2 * n_targets
+    else:
+        own, widths, outputs = n_features, (n_features, 64, 64), 1
+        folds = estimator.n_folds
+        estimator.weights_ = _shaped(arrays, "fold_weights", (folds,))
+        at, scale = _shaped(arrays, "scale", (2, arrays["scale"].shape[-1]))
+        estimator.scale_ = at, scale
+    estimator.networks_ = _networks(arrays, estimator.n_folds, (*widths, outputs), n_targets)
+
+
+def _networks(arrays: Arrays, folds: int, widths: tuple[int, ...], n_targets: int) -> Fitted:
+    layers = [
+        (_shaped(arrays, f"weights_{i}", (folds, a, b)), _shaped(arrays, f"bias_{i}", (folds, b)))
+        for i, (a, b) in enumerate(pairwise(widths))
+    ]
+    sizes = {"x": widths[0], "y": n_targets}
+    scales = {name: _shaped(arrays, name, (folds, sizes[name[0]])) for name in Standards._fields}
+    epochs = arrays["training"].shape[-1]
+    curves = (_shaped(arrays, name, (folds, epochs)) for name in ("training", "validation"))
+    return Fitted(layers, Standards(**scales), *curves)
+
+
+def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
+    """Return trees whose every walk ends: the compiled walk looks neither left nor right."""
+    trees = Trees(**{name: arrays[f"{part}_{name}"] for name in Trees._fields})
+    nodes, own = len(trees.feature), np.arange(len(trees.feature))
+    inner = trees.feature >= 0
+    whole = all(trees[i].dtype == np.int32 and trees[i].ndim == 1 for i in range(1, 6)) and all(
+        len(a) == nodes for a in trees[3:]
+    )
+    sound = (
+        whole
+        and trees.baseline.shape == (n_models,)
+        and trees.first.shape == (n_models + 1,)
+        and trees.first[0] == 0
+        and trees.first[-1] == len(trees.root)
+        and np.all(np.diff(trees.first) >= 0)
+        and np.all((trees.root >= 0) & (trees.root < nodes))
+        and np.all((trees.feature >= -1) & (trees.feature < n_features))
+        and all(np.all((a > own) & (a < nodes) | ~inner) for a in (trees.left, trees.right))
+        and all(np.isfinite(a).all() for a in (trees.baseline, trees.value))
+        and not np.isnan(trees.threshold).any()
+    )
+    if not sound:
+        raise ValueError(f"its trees of the {part} are not whole")
+    return trees
+
+
+def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    array = arrays[name]
+    if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
+        raise ValueError(f"its {name} of shape {array.shape} should be {shape} finite numbers")
+    return array

@@ -1,0 +1,154 @@
+"""Reference elements: shape functions, quadrature and the functions that pressure may vary by.
+
+Every element here is described by its nodes and by the powers of the monomials that span its shape
+functions; one Vandermonde matrix serves them all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+
+Powers = NDArray[np.int64]
+
+
+def monomials(points: Array, powers: Powers) -> tuple[Array, Array]:
+    """Return monomials and their slopes.
+
+    Parameters
+    ----------
+    points : array of shape (n_points, d)
+    powers : array of int, shape (n, d)
+        Exponent of every coordinate in each monomial.
+
+    Returns
+    -------
+    values : array of shape (n_points, n)
+    slopes : array of shape (n_points, n, d)
+        Derivatives with respect to the coordinates.
+    """
+    lowered = np.maximum(powers[:, None] - np.eye(points.shape[1], dtype=int), 0)
+    values = np.prod(points[:, None] ** powers, axis=-1)
+    slopes = powers * np.prod(points[:, None, None] ** lowered, axis=-1)
+    return values, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A reference element or face, with its quadrature rule.
+
+    Parameters
+    ----------
+    nodes : array of shape (n_nodes, d)
+        Local coordinates of the nodes.
+    powers : array of int, shape (n_nodes, d)
+        Monomials that span the shape functions.
+    points, weights : arrays of shape (n_points, d) and (n_points,)
+        Quadrature rule.
+    modes : array of int, shape (n_modes, d)
+        Monomials onto which the volume ratio is projected; none for a face.
+    remainder : float
+        Modulus against what that projection leaves out, in shear moduli.
+    """
+
+    nodes: Array
+    powers: Powers
+    points: Array
+    weights: Array
+    modes: Powers
+    remainder: float = 0.0
+
+    def shape_functions(self, points: Array) -> tuple[Array, Array]:
+        """Return the shape functions at local points, and their slopes.
+
+        Parameters
+        ----------
+        points : array of shape (n_points, d)
+
+        Returns
+        -------
+        values : array of shape (n_points, n_nodes)
+        slopes : array of shape (n_points, n_nodes, d)
+        """
+        to_nodes = np.linalg.inv(monomials(self.nodes, self.powers)[0])
+        values, slopes = monomials(points, self.powers)
+        return values @ to_nodes, np.einsum("qmj,mn->qnj", slopes, to_nodes)
+
+    @cached_property
+    def shapes(self) -> Array:
+        """Shape functions at the quadrature points, shape (n_points, n_nodes)."""
+        return self.shape_functions(self.points)[0]
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Their slopes, shape (n_points, n_nodes, d)."""
+        return self.shape_functions(self.points)[1]
+
+    @cached_property
+    def projection(self) -> Array:
+        """The modes at the quadrature points, shape (n_points, n_modes)."""
+        return monomials(self.points, self.modes)[0]
+
+
+def lattice(highest: int, d: int) -> Powers:
+    """Return all points of {0, ..., highest}^d, the first coordinate fastest."""
+    return np.array(list(product(range(highest + 1), repeat=d)))[:, ::-1]
+
+
+def gauss(n: int, d: int) -> tuple[Array, Array]:
+    """Return the points (n**d, d) and weights of the Gauss-Legendre rule on [-1, 1]^d."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    index = lattice(n - 1, d)
+    return x[index], np.prod(w[index], axis=1)
+
+
+def collapsed_gauss(n: int) -> tuple[Array, Array]:
+    """Return a rule of n**2 points on the triangle (0,0), (1,0), (0,1), exact to degree 2 n - 2.
+
+    A Gauss-Legendre rule on the square, one side of which is collapsed to a corner.
+    """
+    points, weights = gauss(n, 2)
+    a, b = (points.T + 1) / 2
+    return np.stack([a * (1 - b), b], axis=-1), weights * (1 - b) / 4
+
+
+def tetrahedron_rule() -> tuple[Array, Array]:
+    """Return the 4-point rule on the unit tetrahedron, exact to degree 2."""
+    a = (5 - np.sqrt(5)) / 20
+    return np.vstack([np.full((1, 3), a), a + (1 - 4 * a) * np.eye(3)]), np.full(4, 1 / 24)
+
+
+def _brick(d: int) -> tuple[Array, Powers]:
+    """Return nodes and powers of the serendipity element: 8 nodes in the plane, 20 in space."""
+    grid = lattice(2, d)
+    at_corner_or_edge = np.sum(grid == 1, axis=1) <= 1
+    superlinear = np.sum(np.where(grid > 1, grid, 0), axis=1)
+    return grid[at_corner_or_edge] - 1.0, grid[superlinear <= 2]
+
+
+def _simplex(d: int) -> tuple[Array, Powers]:
+    """Return nodes (corners, then the middles of all pairs of them) and powers up to degree 2."""
+    corners = np.vstack([np.zeros((1, d)), np.eye(d)])
+    pairs = np.array(edges(d))
+    grid = lattice(2, d)
+    middles = (corners[pairs[:, 0]] + corners[pairs[:, 1]]) / 2
+    return np.vstack([corners, middles]), grid[grid.sum(axis=1) <= 2]
+
+
+def edges(d: int) -> list[tuple[int, int]]:
+    """Return the pairs of corners of a simplex, in the order of its middle nodes."""
+    return [(i, j) for i in range(d + 1) for j in range(i + 1, d + 1)]
+
+
+_NO_MODES = np.zeros((0, 2), int)
+HEX20 = Reference(*_brick(3), *gauss(3, 3), lattice(1, 3))
+QUAD8 = Reference(*_brick(2), *gauss(5, 2), _NO_MODES)
+TET10 = Reference(*_simplex(3), *tetrahedron_rule(), lattice(0, 3), remainder=8.0)
+TRI6 = Reference(*_simplex(2), *collapsed_gauss(4), _NO_MODES)
+FACE = {HEX20: QUAD8, TET10: TRI6}

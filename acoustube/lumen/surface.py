@@ -1,0 +1,237 @@
+"""The lumen: the air space of the pressed tube, as a watertight surface and as a profile."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.indentation import Indentation, Mesh
+from acoustube.lumen.straightening import straighten
+
+FACETS_PER_ELEMENT = 6
+"""Around: 240 facets for the default mesh, whose area is 1.5e-4 under the circle's."""
+RINGS_PER_ELEMENT = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Lumen:
+    """The air space of the whole tube, and the outer wall around it.
+
+    Parameters
+    ----------
+    rings : array of shape (n_rings, n_around, 3)
+        The inner wall as a stack of rings from end to end: points (x, y, z) in m,
+        anticlockwise seen from the far end, the first at the bottom and the middle one at the
+        top; z runs from 0 at the source end to the tube's length.
+    outer_rings : array of shape (n_rings, n_around, 3)
+        The outer wall likewise.
+    position : float
+        Where along z the press is, in m.
+    symmetric : bool
+        Whether it is symmetric about x = 0.
+    """
+
+    rings: Array
+    outer_rings: Array
+    position: float
+    symmetric: bool = True
+
+    @property
+    def surface(self) -> trimesh.Trimesh:
+        """The air space's closed surface, with flat caps at both ends, in m, pointing outwards."""
+        return trimesh.Trimesh(
+            self.rings.reshape(-1, 3), ring_faces(*self.rings.shape[:2]), process=False
+        )
+
+
+def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
+    """Return the triangles (n, 3) that close a stack of rings, numbered ring by ring."""
+    number = np.arange(n_rings * n_around).reshape(n_rings, n_around)
+    a, c = number[:-1], number[1:]
+    b, d = np.roll(a, -1, axis=1), np.roll(c, -1, axis=1)
+    wall = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))]
+    return np.concatenate([*wall, _fan(number[0])[:, ::-1], _fan(number[-1])])
+
+
+def _fan(rim: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return triangles that span a convex rim from its first point."""
+    return np.stack([np.full(len(rim) - 2, rim[0]), rim[1:-1], rim[2:]], axis=-1)
+
+
+def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool = False) -> Array:
+    """Return the deformed inner or outer wall of the modelled part, finely sampled.
+
+    Parameters
+    ----------
+    indentation : Indentation
+        Of a swept tube.
+    increment : int, optional
+        Which increment; the last by default.
+    outer : bool, optional
+        The outer wall instead of the inner.
+
+    Returns
+    -------
+    array of shape (n_rings, n_around, 3)
+        Rings in the order of z, in m: the finite-element interpolation itself, not a fit to the
+        nodes. Rings start at the bottom and run up on the side x > 0; they are closed (the last
+        point is next to the first).
+    """
+    return _wall(indentation.mesh, indentation.position(increment), outer=outer)
+
+
+def _wall(mesh: Mesh, position: Array, *, outer: bool) -> Array:
+    """Return rings of one wall of a swept mesh with its nodes at `position`."""
+    assert mesh.sweep is not None
+    along, around, _ = mesh.sweep.shape
+    faces = mesh.outer_faces if outer else mesh.inner_faces
+    u, v = (np.linspace(-1, 1, n + 1) for n in (FACETS_PER_ELEMENT, RINGS_PER_ELEMENT))
+    local = np.stack(np.meshgrid(u, v, indexing="xy"), axis=-1).reshape(-1, 2)
+    shapes, _ = mesh.face.shape_functions(local)
+    patches = np.einsum("pn,fni->fpi", shapes, position[faces])
+    patches = patches.reshape(along, around, len(v), len(u), 3).swapaxes(1, 2)
+    # The last ring and the last point of an element are the first of the next.
+    rings = np.concatenate([patches[:, :-1].reshape(-1, around, len(u), 3), patches[-1, -1:]])
+    start = rings[:, :, :-1].reshape(len(rings), -1, 3)
+    if not mesh.halved[0]:
+        return start
+    half = np.concatenate([start, rings[:, -1, -1:]], axis=1)
+    return np.concatenate([half, half[:, -2:0:-1] * [-1, 1, 1]], axis=1)
+
+
+def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lumen:
+    """Build the lumen of the whole tube: the deformed part, and the straight rest.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    position : float
+        Distance in m from the source end to the press, along the tube.
+    increment : int, optional
+        Which increment; the last by default.
+
+    Returns
+    -------
+    Lumen
+        Straightened along the tube's bottom line (which in a held tube is straight already).
+
+    Raises
+    ------
+    ConfigError
+        If the modelled part does not fit between the tube's ends.
+    SimulationError
+        If the tube is bent too sharply to be straightened.
+    """
+    tube, mesh = indentation.tube, indentation.mesh
+    inner, outer = (deformed_wall(indentation, increment, outer=layer) for layer in (False, True))
+    round_rings = [_wall(mesh, mesh.points, outer=layer)[-1] for layer in (False, True)]
+    floor = round_rings[1][0, 1]
+    walls = [_straight(wall, outer[:, 0], floor, mesh) for wall in (inner, outer)]
+    reach = max(np.abs(wall[..., 2]).max() for wall in walls)
+    room = min(position, tube.length - position)
+    if not reach < room:
+        raise ConfigError(
+            f"position = {position} m is too near an end; the press needs {reach:.3f} m of tube "
+            "on each side."
+        )
+    # The tube is taken as round again within one more outer diameter.
+    round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
+    ends = position + np.array([-1, 1]) * round_from
+    rings = [
+        _whole(wall, ring, position, ends, tube.length)
+        for wall, ring in zip(walls, round_rings, strict=True)
+    ]
+    return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
+
+
+def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
+    """Build the lumen of the deformed part alone, between short ends that are straight.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    increment : int, optional
+        Which increment; the last by default.
+
+    Returns
+    -------
+    Lumen
+        As :func:`lumen`, the press in its middle.
+
+    Raises
+    ------
+    SimulationError
+        If the tube is bent too sharply to be straightened.
+    """
+    tube = indentation.tube
+    # A tube that tilts off the floor gains a little length when it is straightened.
+    half = 1.02 * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
+    short = dataclasses.replace(tube, length=2 * half)
+    return lumen(dataclasses.replace(indentation, tube=short), half, increment)
+
+
+def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
+    """Return the lumen of a whole tube from that of its pressed part.
+
+    Parameters
+    ----------
+    part : Lumen
+        From :func:`pressed_part`.
+    position, length : float
+        Of the press and of the tube, in m.
+
+    Returns
+    -------
+    Lumen
+
+    Raises
+    ------
+    ConfigError
+        If the pressed part does not fit between the tube's ends.
+    """
+    shift = np.array([0.0, 0.0, position - part.position])
+
+    def longer(rings: Array) -> Array:
+        moved = rings + shift
+        if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
+            raise ConfigError(
+                f"position = {position} m is too near an end; the press needs {part.position:.3f} "
+                "m of tube on each side."
+            )
+        moved[0, :, 2], moved[-1, :, 2] = 0.0, length
+        return moved
+
+    return dataclasses.replace(
+        part, rings=longer(part.rings), outer_rings=longer(part.outer_rings), position=position
+    )
+
+
+def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
+    """Straighten the rings of both sides of the press along the tube's bottom line.
+
+    That line comes to lie at the height `floor`, where that of the straight tube lies: on a soft
+    layer the press takes the whole tube down.
+    """
+    middle = 0 if mesh.halved[1] else int(np.argmin(np.abs(bottom[:, 2])))
+    risen = np.array([0.0, floor - bottom[middle, 1], 0.0])
+    wall, bottom = wall + risen, bottom + risen
+    if mesh.halved[1]:
+        half = straighten(wall, bottom)
+        return np.concatenate([half[:0:-1] * [1, 1, -1], half])
+    mirror = np.array([1, 1, -1])
+    before = straighten(wall[middle::-1] * mirror, bottom[middle::-1] * mirror) * mirror
+    return np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
+
+
+def _whole(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:
+    """Add undeformed rings to the pressed ones, from `ends` to the ends of the tube."""
+    z = np.array([0, *ends, length])
+    straight = ring * [1, 1, 0] + z[:, None, None] * [0, 0, 1]
+    moved = pressed + np.array([0, 0, position])
+    return np.concatenate([straight[:2], moved, straight[2:]])

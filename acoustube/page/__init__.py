@@ -1,5 +1,0 @@
-"""Results as one HTML file that opens from disk, without a network."""
-
-from acoustube.page.write import read, write_page
-
-__all__ = ["read", "write_page"]

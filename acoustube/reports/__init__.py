@@ -1,0 +1,1 @@
+"""Results drawn and written: figures, scenes, the page, exports, studies."""

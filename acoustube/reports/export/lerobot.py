@@ -1,0 +1,248 @@
+"""Cycles in the layout of LeRobotDataset v3.0, the form in which robot learners keep episodes.
+
+A frame is a cycle, an episode the cycles of one press in one recording session.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube.reports.export.sounds import episodes, labels
+from acoustube.reports.export.tables import check_parquet
+
+CODEBASE = "v3.0"
+FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+PLACE = ("chunk_index", "file_index")
+FILES_PER_CHUNK, FILE_MEGABYTES = 1000, 100
+TASK = "Tell from the echo whether, where, how deep and how hard the tube is pressed."
+ACTION = ("touched", "distance_m", "depth_m", "force_N")
+"""What is to be told; the last three are zero where nothing touches the tube."""
+COUNTED = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+
+Columns = dict[str, NDArray[Any]]
+
+
+def write_episodes(data: xr.Dataset, folder: Path) -> str:
+    """Write cycles as episodes.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Cycles, from :func:`acoustube.open_dataset`.
+    folder : Path
+        An empty one.
+
+    Returns
+    -------
+    str
+        What was written, in words.
+
+    Raises
+    ------
+    ConfigError
+        If the package for Parquet is missing.
+
+    Notes
+    -----
+    ``observation.signal`` is the cycle as a share of half the ADC's full scale, -1 to 1;
+    ``observation.temperature`` what the board reports, in degC; ``action`` the label
+    (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` tell what an
+    episode is, so that episodes can be split by them.
+    """
+    check_parquet("lerobot")
+    table, rate = labels(data), _frames_per_second(data)
+    stats, listed = _Stats(), []
+    with _Files(folder, data.sizes["time"]) as files:
+        for number, part in enumerate(np.split(np.arange(len(table)), episodes(table)[1:])):
+            columns = _frames(data, table, part) | _numbers(number, part, rate)
+            stats.add(columns)
+            chunk, file = files.write(columns)
+            listed.append(_episode(number, part, table, chunk, file))
+    _write_meta(folder, data, listed, stats, rate)
+    return f"{len(table)} frames in {len(listed)} episodes"
+
+
+class _Files:
+    """The Parquet files of the frames, each of whole episodes."""
+
+    def __init__(self, folder: Path, n_samples: int) -> None:
+        self.folder = folder
+        self.frames = max(1, int(FILE_MEGABYTES * 1e6 / (4 * n_samples)))
+        self.number, self.room = -1, 0
+        self.writer: Any = None
+
+    def __enter__(self) -> _Files:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self.writer is not None:
+            self.writer.close()
+
+    def write(self, columns: Columns) -> tuple[int, int]:
+        """Write an episode; return the numbers of its chunk and its file."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        frames = pa.table({name: _arrow(values) for name, values in columns.items()})
+        if self.writer is None or self.room < len(frames):
+            self.__exit__()
+            self.number, self.room = self.number + 1, self.frames
+            path = self.folder / "data" / FILE.format(**dict(zip(PLACE, self.place, strict=True)))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.writer = pq.ParquetWriter(path, frames.schema)
+        self.writer.write_table(frames)  # a row group of its own, by which it can be read alone
+        self.room -= len(frames)
+        return self.place
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Numbers of the chunk and of the file."""
+        chunk, file = divmod(self.number, FILES_PER_CHUNK)
+        return chunk, file
+
+
+def _frames_per_second(data: xr.Dataset) -> int:
+    """Return the rate of the cycles, which the layout wants whole."""
+    rangefinder = json.loads(data.attrs.get("rangefinder", "{}"))
+    return max(1, round(float(rangefinder.get("cycle_rate", 20.0))))
+
+
+def _frames(data: xr.Dataset, table: pd.DataFrame, part: NDArray[np.int64]) -> Columns:
+    """Return what is observed and what is to be told, a row for each cycle."""
+    half = 0.5 * float(data.attrs["full_scale"])
+    rows = table.iloc[part]
+    counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values
+    touched = rows["depth"].to_numpy() > 0
+    told = [touched, *(rows[name].to_numpy() for name in ("true_distance", "depth", "force"))]
+    action = np.stack(told, axis=-1).astype(np.float32)
+    return {
+        "observation.signal": ((counts - half) / half).astype(np.float32),
+        "observation.temperature": rows["temperature"].to_numpy().astype(np.float32),
+        "action": np.where(touched[:, None], action, np.float32(0)),
+    }
+
+
+def _numbers(number: int, part: NDArray[np.int64], rate: int) -> Columns:
+    """Return the columns that count frames."""
+    frame = np.arange(len(part))
+    return {
+        "timestamp": (frame / rate).astype(np.float32),
+        "frame_index": frame,
+        "episode_index": np.full(len(part), number),
+        "index": part,
+        "task_index": np.zeros(len(part), int),
+    }
+
+
+def _arrow(values: NDArray[Any]) -> Any:
+    import pyarrow as pa
+
+    if values.ndim == 1:
+        return pa.array(values)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def _episode(
+    number: int, part: NDArray[np.int64], table: pd.DataFrame, chunk: int, file: int
+) -> dict[str, Any]:
+    """Return an episode's row: where its frames are, and what they are of."""
+    first = table.iloc[part[0]]
+    return {
+        "episode_index": number,
+        "tasks": [TASK],
+        "length": len(part),
+        "data/chunk_index": chunk,
+        "data/file_index": file,
+        "dataset_from_index": int(part[0]),
+        "dataset_to_index": int(part[-1]) + 1,
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+        **{name: str(first[name]) for name in ("press", "tube", "session")},
+    }
+
+
+class _Stats:
+    """Least, greatest, mean and standard deviation of each feature, gathered part by part."""
+
+    def __init__(self) -> None:
+        self.known: dict[str, list[Any]] = {}
+        self.count = 0
+
+    def add(self, columns: Columns) -> None:
+        """Take the frames of an episode into account."""
+        self.count += len(columns["index"])
+        for name, values in columns.items():
+            x = values.reshape(len(values), -1).astype(float)
+            part = [x.min(axis=0), x.max(axis=0), x.sum(axis=0), (x**2).sum(axis=0)]
+            if name not in self.known:
+                self.known[name] = part
+                continue
+            low, high, total, squares = self.known[name]
+            self.known[name] = [
+                np.minimum(low, part[0]), np.maximum(high, part[1]),
+                total + part[2], squares + part[3],
+            ]  # fmt: skip
+
+    def in_json(self) -> dict[str, Any]:
+        """Return them as the layout's ``stats.json`` has them."""
+        found = {}
+        for name, (low, high, total, squares) in self.known.items():
+            mean = total / self.count
+            variance = np.maximum(squares / self.count - mean**2, 0.0)
+            found[name] = {
+                "min": low.tolist(), "max": high.tolist(), "mean": mean.tolist(),
+                "std": np.sqrt(variance).tolist(), "count": [self.count],
+            }  # fmt: skip
+        return found
+
+
+def _features(n: int) -> dict[str, Any]:
+    """Return what the columns are."""
+    found: dict[str, Any] = {
+        "observation.signal": {"dtype": "float32", "shape": [n], "names": None},
+        "observation.temperature": {"dtype": "float32", "shape": [1], "names": None},
+        "action": {"dtype": "float32", "shape": [len(ACTION)], "names": list(ACTION)},
+    }
+    for name in COUNTED:
+        kind = "float32" if name == "timestamp" else "int64"
+        found[name] = {"dtype": kind, "shape": [1], "names": None}
+    return found
+
+
+def _write_meta(
+    folder: Path, data: xr.Dataset, listed: list[dict[str, Any]], stats: _Stats, rate: int
+) -> None:
+    """Write what describes the frames."""
+    meta = folder / "meta"
+    info = {
+        "codebase_version": CODEBASE,
+        "robot_type": "acoustube",
+        "total_episodes": len(listed),
+        "total_frames": stats.count,
+        "total_tasks": 1,
+        "chunks_size": FILES_PER_CHUNK,
+        "data_files_size_in_mb": FILE_MEGABYTES,
+        "video_files_size_in_mb": 0,
+        "fps": rate,
+        "splits": {"train": f"0:{len(listed)}"},
+        "data_path": f"data/{FILE}",
+        "video_path": None,
+        "features": _features(data.sizes["time"]),
+        "sampling_rate": float(data.attrs["sampling_rate"]),
+    }
+    path = meta / "episodes" / FILE.format(chunk_index=0, file_index=0)
+    path.parent.mkdir(parents=True)
+    pd.DataFrame(listed).to_parquet(path, index=False)
+    pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK], name="task")).to_parquet(
+        meta / "tasks.parquet"
+    )
+    for name, content in (("info", info), ("stats", stats.in_json())):
+        text = json.dumps(content, indent=2) + "\n"
+        (meta / f"{name}.json").write_text(text, encoding="utf-8")

@@ -1,0 +1,100 @@
+"""A press as it was written to ``run.nc``, opened again."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import pressed_reach
+from acoustube.indentation import Indentation, Mesh
+from acoustube.indentation.mesh import sweep
+from acoustube.indentation.press import CLOSING_DISTANCE, neo_hookean_wall
+from acoustube.indentation.reference_element import HEX20, TET10
+from acoustube.runs.config import Mechanics, configured
+from acoustube.runs.presses import SIZES, layer_from, press_from, tube_from
+
+SAME = 1e-9
+"""Difference in m up to which nodes are the same."""
+
+
+def settings_of(run: xr.Dataset) -> Mechanics:
+    """Return the settings of the tube and the press."""
+    return configured(json.loads(run.attrs["configuration"]), Mechanics)
+
+
+def reached(run: xr.Dataset) -> NDArray[np.int64]:
+    """Return the numbers of the depths that the press came to."""
+    if "converged" not in run:
+        return np.arange(run.sizes["depth"])
+    return np.flatnonzero(run["converged"].values)
+
+
+def mesh_of(run: xr.Dataset) -> Mesh:
+    """Return the finite-element mesh, without what is known of a swept one alone.
+
+    Parameters
+    ----------
+    run : xarray.Dataset
+        Of ``simulate`` or ``indent``.
+    """
+    points, none = run["node_position"].values, np.zeros((0, 8), int)
+    faces: dict[str, Any] = {
+        f"{wall}_faces": run[f"{wall}_face_node"].values if f"{wall}_face_node" in run else none
+        for wall in ("inner", "outer")
+    }
+    low = points.min(axis=0)
+    return Mesh(
+        points=points,
+        elements=run["element_node"].values,
+        reference=HEX20 if run.sizes["corner"] == len(HEX20.nodes) else TET10,
+        halved=(bool(low[0] > -SAME), bool(low[2] > -SAME)),
+        **faces,
+    )
+
+
+def indentation_of(run: xr.Dataset) -> Indentation:
+    """Return the press of a round tube, with a row for each depth that it came to.
+
+    Parameters
+    ----------
+    run : xarray.Dataset
+        Of ``simulate`` or ``indent``.
+
+    Raises
+    ------
+    ConfigError
+        If the mesh is none that this version makes of these settings.
+    """
+    config = settings_of(run)
+    tube, press, rows = tube_from(config), press_from(config), reached(run)
+    mesh = sweep(
+        tube,
+        pressed_reach(tube.outer_diameter, press.diameter),
+        SIZES[config.indentation.mesh],
+        halved=press.halves,
+    )
+    stored = run["node_position"].values
+    if stored.shape != mesh.points.shape or np.abs(stored - mesh.points).max() > SAME:
+        raise ConfigError(
+            "the run was written by a version of acoustube that made another mesh; repeat the run"
+        )
+
+    def taken(name: str) -> Any:
+        return run[name].values[rows]
+
+    return Indentation(
+        tube=tube, presses=(press,), support=config.indentation.support,
+        layer=layer_from(config), material=neo_hookean_wall(tube), mesh=mesh,
+        depth=taken("indentation_depth"), displacement=taken("node_displacement"),
+        iterations=taken("newton_iterations"), residual=taken("newton_residual"),
+        press_force=taken("contact_force")[:, None], contact_area=taken("contact_area")[:, None],
+        energy=taken("elastic_energy"),
+        smallest_volume_ratio=taken("smallest_volume_ratio"), smallest_gap=taken("smallest_gap"),
+        touch_heights=(tube.outer_diameter / 2,),
+        closing_distance=CLOSING_DISTANCE * tube.inner_diameter,
+    )  # fmt: skip

@@ -1,0 +1,78 @@
+"""Cycles as sound files, and a table of their labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from scipy.io import wavfile
+
+from acoustube.reports.export.tables import check_parquet
+
+LABELS = "labels.parquet"
+TEXT = """\
+Cycles of a rangefinder, one WAV file for each press and session, its cycles one after the
+other.
+
+Samples are counts of the ADC less half its full scale, as 16-bit numbers at the ADC's own rate.
+{labels} has a row for each cycle: its file, where it starts in samples, its length, and its labels
+in SI units and degC.
+"""
+
+
+def write_sounds(data: xr.Dataset, folder: Path) -> str:
+    """Write a sound file for each press and session, and a table of all cycles.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Cycles, from :func:`acoustube.open_dataset`.
+    folder : Path
+        An empty one.
+
+    Returns
+    -------
+    str
+        What was written, in words.
+
+    Raises
+    ------
+    ConfigError
+        If the package for Parquet is missing.
+    """
+    check_parquet("wav")
+    table = labels(data)
+    n, starts = data.sizes["time"], episodes(table)
+    rate, middle = round(float(data.attrs["sampling_rate"])), int(data.attrs["full_scale"]) // 2
+    files = np.empty(len(table), object)
+    offsets = np.empty(len(table), int)
+    for number, part in enumerate(np.split(np.arange(len(table)), starts[1:])):
+        counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values.astype(int)
+        file = f"{number:05d}-{table['press'].iloc[part[0]]}.wav"
+        wavfile.write(folder / file, rate, (counts - middle).astype(np.int16).ravel())
+        files[part], offsets[part] = file, np.arange(len(part)) * n
+    table.insert(0, "file", files)
+    table.insert(1, "start", offsets)
+    table.insert(2, "length", n)
+    table.to_parquet(folder / LABELS, index=False)
+    (folder / "README.txt").write_text(TEXT.format(labels=LABELS), encoding="utf-8")
+    return f"{len(table)} cycles in {len(starts)} files"
+
+
+def labels(data: xr.Dataset) -> pd.DataFrame:
+    """Return what is known of each cycle, a column each."""
+    columns: dict[str, Any] = {
+        str(name): values.values
+        for name, values in {**data.coords, **data.data_vars}.items()
+        if values.dims == ("cycle",) and name != "cycle"
+    }
+    return pd.DataFrame(columns)
+
+
+def episodes(table: pd.DataFrame) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Return the numbers of the cycles with which another press or session begins."""
+    names = (table["press"] + "/" + table["session"]).to_numpy()
+    return np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))

@@ -1,0 +1,100 @@
+"""Results as CSV tables, one for each dimension, with a table of what their columns are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+
+TABLES = {
+    "press": "cases", "cycle": "cycles", "depth": "press", "time": "signal", "z": "profile",
+}  # fmt: skip
+"""Names of the tables, by the dimension that their rows follow."""
+EXPANDED = ("source_end",)
+"""Short dimensions, each entry of which becomes a column."""
+LEFT_OUT = ("configuration",)
+COEFFICIENTS = ["s_real", "s_imag", "settled"]
+"""Of a scattering matrix, whose table has a row for each of them."""
+
+
+def write_tables(data: xr.Dataset, folder: Path) -> str:
+    """Write a table for each dimension with all variables that follow it alone.
+
+    A scattering matrix has one table, with a row for each of its coefficients.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        Any result.
+    folder : Path
+        An empty one.
+
+    Returns
+    -------
+    str
+        What was written, in words.
+    """
+    known, written = [], []
+    for dimension, stem in TABLES.items():
+        if dimension not in data.dims:
+            continue
+        columns = _columns(data, dimension)
+        if set(columns) <= {dimension}:
+            continue  # all that follows it follows another dimension too
+        table = pd.DataFrame({name: variable.values for name, variable in columns.items()})
+        table.to_csv(folder / f"{stem}.csv", index=False)
+        known += [_described(stem, name, variable) for name, variable in columns.items()]
+        written.append(f"{stem}.csv with {len(table)} rows")
+    if "s_real" in data:
+        table = data[COEFFICIENTS].to_dataframe().reset_index()
+        table.to_csv(folder / "scattering.csv", index=False)
+        known += [_described("scattering", name, data[name]) for name in table.columns]
+        written.append(f"scattering.csv with {len(table)} rows")
+    pd.DataFrame(known).to_csv(folder / "columns.csv", index=False)
+    return f"{', '.join(written)}"
+
+
+def _columns(data: xr.Dataset, dimension: str) -> dict[str, xr.DataArray]:
+    """Return the columns of a table: the variables along a dimension, and its coordinate first."""
+    found: dict[str, xr.DataArray] = {}
+    for name, variable in {**data.coords, **data.data_vars}.items():
+        if name in LEFT_OUT or dimension not in variable.dims:
+            continue
+        others = [other for other in variable.dims if other != dimension]
+        if not others:
+            found[str(name)] = variable
+        elif others[0] in EXPANDED and len(others) == 1:
+            for value in data[others[0]].values:
+                found[f"{name}_{value}"] = variable.sel({others[0]: value})
+    if dimension in found:
+        return {dimension: found.pop(dimension)} | found
+    return found
+
+
+def _described(stem: str, name: str, variable: xr.DataArray) -> dict[str, Any]:
+    return {
+        "table": f"{stem}.csv",
+        "column": name,
+        "unit": variable.attrs.get("units", ""),
+        "meaning": variable.attrs.get("long_name", ""),
+    }
+
+
+def check_parquet(what: str) -> None:
+    """Refuse what needs Parquet where its package is missing.
+
+    Raises
+    ------
+    ConfigError
+    """
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(
+            f"format = {what} needs the package pyarrow for Parquet; pip install "
+            "'acoustube[parquet]', or use --format csv"
+        ) from error

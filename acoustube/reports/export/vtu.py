@@ -1,0 +1,76 @@
+"""The finite-element mesh and its displacements as files for ParaView."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyvista
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+from acoustube.indentation import Mesh
+from acoustube.indentation.reference_element import HEX20, Reference
+
+VTK_HEXAHEDRON = (
+    *((0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (0, 0, 2), (2, 0, 2), (2, 2, 2), (0, 2, 2)),
+    *((1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)),
+    *((0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)),
+)
+"""Local coordinates, times one and plus one, in the order of VTK's quadratic hexahedron."""
+VTK_TETRAHEDRON = (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)
+"""Of the mid-nodes VTK takes 01, 12, 02, 03, 13, 23; ours are 01, 02, 03, 12, 13, 23."""
+
+
+def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path:
+    """Write the modelled part, one file per depth, and a collection that ParaView plays.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    depths : array of shape (n_depths,)
+        In m.
+    displacements : array of shape (n_depths, n_nodes, 3)
+        In m.
+    folder : path
+        Where; it is made if need be.
+
+    Returns
+    -------
+    Path
+        The collection, ``press.pvd``, whose time is the depth in mm.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    grid, entries = _grid(mesh), []
+    for number, (depth, displacement) in enumerate(
+        zip(depths, displacements, strict=True), start=1
+    ):
+        name = f"press-{number:04d}.vtu"
+        grid.point_data["displacement"] = displacement
+        grid.save(folder / name)
+        entries.append(f'<DataSet timestep="{1e3 * depth:.6g}" file="{name}"/>')
+    collection = folder / "press.pvd"
+    collection.write_text(
+        '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'
+        + "\n".join(entries)
+        + "\n</Collection></VTKFile>\n",
+        encoding="utf-8",
+    )
+    return collection
+
+
+def _grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
+    """Return the undeformed mesh with quadratic cells."""
+    kind = pyvista.CellType.QUADRATIC_HEXAHEDRON
+    if mesh.reference is not HEX20:
+        kind = pyvista.CellType.QUADRATIC_TETRA
+    cells = mesh.elements[:, _order(mesh.reference)]
+    return pyvista.UnstructuredGrid({kind: cells}, mesh.points)
+
+
+def _order(reference: Reference) -> NDArray[np.int64]:
+    """Return our numbers of an element's nodes in the order of VTK."""
+    if reference is not HEX20:
+        return np.array(VTK_TETRAHEDRON)
+    ours = [tuple(node) for node in (reference.nodes + 1).astype(int)]
+    return np.array([ours.index(node) for node in VTK_HEXAHEDRON])

@@ -1,0 +1,103 @@
+"""Figures of estimates against the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from acoustube.estimation import bins
+from acoustube.reports.figures.run import CM, ENVELOPE, PRESS, RETURN
+
+MM = 1e3
+MOST_POINTS = 5000
+"""Points of a panel; of more cycles, evenly chosen ones are drawn."""
+PANELS = {
+    "true_distance": ("distance", "distance (cm)", CM),
+    "depth": ("depth", "depth (mm)", MM),
+    "force": ("force", "force (N)", 1.0),
+}
+AGAINST = {
+    "true_distance": ("true distance (cm)", CM, 0.05),
+    "depth": ("true depth (mm)", MM, 0.5e-3),
+}
+"""Names, units and widths in m of the bins in which absolute errors are drawn."""
+
+
+def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
+    """Draw a row for each target: estimate against truth, and errors against distance and depth.
+
+    Parameters
+    ----------
+    table, estimates : xarray.Dataset
+        From :func:`acoustube.estimation.described` and :func:`acoustube.estimation.estimate`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown and not saved.
+    """
+    targets = [t for t, (name, *_) in PANELS.items() if t in table and name in estimates]
+    against = [label for label in AGAINST if label in table]
+    sheet = Figure(figsize=(4.2 * (1 + len(against)), 3.6 * len(targets)), layout="constrained")
+    axes = sheet.subplots(len(targets), 1 + len(against), squeeze=False)
+    for row, target in zip(axes, targets, strict=True):
+        draw_estimates(row[0], table, estimates, target)
+        for panel, label in zip(row[1:], against, strict=True):
+            draw_errors(panel, table, estimates, target, label)
+    return sheet
+
+
+def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> Axes:
+    """Draw estimates with their stated deviations over the truth."""
+    words = PANELS[target][1]
+    truth, estimate, deviation = _scaled(table, estimates, target)
+    known = np.flatnonzero(np.isfinite(truth) & np.isfinite(estimate))
+    some = known[:: max(1, len(known) // MOST_POINTS)]
+    axes.errorbar(
+        truth[some], estimate[some], deviation[some], fmt=".", ms=2, lw=0.4, alpha=0.3,
+        color=ENVELOPE, ecolor=PRESS, label="estimate, 68 % interval",
+    )  # fmt: skip
+    ends = [np.min(truth[known], initial=np.inf), np.max(truth[known], initial=-np.inf)]
+    if known.size:
+        axes.plot(ends, ends, color=RETURN, lw=1, label="truth")
+    axes.set_xlabel(f"true {words}")
+    axes.set_ylabel(f"estimated {words}")
+    axes.legend(fontsize="small")
+    return axes
+
+
+def draw_errors(
+    axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str, label: str
+) -> Axes:
+    """Draw median and quartiles of the absolute error, and the stated deviation, over a label."""
+    truth, estimate, deviation = _scaled(table, estimates, target)
+    words, scale, width = AGAINST[label]
+    edges, index = bins(table[label].values, width)
+    error = np.where(np.isfinite(truth - estimate), np.abs(truth - estimate), np.nan)
+    full = [i for i in range(len(edges)) if np.isfinite(error[index == i]).any()]
+    at = scale * edges[full].mean(axis=1)
+    quartiles = np.array(
+        [np.nanpercentile(error[index == i], [25, 50, 75]) for i in full]
+    ).reshape(-1, 3).T  # fmt: skip
+    stated = [np.nanmedian(deviation[index == i]) for i in full]
+    axes.fill_between(at, quartiles[0], quartiles[2], color=ENVELOPE, alpha=0.2, lw=0,
+                      label="quartiles")  # fmt: skip
+    axes.plot(at, quartiles[1], color=ENVELOPE, lw=1.2, label="median")
+    axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated deviation")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel(words)
+    axes.set_ylabel(f"absolute error, {PANELS[target][1]}")
+    axes.legend(fontsize="small")
+    return axes
+
+
+def _scaled(
+    table: xr.Dataset, estimates: xr.Dataset, target: str
+) -> tuple[NDArray[np.float64], ...]:
+    """Return truth, estimate and deviation of a target in human units."""
+    name, _, scale = PANELS[target]
+    columns = (table[target], estimates[name], estimates[name + "_deviation"])
+    return tuple(scale * column.values.astype(float) for column in columns)

@@ -1,0 +1,307 @@
+"""What a page shows of a sweep."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import xarray as xr
+
+from acoustube import signals
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import filled
+from acoustube.reports.page.content import (
+    HEARD,
+    Along,
+    Content,
+    Group,
+    Signal,
+    Spectrum,
+    State,
+    signal_of,
+    tool_in_words,
+)
+from acoustube.reports.page.shapes import Shape, from_rings, round_tube, tool, tool_height
+from acoustube.runs import sound
+from acoustube.runs.config import Config, configured
+from acoustube.runs.opening import PATTERNS
+from acoustube.runs.presses import press_from
+from acoustube.runs.scattering_file import from_dataset
+from acoustube.runs.sweep import select, store
+from acoustube.waves.network import rescaled
+
+MOST_CASES = 400
+"""Cases of a page; of more, some places are left out."""
+UNTOUCHED_REACH = 0.08
+"""How far a tube that nothing presses is drawn to each side, in m."""
+TOOL = ("shape", "indenter_mm", "yaw_deg", "offset_mm")
+
+Key = tuple[str, float, str]
+
+
+class Found(NamedTuple):
+    """A case of a sweep, and the file that it is in."""
+
+    name: str
+    config: Config
+    path: Path
+
+
+def read_sweep(folder: Path) -> Content:
+    """Read the cases of a sweep.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Content
+        A group for each tool, place and combination of other settings. Of more than `MOST_CASES`
+        cases those at evenly spaced places.
+
+    Raises
+    ------
+    ConfigError
+        If it has no finished case, or a damaged file.
+    """
+    try:
+        cases = list(_cases(folder))
+        if not cases:
+            raise ConfigError(
+                f"{folder} is a sweep without a finished case; repeat the command acoustube sweep "
+                "to finish some"
+            )
+        groups, notes = _thinned(_grouped(cases))
+        states, described = _states([case for group in groups.values() for case in group])
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        raise ConfigError(
+            f"{folder} holds a damaged file; repeat the command acoustube sweep to mend it"
+        ) from error
+    shared, varying = _shared([case.config for group in groups.values() for case in group])
+    return Content(
+        title=f"{folder.resolve().name}: a soft tube, pressed {len(states)} times",
+        lead=HEARD,
+        groups=[_group(group, states, varying) for group in groups.values()],
+        settings=shared,
+        origin=described | {"cases": f"{len(states)} of {len(cases)}"},
+        notes=notes,
+        missing=_missing(list(states.values())),
+    )
+
+
+def _cases(folder: Path) -> Iterator[Found]:
+    """Yield each case once."""
+    seen: set[str] = set()
+    for path in sorted(folder.glob(PATTERNS["press"])):
+        # Without xarray, which takes a tenth of a second per file.
+        with h5py.File(path) as file:
+            names, settings = (file[name].asstr()[:] for name in ("press", "configuration"))
+        for name, text in zip(names, settings, strict=True):
+            if str(name) not in seen:
+                seen.add(str(name))
+                yield Found(str(name), configured(json.loads(str(text))), path)
+
+
+def _grouped(cases: Sequence[Found]) -> dict[Key, list[Found]]:
+    """Return cases by tool, place and other settings, the depth rising."""
+    groups: dict[Key, list[Found]] = {}
+    for case in sorted(cases, key=_order):
+        groups.setdefault(_key(case.config), []).append(case)
+    return groups
+
+
+def _order(case: Found) -> tuple[Any, ...]:
+    press = case.config.indentation
+    tools = tuple(getattr(press, name) for name in TOOL)
+    return (*tools, *_key(case.config)[1:], press.depth_mm)
+
+
+def _key(config: Config) -> Key:
+    settings = _settings(config)
+    press = settings["indentation"]
+    kind = json.dumps([press.pop(name) for name in TOOL])
+    place = float(press.pop("position_cm"))
+    del press["depth_mm"]
+    return kind, place, json.dumps(settings, sort_keys=True)
+
+
+def _settings(config: Config) -> dict[str, dict[str, Any]]:
+    return dataclasses.asdict(config)
+
+
+def _thinned(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
+    """Leave out places, evenly, until the cases are few enough."""
+    places = sorted({place for _, place, _ in groups})
+    count = sum(map(len, groups.values()))
+    if count <= MOST_CASES:
+        return groups, []
+    most = max(1, len(places) * MOST_CASES // count)
+    chosen = {places[i] for i in np.linspace(0, len(places) - 1, most).round().astype(int)}
+    kept = {key: cases for key, cases in groups.items() if key[1] in chosen}
+    left = sum(map(len, kept.values()))
+    if left > MOST_CASES:
+        raise ConfigError(
+            f"the sweep has {count} cases, {left} of them at one place, and a page holds "
+            f"{MOST_CASES}; sweep fewer into a folder of their own (presses and scattering are "
+            "remembered)"
+        )
+    note = f"The page holds {left} of the sweep's {count} cases: {most} of {len(places)} places."
+    return kept, [note]
+
+
+def _states(cases: Sequence[Found]) -> tuple[dict[str, State], dict[str, str]]:
+    """Return the state of each case by its name, and where the data come from."""
+    by_file: dict[Path, list[Found]] = {}
+    for case in cases:
+        by_file.setdefault(case.path, []).append(case)
+    states, versions = {}, set()
+    for path, some in by_file.items():
+        data, matrix = store.read(path)
+        versions.add(str(data.attrs["acoustube_version"]))
+        walls = store.walls(path)
+        shape = None if walls is None else from_rings(*_rings(walls))
+        for name, config, _ in some:
+            states[name] = _state(data.sel(press=name), config, matrix, walls, shape)
+    return states, {"acoustube version": ", ".join(sorted(versions)), "source": "acoustube sweep"}
+
+
+def _rings(walls: xr.Dataset) -> list[Any]:
+    return [walls[name].values.astype(float) for name in ("inner_wall", "outer_wall")]
+
+
+def _state(
+    case: xr.Dataset, config: Config, matrix: xr.Dataset | None, walls: xr.Dataset | None,
+    shape: Shape | None,
+) -> State:  # fmt: skip
+    depth = float(case["depth"])
+    along, height = None, np.nan
+    if depth == 0:
+        shape, along, height = _untouched(config)
+    elif walls is not None and shape is not None:
+        along = Along(z=walls["z"].values, area=walls["area_profile"].values.astype(float))
+        outer = shape.points[np.unique(shape.faces["outer"])]
+        height = tool_height(press_from(config), outer)
+    return State(
+        depth=depth,
+        force=float(case["force"]),
+        height=float(case["lumen_height"]),
+        width=float(case["lumen_width"]),
+        area=float(case["lumen_area"]),
+        shape=shape,
+        tool_height=height,
+        along=along,
+        signal=_signal(case),
+        spectrum=None if matrix is None or depth == 0 else _spectrum(matrix, config),
+    )
+
+
+def _untouched(config: Config) -> tuple[Shape, Along, float]:
+    """Return shape, cross-section and height of the tool of a tube that is just touched."""
+    bore, wall = 1e-3 * config.tube.inner_diameter_mm, 1e-3 * config.tube.wall_mm
+    shape = round_tube(bore, wall, UNTOUCHED_REACH)
+    z = np.array([-UNTOUCHED_REACH, UNTOUCHED_REACH])
+    along = Along(z=z, area=np.full(2, np.pi * bore**2 / 4))
+    return shape, along, tool_height(press_from(config), _dense(bore / 2 + wall))
+
+
+def _dense(radius: float) -> Any:
+    """Return points of a straight tube's outer wall near the press."""
+    angle, z = np.meshgrid(np.linspace(0, np.pi, 181), np.linspace(-2, 2, 41) * radius)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
+
+
+def _signal(case: xr.Dataset) -> Signal:
+    """Process what the probe heard with the source end that was asked for."""
+    end = str(case["chosen_source_end"].values)
+    config, recording, ranging = select.ranged(case.sel(source_end=end))
+    probe = 1e-2 * config.waves.probe_cm
+
+    def place(time: Any) -> Any:
+        return probe + signals.distance(time - ranging.send_time, config.waves.temperature_c)
+
+    return signal_of(
+        np.asarray(recording.time, float),
+        np.asarray(recording.pressure[0], float),
+        np.asarray(ranging.envelope),
+        ranging.echoes.times,
+        ranging.echoes.amplitudes,
+        place=place,
+        faded=float(ranging.send_time) + sound.blind_time(config),
+        estimate=float(ranging.distance),
+        amplitude=float(ranging.amplitude),
+        probe=probe,
+        source_end=end,
+    )
+
+
+def _spectrum(matrix: xr.Dataset, config: Config) -> Spectrum:
+    """Return the plane wave's reflection at port 1, in the air of the case."""
+    found = rescaled(from_dataset(matrix), sound.air_of(config).sound_speed)
+    plane = found.modes.index("00")
+    higher = zip(found.modes, found.cut_ons, strict=True)
+    return Spectrum(
+        frequency=np.asarray(found.frequency, float),
+        reflection=np.abs(found.s[:, 0, plane, 0, plane]),
+        settled=found.settled[:, 0, plane, 0, plane],
+        cut_ons={name: float(cut_on) for name, cut_on in higher if cut_on > 0},
+        carrier=1e3 * config.waves.frequency_khz,
+    )
+
+
+def _shared(configs: Sequence[Config]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Return the settings that are the same everywhere, and the names of the others."""
+    every = [_settings(config) for config in configs]
+    shared: dict[str, Any] = {}
+    varying = []
+    for section, values in every[0].items():
+        shared[section] = {}
+        for name, value in values.items():
+            if all(settings[section][name] == value for settings in every):
+                shared[section][name] = value
+            else:
+                varying.append((section, name))
+    return shared, varying
+
+
+def _group(
+    cases: Sequence[Found], states: Mapping[str, State], varying: Sequence[tuple[str, str]]
+) -> Group:
+    config = cases[0].config
+    tube, press = config.tube, config.indentation
+    bore, settings = 1e-3 * tube.inner_diameter_mm, _settings(config)
+    outer_diameter = bore + 2e-3 * tube.wall_mm
+    others = [(s, n) for s, n in varying if n not in (*TOOL, "position_cm", "depth_mm")]
+    return Group(
+        tool=tool_in_words(config),
+        place=f"{filled(press.position_cm):g} cm",
+        other=", ".join(f"{name} = {settings[section][name]}" for section, name in others),
+        states=[states[case.name] for case in cases],
+        solid=tool(press_from(config), outer_diameter),
+        position=1e-2 * filled(press.position_cm),
+        length=1e-2 * tube.length_cm,
+        bore_area=np.pi * bore**2 / 4,
+        outer_diameter=outer_diameter,
+        floor=np.nan if press.layer_mm is not None else -outer_diameter / 2,
+    )
+
+
+def _missing(states: Sequence[State]) -> dict[str, str]:
+    """Return why pictures are missing."""
+    return {
+        "shape": "This sweep was written before files held the deformed walls. Sweep into a new "
+        "folder to see them.",
+        "along": "",
+        "signal": "",
+        "spectrum": "An untouched tube reflects nothing."
+        if any(state.spectrum for state in states)
+        else "These cases were marched as whole tubes, without a scattering matrix; leave method "
+        "as it is (scattering) to have the reflection over frequency.",
+    }

@@ -1,0 +1,258 @@
+"""What a page shows: states of a press, one per depth, in groups of one tool at one place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+from acoustube.reports.page.shapes import Shape, Tool
+from acoustube.runs.config import Config, Mechanics
+
+SAMPLES = 4000
+"""Samples of a signal that are drawn, about."""
+PRESSED = "A soft tube is pressed. Move the slider to press deeper."
+HEARD = (
+    "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo "
+    "comes back. Move the slider to press deeper."
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Along:
+    """The lumen's cross-section along the tube.
+
+    Attributes
+    ----------
+    z, area : array of shape (n,)
+        Distance from the press in m; cross-section in m2.
+    """
+
+    z: Array
+    area: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signal:
+    """What the probe hears of a press; distances from the source end in m.
+
+    Attributes
+    ----------
+    distance, pressure : array of shape (n,)
+        As a share of its greatest value, the send pulse's.
+    envelope_distance, envelope : array of shape (m,)
+        As a share of the send pulse.
+    peak_distance, peak : array of shape (k,)
+        All peaks.
+    estimate, amplitude : float
+        Of the highest peak; nan where there is none.
+    probe : float
+        Where the probe is.
+    source_end : str
+    height : float
+        Greatest size of pressure and envelope once the send pulse has passed.
+    """
+
+    distance: Array
+    pressure: Array
+    envelope_distance: Array
+    envelope: Array
+    peak_distance: Array
+    peak: Array
+    estimate: float
+    amplitude: float
+    probe: float
+    source_end: str
+    height: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectrum:
+    """How a press reflects the plane wave.
+
+    Attributes
+    ----------
+    frequency, reflection : array of shape (n,)
+        In Hz; amplitude of the reflected plane wave over that of the incident one.
+    settled : array of bool, shape (n,)
+        Where the ringing was over.
+    cut_ons : dict of float
+        Cut-on of each higher mode in Hz, by name.
+    carrier : float
+        Of the pulse, in Hz.
+    """
+
+    frequency: Array
+    reflection: Array
+    settled: NDArray[np.bool_]
+    cut_ons: Mapping[str, float]
+    carrier: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """A tube pressed to one depth, in SI units.
+
+    Attributes
+    ----------
+    depth, force, height, width, area : float
+        Of the press, and of the lumen under it.
+    shape : Shape or None
+        Where it is known.
+    tool_height : float
+        Of the tool's lowest point.
+    along : Along or None
+    signal : Signal or None
+    spectrum : Spectrum or None
+    """
+
+    depth: float
+    force: float
+    height: float
+    width: float
+    area: float
+    shape: Shape | None = None
+    tool_height: float = np.nan
+    along: Along | None = None
+    signal: Signal | None = None
+    spectrum: Spectrum | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Group:
+    """States of one tool at one place of one tube, the depth rising.
+
+    Attributes
+    ----------
+    tool, place, other : str
+        What is chosen, in words; empty where there is nothing to choose.
+    states : sequence of State
+    solid : Tool
+    position, length : float
+        Of the press and of the tube in m; nan where there is no place.
+    bore_area, outer_diameter : float
+        In m2 and m.
+    floor : float
+        Height of the floor in m; nan where there is none that is rigid.
+    """
+
+    tool: str
+    place: str
+    other: str
+    states: Sequence[State]
+    solid: Tool
+    position: float
+    length: float
+    bore_area: float
+    outer_diameter: float
+    floor: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Content:
+    """All that a page shows.
+
+    Attributes
+    ----------
+    title, lead : str
+        Heading, and the sentences under it.
+    groups : sequence of Group
+    settings : mapping
+        By section, those that all groups share.
+    origin : mapping of str to str
+        Where the data come from.
+    notes : sequence of str
+        What the reader should know, a sentence each.
+    missing : mapping of str to str
+        Why a picture is missing, by its name: ``shape``, ``along``, ``signal``, ``spectrum``.
+    """
+
+    title: str
+    lead: str
+    groups: Sequence[Group]
+    settings: Mapping[str, Any]
+    origin: Mapping[str, str]
+    notes: Sequence[str]
+    missing: Mapping[str, str]
+
+
+def tool_in_words(config: Config | Mechanics) -> str:
+    """Return what presses the tube."""
+    press = config.indentation
+    turned = f", turned by {press.yaw_deg:g}°" if press.yaw_deg else ""
+    beside = f", {press.offset_mm:g} mm beside the axis" if press.offset_mm else ""
+    return f"{press.shape}, {press.indenter_mm:g} mm{turned}{beside}"
+
+
+def signal_of(
+    time: Array,
+    pressure: Array,
+    envelope: Array,
+    peak_times: Array,
+    peaks: Array,
+    *,
+    place: Callable[[Array], Array],
+    faded: float,
+    **told: Any,
+) -> Signal:
+    """Return what is drawn of a recording.
+
+    Parameters
+    ----------
+    time, pressure, envelope : array of shape (n,)
+        In s, in any unit, and as a share of the send pulse.
+    peak_times, peaks : array of shape (k,)
+        Likewise.
+    place : callable
+        Returns the distance in m that an echo at a time comes from.
+    faded : float
+        When the send pulse has passed, in s.
+    **told
+        The other attributes of :class:`Signal`.
+
+    Returns
+    -------
+    Signal
+    """
+    pressure = pressure / np.abs(pressure).max()
+    shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, peak_times))
+    return Signal(
+        distance=place(time[shown]),
+        pressure=pressure[shown],
+        envelope_distance=place(time[smooth]),
+        envelope=envelope[smooth],
+        peak_distance=place(peak_times),
+        peak=peaks,
+        height=float(np.abs([pressure, envelope])[:, time > faded].max(initial=0.0)),
+        **told,
+    )
+
+
+def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArray[np.int64]:
+    """Return which samples to draw, so that no extreme is lost.
+
+    Parameters
+    ----------
+    values : array of shape (n,)
+    keep : sequence of int
+        Samples to draw in any case.
+
+    Returns
+    -------
+    array of int
+        Rising: all where there are few; otherwise the first, the least and the greatest of each of
+        `SAMPLES` / 3 equal stretches.
+    """
+    n = len(values)
+    if n <= SAMPLES:
+        return np.arange(n)
+    edges = np.unique(np.linspace(0, n, SAMPLES // 3 + 1).astype(np.int64))
+    extremes = [
+        a + extreme(values[a:b]) for a, b in pairwise(edges) for extreme in (np.argmin, np.argmax)
+    ]
+    return np.unique(np.concatenate([edges[:-1], extremes, np.asarray(keep, np.int64), [n - 1]]))

@@ -1,0 +1,206 @@
+"""What a page shows of a run of ``acoustube simulate`` or ``acoustube indent``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+from acoustube.reports.page.content import (
+    HEARD,
+    PRESSED,
+    Along,
+    Content,
+    Group,
+    Signal,
+    State,
+    signal_of,
+    tool_in_words,
+)
+from acoustube.reports.page.shapes import Shape, from_rings, tool, tool_height
+from acoustube.reports.page.solid import Solid
+from acoustube.runs import sound
+from acoustube.runs.config import Config, Mechanics, configured
+from acoustube.runs.presses import press_from
+
+RUN = "run.nc"
+REACH = 4.0
+"""How far the tube is drawn to each side of the press, in its outer diameters."""
+PLACES = 201
+"""Places along the tube at which the lumen of an increment is measured."""
+
+
+def read_run(folder: Path) -> Content:
+    """Read the run of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Which holds `RUN`.
+
+    Returns
+    -------
+    Content
+
+    Raises
+    ------
+    ConfigError
+        If the file is damaged or something else.
+    """
+    try:
+        with xr.open_dataset(folder / RUN, engine="h5netcdf") as file:
+            data = file.load()
+        simulated = "source_end" in data.dims
+        settings = json.loads(data.attrs["configuration"])
+        if simulated:
+            group = _simulated(data, configured(settings))
+        else:
+            group = _indented(data, configured(settings, Mechanics))
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{folder / RUN} is damaged or no run of acoustube simulate or indent "
+            f"({' '.join(str(error).split())}); write one with either command"
+        ) from error
+    return Content(
+        title=f"{folder.resolve().name}: a soft tube, pressed",
+        lead=HEARD if simulated else PRESSED,
+        groups=[group],
+        settings=settings,
+        origin=_origin(data),
+        notes=[note for note in data.attrs["warnings"].splitlines() if note],
+        missing=_missing(data, simulated),
+    )
+
+
+def _origin(data: xr.Dataset) -> dict[str, str]:
+    names = {
+        "acoustube_version": "acoustube version", "created": "computed", "device": "device",
+        "precision": "precision", "accuracy": "accuracy",
+        "configuration_hash": "hash of the settings",
+    }  # fmt: skip
+    return {words: str(data.attrs[name]) for name, words in names.items() if name in data.attrs}
+
+
+def _missing(data: xr.Dataset, simulated: bool) -> dict[str, str]:
+    if not simulated:
+        silent = "This is a press alone (acoustube indent): no sound was computed."
+        return {"signal": silent, "spectrum": silent}
+    last = 1e3 * float(data["indentation_depth"][-1])
+    return {
+        "signal": f"The sound was computed at the last depth only, {last:g} mm.",
+        "spectrum": "A run of acoustube simulate hears one pulse and keeps no scattering matrix; "
+        "acoustube sweep and acoustube scatter compute the reflection over frequency.",
+    }
+
+
+def _rows(data: xr.Dataset) -> list[int]:
+    """Return the depths that were reached."""
+    there = np.isfinite(data["contact_force"].values)
+    if "converged" in data:
+        there &= data["converged"].values.astype(bool)
+    rows = [int(i) for i in np.flatnonzero(there)]
+    if not rows:
+        raise ConfigError("the press reached none of its depths, so there is nothing to show")
+    return rows
+
+
+def _indented(data: xr.Dataset, config: Mechanics) -> Group:
+    """Return the states of a press alone."""
+    solid, press = _solid(data), press_from(config)
+    z = data["z"].values
+    states = []
+    for row in _rows(data):
+        moved = data["node_displacement"].values[row]
+        along = Along(z=z, area=data["lumen_area_profile"].values[row])
+        states.append(_state(data, row, solid.shape(moved), press, along))
+    return _group(config, states, solid, position=np.nan, length=np.nan)
+
+
+def _simulated(data: xr.Dataset, config: Config) -> Group:
+    """Return the states of a press on its way; the last of them is heard."""
+    solid, press = _solid(data), press_from(config)
+    rows, position = _rows(data), float(data["true_distance"])
+    outer_diameter = float(np.ptp(solid.nodes[:, 1]))
+    z = np.linspace(-REACH, REACH, PLACES) * outer_diameter
+    states = []
+    for row in rows[:-1]:
+        moved = data["node_displacement"].values[row]
+        along = Along(z=z, area=solid.area(moved, z))
+        states.append(_state(data, row, solid.shape(moved), press, along))
+    walls = [data[name].values - [0, 0, position] for name in ("inner_wall", "outer_wall")]
+    near = np.abs(walls[0][:, 0, 2]) < 2 * REACH * outer_diameter
+    along = Along(z=data["z"].values - position, area=data["area_profile"].values)
+    shape = from_rings(*(wall[near] for wall in walls))
+    states.append(_state(data, rows[-1], shape, press, along, _signal(data, config)))
+    length = float(data["z"][-1])
+    return _group(config, states, solid, position=position, length=length)
+
+
+def _solid(data: xr.Dataset) -> Solid:
+    return Solid(data["node_position"].values, data["element_node"].values.astype(np.int64))
+
+
+def _state(
+    data: xr.Dataset, row: int, shape: Shape, press: Any, along: Along, signal: Signal | None = None
+) -> State:
+    at = data.isel(depth=row)
+    return State(
+        depth=float(at["indentation_depth"]),
+        force=float(at["contact_force"]),
+        height=float(at["lumen_height"]),
+        width=float(at["lumen_width"]),
+        area=float(at["lumen_area"]),
+        shape=shape,
+        tool_height=tool_height(press, shape.points[np.unique(shape.faces["outer"])]),
+        along=along,
+        signal=signal,
+    )
+
+
+def _group(
+    config: Config | Mechanics, states: list[State], solid: Solid, *, position: float, length: float
+) -> Group:
+    outer_diameter = float(np.ptp(solid.nodes[:, 1]))
+    far = solid.area(np.zeros_like(solid.nodes), np.array([0.5 * solid.nodes[:, 2].max()]))
+    soft = config.indentation.layer_mm is not None
+    return Group(
+        tool=tool_in_words(config),
+        place="" if np.isnan(position) else f"{100 * position:g} cm",
+        other="",
+        states=states,
+        solid=tool(press_from(config), outer_diameter),
+        position=position,
+        length=length,
+        bore_area=float(far[0]),
+        outer_diameter=outer_diameter,
+        floor=np.nan if soft else float(solid.nodes[:, 1].min()),
+    )
+
+
+def _signal(data: xr.Dataset, config: Config) -> Signal:
+    """Return what the probe hears with the source end that was asked for."""
+    end = str(data["distance"].attrs["source_end"])
+    case = data.sel(source_end=end)
+    probe, speed = float(case["probe_position"]), float(case["sound_speed"])
+
+    def place(time: Any) -> Any:
+        return probe + speed * (time - float(case["send_time"])) / 2
+
+    peaks = np.isfinite(case["peak_time"].values)
+    return signal_of(
+        case["time"].values,
+        case["pressure"].values.astype(float),
+        case["envelope"].values,
+        case["peak_time"].values[peaks],
+        case["peak_amplitude"].values[peaks],
+        place=place,
+        faded=float(case["send_time"]) + sound.blind_time(config),
+        estimate=float(case["estimated_distance"]),
+        amplitude=float(case["echo_amplitude"]),
+        probe=probe,
+        source_end=end,
+    )

@@ -1,0 +1,128 @@
+"""Pages: results as one HTML file that opens from disk, without a network."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import re
+from importlib.resources import files
+from pathlib import Path
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_new_file, partial_file
+from acoustube.base.version import __version__
+from acoustube.reports.page.cases import read_sweep
+from acoustube.reports.page.content import Content
+from acoustube.reports.page.encoded import encoded
+from acoustube.reports.page.runs import RUN, read_run
+from acoustube.runs.sweep.store import PLAN
+
+PARTS = {"style": "page.css", "charts": "charts.js", "script": "page.js"}
+SLOT = re.compile(r"\{\{ (\w+) \}\}")
+
+
+def read(where: str | Path) -> Content:
+    """Read what a page is to show.
+
+    Parameters
+    ----------
+    where : str or path
+        A folder that ``acoustube simulate``, ``indent`` or ``sweep`` wrote.
+
+    Returns
+    -------
+    Content
+
+    Raises
+    ------
+    ConfigError
+        If it is something else, or holds no result yet.
+    """
+    folder = Path(where).parent if Path(where).name == RUN else Path(where)
+    if not folder.exists():
+        raise ConfigError(
+            f"{where} does not exist; name a folder that acoustube simulate, indent or sweep wrote"
+        )
+    if (folder / RUN).is_file():
+        return read_run(folder)
+    if (folder / PLAN).is_file() or any(folder.glob("cases-*.nc")):
+        return read_sweep(folder)
+    cycles = " is a dataset of cycles;" if any(folder.glob("cycles-*.nc")) else " holds no run;"
+    raise ConfigError(
+        f"{where}{cycles} name a folder that acoustube simulate, indent or sweep wrote"
+    )
+
+
+def write_page(where: str | Path, out: str | Path) -> Path:
+    """Write a page that shows a run.
+
+    Parameters
+    ----------
+    where : str or path
+        A folder that ``acoustube simulate``, ``indent`` or ``sweep`` wrote.
+    out : str or path
+        The HTML file, which must be new.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ConfigError
+        If there is nothing to show, the file cannot be made, or the package that brings the
+        drawing library is missing.
+    """
+    out = Path(out)
+    check_new_file(out, "html")
+    library = plotly_js()
+    page = assembled(read(where), library)
+    with partial_file(out) as partial:
+        partial.write_text(page, encoding="utf-8")
+    return out
+
+
+def plotly_js() -> str:
+    """Return the source of plotly.js, which is embedded in each page.
+
+    Raises
+    ------
+    ConfigError
+        If the package plotly is not there.
+    """
+    try:
+        offline = importlib.import_module("plotly.offline")
+    except ImportError as error:
+        raise ConfigError(
+            "A page needs the package plotly, which brings plotly.js; pip install 'acoustube[page]'"
+        ) from error
+    return str(offline.get_plotlyjs())
+
+
+def assembled(content: Content, library: str) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    content : Content
+    library : str
+        Source of plotly.js.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    folder = files("acoustube.reports.page")
+    parts = {slot: folder.joinpath(name).read_text("utf-8") for slot, name in PARTS.items()}
+    parts |= {
+        "title": html.escape(content.title),
+        "lead": html.escape(content.lead),
+        "version": html.escape(__version__),
+        # In a string of the library this sequence would end the script element.
+        "library": library.replace("</script", "<\\/script"),
+        "content": encoded(content),
+    }
+    template = folder.joinpath("page.html").read_text("utf-8")
+    return SLOT.sub(lambda slot: parts[slot[1]], template)

@@ -1,0 +1,1 @@
+"""Scenes in 3-D by PyVista."""

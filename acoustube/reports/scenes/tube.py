@@ -1,0 +1,224 @@
+"""The pressed tube in three dimensions, drawn by VTK off screen.
+
+Run as a program of its own, ``python -m acoustube.reports.scenes.tube RUN.nc IMAGE.npz``: VTK ends
+the process where the libraries for drawing without a screen are missing, and must not take a
+finished simulation with it.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:  # the solvers, which a command that draws nothing does not need
+    from acoustube.indentation import Press
+
+Image = NDArray[np.uint8]
+
+LAYER = "#cfdccb"
+WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", "#e9e9e9"
+STRIP_PIXELS = (2400, 260)
+CLOSE_UP_PIXELS = (1800, 760)
+STRIP_MAGNIFICATION = 3.0
+"""How much larger than its length the strip shows the tube's cross-section."""
+TIME_LIMIT = 120.0
+
+
+def draw(run: Path) -> dict[str, Image] | None:
+    """Draw the tube of a run in a process of its own.
+
+    Parameters
+    ----------
+    run : path
+        The run's netCDF file.
+
+    Returns
+    -------
+    dict of images of shape (height, width, 3), or None
+        ``close_up`` and ``strip``; None if VTK cannot draw on this machine.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            images = Path(folder) / "images.npz"
+            command = [sys.executable, "-m", __name__, str(run), str(images)]
+            subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
+            with np.load(images) as file:
+                return {name: file[name] for name in file.files}
+    except (subprocess.SubprocessError, OSError):
+        return None  # the figure is drawn without the tube, and says so
+
+
+def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
+    """Return the tube cut open at x = 0: points and triangles of its parts with x < 0.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A run.
+
+    Returns
+    -------
+    dict
+        ``inner`` and ``outer`` wall, and the ``cut`` between them at the bottom and the top; each
+        with points (n, 3) in m and triangles (m, 3).
+    """
+    inner, outer = dataset["inner_wall"].values, dataset["outer_wall"].values
+    middle = inner.shape[1] // 2
+    # Rings run up on the side x > 0; the rest of each, closed by its first point, is x < 0.
+    behind = [np.concatenate([wall[:, middle:], wall[:, :1]], axis=1) for wall in (inner, outer)]
+    edges = [np.stack([inner[:, i], outer[:, i]], axis=1) for i in (0, middle)]
+    parts = {"inner": behind[:1], "outer": behind[1:], "cut": edges}
+    return {name: _joined([_strip(sheet) for sheet in sheets]) for name, sheets in parts.items()}
+
+
+def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Triangulate an open sheet of points (n, m, 3)."""
+    number = np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[:2])
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
+    return sheet.reshape(-1, 3), faces
+
+
+def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
+    """Put meshes of points and triangles into one."""
+    offsets = np.cumsum([0, *(len(points) for points, _ in meshes)])
+    faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=False)]
+    return np.concatenate([points for points, _ in meshes]), np.concatenate(faces)
+
+
+def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float) -> Any:
+    """Return an off-screen plotter with the opened tube; the tube's axis is z."""
+    import pyvista
+
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(pixels))
+    plotter.set_background("white")
+    scale, parts = [magnification, magnification, 1], half_walls(dataset)
+    for name, colour in (("outer", WALL), ("inner", LUMEN), ("cut", SECTION)):
+        points, faces = parts[name]
+        mesh = pyvista.PolyData.from_regular_faces(points * scale, faces)
+        plotter.add_mesh(mesh, color=colour, smooth_shading=name != "cut", ambient=0.25)
+    plotter.enable_anti_aliasing(aa_type="ssaa")
+    return plotter
+
+
+def close_up(dataset: xr.Dataset, press: Press, layer: float | None = None) -> Image:
+    """Draw the pressed part in true proportions, with the tool and what the tube rests on.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        A run.
+    press : Press
+    layer : float, optional
+        Thickness of the elastic layer under the tube in m, if there is one.
+    """
+    import pyvista
+
+    plotter = _plotter(dataset, CLOSE_UP_PIXELS, 1.0)
+    position = float(dataset["true_distance"])
+    outer = dataset["outer_wall"].values - [0.0, 0.0, position]
+    size = float(np.ptp(outer[0, :, 1]))
+    moved = [0.0, 0.0, position]
+    points, faces = tool_behind(press, outer)
+    tool = pyvista.PolyData.from_regular_faces(points + moved, faces)
+    plotter.add_mesh(tool, color=ROD, smooth_shading=True, split_sharp_edges=True, ambient=0.35)
+    side, far = (-1.4 * size, 0.4 * size), 6 * size
+    if layer is None:
+        near, end = position - far, position + far
+        floor: Any = pyvista.Box((*side, -0.56 * size, -0.5 * size, near, end))
+        plotter.add_mesh(floor, color=GROUND)
+    else:
+        sheets = layer_sheets(outer, side, far, -0.5 * size - min(layer, size))
+        points, faces = _joined([_strip(sheet) for sheet in sheets])
+        floor = pyvista.PolyData.from_regular_faces(points + moved, faces)
+        plotter.add_mesh(floor, color=LAYER, smooth_shading=True, split_sharp_edges=True)
+    plotter.camera.focal_point = (0, 0.25 * size, position)
+    plotter.camera.position = (6.0 * size, 2.6 * size, position - 3.6 * size)
+    plotter.camera.up = (0, 1, 0)
+    plotter.camera.view_angle = 21
+    plotter.camera.clipping_range = (0.1 * size, 40 * size)
+    return np.asarray(plotter.screenshot(return_img=True))
+
+
+def tool_behind(press: Press, outer: Any) -> tuple[Any, Any]:
+    """Return points and triangles of a tool's half with x <= 0, where it touches the wall.
+
+    Parameters
+    ----------
+    press : Press
+    outer : array of shape (n_rings, n_around, 3)
+        The outer wall in m, the press at z = 0.
+    """
+    from acoustube.reports.page.shapes import tool, tool_height
+
+    # `tool` makes the half x >= 0, and so the mirror image is asked for.
+    mirrored = replace(press, x=-press.x, yaw=-press.yaw)
+    made = tool(mirrored, float(np.ptp(outer[0, :, 1])))
+    raised = made.points * [-1.0, 1.0, 1.0]
+    raised[:, 1] += tool_height(press, outer.reshape(-1, 3))
+    return raised, made.faces[:, ::-1]
+
+
+def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: float) -> list[Any]:
+    """Return top and front of an elastic layer, which yields where the tube sinks into it.
+
+    Parameters
+    ----------
+    outer : array of shape (n_rings, n_around, 3)
+        The outer wall in m, the press at z = 0.
+    side : tuple of float
+        From where to where it reaches across, in m.
+    far : float
+        How far it reaches along the tube to both sides, in m.
+    bottom : float
+        Height of its underside in m.
+    """
+    rings = outer[np.abs(outer[:, 0, 2]) <= far]
+    unloaded = outer[0, :, 1].min()
+    x = np.linspace(*side, 160)
+    sheet = []
+    for ring in rings:
+        lower = ring[ring[:, 1] < ring[:, 1].mean()]
+        lower = lower[np.argsort(lower[:, 0])]
+        y = np.minimum(np.interp(x, lower[:, 0], lower[:, 1], np.inf, np.inf), unloaded)
+        sheet.append(np.stack([x, y, np.full_like(x, ring[0, 2])], axis=-1))
+    top = np.array(sheet)
+    below = top[:, -1] * [1.0, 0.0, 1.0] + [0.0, bottom, 0.0]
+    return [top, np.stack([top[:, -1], below])]
+
+
+def strip(dataset: xr.Dataset) -> Image:
+    """Draw the whole tube so that the picture's width is exactly the tube's length."""
+    plotter = _plotter(dataset, STRIP_PIXELS, STRIP_MAGNIFICATION)
+    length = float(dataset["outer_wall"].values[-1, 0, 2])
+    plotter.enable_parallel_projection()
+    plotter.camera.focal_point = (0, 0, length / 2)
+    # From a little above, at a right angle to the axis, so that distances along it are true.
+    plotter.camera.position = (length * np.cos(0.35), length * np.sin(0.35), length / 2)
+    plotter.camera.up = (0, 1, 0)
+    plotter.camera.parallel_scale = 0.5 * length * STRIP_PIXELS[1] / STRIP_PIXELS[0]
+    plotter.camera.clipping_range = (0.01 * length, 10 * length)
+    return np.asarray(plotter.screenshot(return_img=True))
+
+
+if __name__ == "__main__":
+    import json
+
+    from acoustube.runs.config import Mechanics, configured
+    from acoustube.runs.presses import layer_from, press_from
+
+    with xr.open_dataset(sys.argv[1], engine="h5netcdf") as run:
+        settings = json.loads(run.attrs["configuration"])
+        config = configured({n: settings[n] for n in ("tube", "indentation")}, Mechanics)
+        under = layer_from(config)
+        depth = None if under is None else under.thickness
+        picture = close_up(run, press_from(config), depth)
+        np.savez(sys.argv[2], close_up=picture, strip=strip(run))

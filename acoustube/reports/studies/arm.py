@@ -1,0 +1,193 @@
+"""What the studies on an arm share: the sleeve, presses on it, and what is made of their cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from rich.console import Console
+
+from acoustube import estimation
+from acoustube.air import air_at
+from acoustube.base.types import Array
+from acoustube.estimation import Describing
+from acoustube.ranging import Rangefinder, record
+from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE, calibrated
+from acoustube.reports.studies.presses import matrices
+from acoustube.runs.sweep.cycles import seed_of
+from acoustube.signals import Processing
+from acoustube.sleeve import Helix, design, shortened, windings
+from acoustube.tube import Tube
+from acoustube.waves import Placed, Scattering
+from acoustube.waves.network import rescaled
+
+SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
+"""Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
+250 cm fit. The paper tells no sizes."""
+PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
+"""Of the presses along a tube in m: seven, spread over the reach."""
+ROD = 25e-3
+"""Diameter in m of the tool."""
+REACH = 0.03
+"""In m, to either side: at 29 mm from a 25 mm rod the lumen has 99 % of its area."""
+TUBE_SEEDS = (0, 1)
+"""Of the irregularities of the sleeve's tubes."""
+
+
+def sleeve() -> tuple[Helix, ...]:
+    """Return the two tubes of the sleeve; the sensors are at the wrist."""
+    return tuple(design(SLEEVE, GIRTHS, loops=LOOPS))
+
+
+def rod_on_a_bend(diameter: float, curvature: float) -> float:
+    """Return the rod that meets a straight tube as another meets a bent one.
+
+    Parameters
+    ----------
+    diameter : float
+        Of the rod across a tube in m.
+    curvature : float
+        Of the tube, bent away from the rod, in 1/m.
+
+    Returns
+    -------
+    float
+        In m.
+
+    Notes
+    -----
+    At a distance z along the tube the rod has left it by z^2/2 (2/d + kappa), as a rod of the
+    diameter 1 / (1/d + kappa/2) has left a straight one: to second order in z, all that Hertz's
+    theory knows of two bodies.
+    """
+    return 1 / (1 / diameter + curvature / 2)
+
+
+def tool(tube: Helix) -> str:
+    """Return the diameter of that rod at the middle of a sleeve, as a setting in mm."""
+    curvature = float(tube.bend(tube.length / 2)[0])
+    return f"{1e3 * rod_on_a_bend(ROD, curvature):.1f}"
+
+
+def processing_of(tube: int) -> Processing:
+    """Return the processing of a tube's cycles, calibrated with the tube straight."""
+    return calibrated(TUBE_SEEDS[tube])[0].processing
+
+
+def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, Scattering]]:
+    """Return the presses of a sweep, each once, by their depth in m, in air of the studies."""
+    speed = air_at(TEMPERATURE).sound_speed
+    return {
+        round(float(cases["depth"].values[0]), 7): (
+            cases.isel(press=0),
+            rescaled(matrix, speed),
+        )
+        for cases, matrix in matrices(folder)
+    }
+
+
+def bent_around(
+    helix: Helix, place: float, like: Scattering, *, flattened: bool = False
+) -> list[Placed]:
+    """Return the bends of a wrapped tube that is pressed at a place in m.
+
+    Parameters
+    ----------
+    helix : Helix
+    place : float
+    like : Scattering
+        Of a press, for its band and modes.
+    flattened : bool
+        Whether the bends flatten the tube as much as a free one.
+    """
+    return windings(
+        helix, air_at(TEMPERATURE), like.frequency, [place], reach=REACH, radius=RADIUS,
+        modes=like.modes, tube=Tube() if flattened else None,
+    )  # fmt: skip
+
+
+def cycles_of(
+    matrix: Scattering,
+    place: float,
+    bends: Sequence[Placed],
+    *,
+    tube: int,
+    n_cycles: int,
+    name: object,
+    labels: Mapping[str, float] | None = None,
+) -> xr.Dataset:
+    """Record cycles of a press.
+
+    Parameters
+    ----------
+    matrix : Scattering
+    place : float
+        In m.
+    bends : sequence of Placed
+        From :func:`bent_around`; none for a straight tube.
+    tube : int
+        Of the sleeve.
+    n_cycles : int
+    name : object
+        What the noise belongs to.
+    labels : mapping of str to float, optional
+        Of all cycles.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of :func:`acoustube.ranging.record`, with labels.
+    """
+    press = Placed(matrix, place)
+    found = record(
+        [*bends, shortened(press, REACH)] if bends else [press], Rangefinder(), radius=RADIUS,
+        length=LENGTH, temperature=TEMPERATURE, n_cycles=n_cycles, seed=seed_of(tube, name),
+        session_seed=tube, tube_seed=TUBE_SEEDS[tube],
+    )  # fmt: skip
+    known = {"true_distance": place} | dict(labels or {})
+    return found.assign({k: ("cycle", np.full(n_cycles, v)) for k, v in known.items()})
+
+
+def told(cycles: xr.Dataset, tube: int) -> xr.Dataset:
+    """Return what the paper's processing tells of cycles, beside their labels."""
+    return estimation.described(cycles, Describing(processing=processing_of(tube)))
+
+
+def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
+    """Return how far apart two places of a tube are over the skin.
+
+    Parameters
+    ----------
+    helix : Helix
+    there, here : array_like
+        Distances from the sensor in m, of one shape.
+
+    Returns
+    -------
+    array
+        In m, of the unrolled cone; nan where one is not on the sleeve.
+
+    Notes
+    -----
+    An error of a whole loop along the tube is one of a pitch over the skin.
+    """
+    z = np.stack([helix.height(there), helix.height(here)])
+    turn = np.mod(np.diff(helix.angle(z), axis=0)[0] + np.pi, 2 * np.pi) - np.pi
+    slant = np.hypot(1.0, helix.taper)
+    # The cone unrolls to a sector: to its tip it is r / sin, and it turns by sin times as much.
+    sine = helix.taper / slant
+    across = np.sqrt(np.prod(helix.radius_at(z), axis=0)) * 2 * _half_chord(turn, sine)
+    return np.hypot(slant * np.diff(z, axis=0)[0], across)
+
+
+def _half_chord(turn: Array, sine: float) -> Array:
+    """Return sin(turn sine / 2) / sine, also for a cylinder, whose sine is zero."""
+    return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
+
+
+def begins(console: Console, words: str) -> None:
+    """Print what begins."""
+    console.print(f"{words} ...", soft_wrap=True, highlight=False)

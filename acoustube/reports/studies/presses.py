@@ -1,0 +1,63 @@
+"""Sweeps of studies, and the scattering that is stored with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import xarray as xr
+from rich.console import Console
+
+from acoustube.base.errors import SimulationError
+from acoustube.reports.studies.report import Level, Scale
+from acoustube.runs.opening import files_of, open_dataset
+from acoustube.runs.scattering_file import from_dataset
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import run_sweep
+from acoustube.waves import Scattering
+
+
+def swept(
+    folder: Path,
+    over: Mapping[str, Sequence[str]],
+    level: Level,
+    scale: Scale,
+    console: Console,
+) -> xr.Dataset:
+    """Run a sweep, or go on with it, and return its cases.
+
+    Parameters
+    ----------
+    folder : Path
+    over : mapping of str to sequence of str
+        See :func:`acoustube.runs.sweep.plan.load_plan`.
+    level : Level
+    scale : Scale
+    console : rich.console.Console
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`acoustube.open_dataset`.
+
+    Raises
+    ------
+    SimulationError
+        If a case fails.
+    """
+    given = {"resolution": [str(level.resolution)], "mesh": [level.mesh]}
+    plan = load_plan(None, {**given, **over})
+    if not run_sweep(plan, folder, console, workers=scale.workers):
+        raise SimulationError(
+            f"a case of {folder} failed (above); repeat the command to go on with the others"
+        )
+    return open_dataset(folder).load()
+
+
+def matrices(folder: Path) -> Iterator[tuple[xr.Dataset, Scattering]]:
+    """Yield the scattering of each press of a sweep, with the cases that have it."""
+    for path in files_of(folder):
+        cases, matrix = store.read(path)
+        if matrix is not None:
+            yield cases, from_dataset(matrix)

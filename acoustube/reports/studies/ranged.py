@@ -1,0 +1,113 @@
+"""What the processing tells of cycles: their distance, and whether it is right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube import estimation
+from acoustube.base.types import Array
+from acoustube.estimation import Errors
+from acoustube.reports.figures.run import CM
+from acoustube.reports.studies.report import Row
+
+FALSE = 0.25
+"""Error of the distance in m from which a detection is a false positive."""
+SHALLOWEST = 0.9e-3
+"""Depth in m from which cases of the flat table's first dataset are taken."""
+RELIABLE = 0.5
+"""Share of the cycles that must tell the distance to 25 cm for a contact to be reliable."""
+
+
+def distance_errors(table: xr.Dataset) -> Errors:
+    """Return the errors of the distance of cycles with an echo, in m."""
+    return estimation.errors(table["true_distance"].values, found_distance(table))
+
+
+def found_distance(table: xr.Dataset) -> Array:
+    """Return the estimated distance of cycles in m; nan without an echo."""
+    return np.asarray(table["features"].sel(feature="distance").values)
+
+
+def told(table: xr.Dataset) -> NDArray[np.bool_]:
+    """Return which cycles tell the distance to 25 cm."""
+    return np.asarray(np.abs(found_distance(table) - table["true_distance"].values) < FALSE)
+
+
+def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
+    """Return the least depth in m from which most cycles of a range of places tell the distance.
+
+    Of all places in the range together; nan if even of the deepest presses most do not.
+    """
+    place = table["true_distance"].values
+    inside = table.isel(cycle=(place >= nearest) & (place <= farthest))
+    depths, number = np.unique(inside["depth"].values.round(9), return_inverse=True)
+    good = [np.mean(told(inside)[number == i]) > RELIABLE for i in range(len(depths))]
+    if not good or not good[-1]:
+        return float("nan")
+    unreliable = np.flatnonzero(~np.array(good))
+    return float(depths[unreliable[-1] + 1] if unreliable.size else depths[0])
+
+
+def measure_rows(
+    what: str,
+    unit: str,
+    ours: Errors,
+    *,
+    why: str,
+    scale: float = 1.0,
+    published: Sequence[float | None] = (None, None, None),
+    coarser: Errors | None = None,
+) -> list[Row]:
+    """Return median, RMSE and IQR of absolute errors: the columns of the paper's tables.
+
+    Parameters
+    ----------
+    what, unit : str
+        What is estimated, and its unit in the report.
+    ours : Errors
+    why : str
+    scale : float
+        Of that unit to the errors' own.
+    published : sequence of float or None
+        In the unit of the report.
+    coarser : Errors, optional
+        On the coarser level.
+    """
+    return [
+        Row(
+            quantity=f"{what}: {words} absolute error", unit=unit, published=number,
+            ours=scale * getattr(ours, name),
+            coarser=None if coarser is None else scale * getattr(coarser, name), why=why,
+        )
+        for name, words, number in zip(
+            ("median", "rmse", "iqr"), ("median", "RMSE of the", "IQR of the"), published,
+            strict=True,
+        )
+    ]  # fmt: skip
+
+
+def distance_rows(
+    table: xr.Dataset, coarser: xr.Dataset | None, published: Sequence[float], why: str
+) -> list[Row]:
+    """Return a row of the paper's Table I."""
+    ours, other = (None if t is None else distance_errors(t) for t in (table, coarser))
+    assert ours is not None
+    return measure_rows(
+        "distance", "cm", ours, why=why, scale=CM, published=published, coarser=other
+    )
+
+
+def heard_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
+    """Return the share of cycles with an echo."""
+    ours, other = (
+        None if t is None else 100 * float(np.mean(np.isfinite(found_distance(t))))
+        for t in (table, coarser)
+    )
+    assert ours is not None
+    return Row(
+        quantity="cycles with an echo", unit="%", ours=ours, coarser=other, why="Not published."
+    )

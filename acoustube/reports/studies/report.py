@@ -1,0 +1,207 @@
+"""What a study gives: numbers beside published ones, figures, and a page that shows both."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from acoustube.base.version import __version__
+from acoustube.runs.sweep.workers import Workers
+
+FAR = 1 / 3
+"""Difference from a published number, as a share of it, from which a row is marked."""
+COLUMNS = (
+    "study", "quantity", "unit", "published", "ours", "difference_percent", "coarser",
+    "change_percent", "why",
+)  # fmt: skip
+DPI = 110
+
+
+class Level(NamedTuple):
+    """How finely a study is computed.
+
+    Attributes
+    ----------
+    resolution : int
+        Cells across the bore.
+    mesh : str
+        Of the wall, as the setting of that name.
+    """
+
+    resolution: int
+    mesh: str
+
+
+USUAL, COARSE = Level(16, "usual"), Level(12, "coarse")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """How much of a study is done.
+
+    Attributes
+    ----------
+    quick : bool
+        A few presses on the coarse level alone, to see that all works; its numbers mean little.
+    workers : int, Workers or None
+        Processes; as many as there are cores with None. Or those of the study before.
+    """
+
+    quick: bool = False
+    workers: int | Workers | None = None
+
+    @property
+    def level(self) -> Level:
+        """The level of the numbers that are reported."""
+        return COARSE if self.quick else USUAL
+
+    @property
+    def coarser(self) -> Level | None:
+        """The level beside it, to see what refinement changes; a quick study has none."""
+        return None if self.quick else COARSE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One number of a study.
+
+    Attributes
+    ----------
+    quantity, unit : str
+    ours : float
+        nan where there is none.
+    published : float or None
+        None where nothing is published.
+    coarser : float or None
+        Ours on a coarser mesh and grid; None where neither matters, or it was not computed.
+    why : str
+        Why the two differ, or what ours is.
+    """
+
+    quantity: str
+    unit: str
+    ours: float
+    published: float | None = None
+    coarser: float | None = None
+    why: str = ""
+
+    @property
+    def difference(self) -> float:
+        """Ours less published, as a share of that; nan where one is missing."""
+        return _relative(self.ours, self.published)
+
+    @property
+    def change(self) -> float:
+        """Ours less that on the coarser level, as a share of ours; nan where one is missing."""
+        return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What a study found.
+
+    Attributes
+    ----------
+    title : str
+    text : str
+        Paragraphs with empty lines between them: what was done, what was assumed, what simulation
+        cannot know.
+    rows : sequence of Row
+    figures : mapping of str to matplotlib.figure.Figure
+        By their captions.
+    """
+
+    title: str
+    text: str
+    rows: Sequence[Row]
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+
+
+def _relative(value: float, reference: float | None) -> float:
+    if reference is None or not np.isfinite(reference) or reference == 0:
+        return float("nan")
+    return (value - reference) / abs(reference)
+
+
+def write(study: Study, name: str, folder: Path) -> None:
+    """Write a study as ``index.html``, ``table.csv`` and a PNG for each figure.
+
+    Parameters
+    ----------
+    study : Study
+    name : str
+        The study's, for the table.
+    folder : Path
+        Which exists.
+    """
+    pictures = {}
+    for number, (caption, figure) in enumerate(study.figures.items(), 1):
+        png = io.BytesIO()
+        figure.savefig(png, format="png", dpi=DPI)
+        (folder / f"figure-{number}.png").write_bytes(png.getvalue())
+        pictures[caption] = png.getvalue()
+    write_table({name: study}, folder / "table.csv")
+    (folder / "index.html").write_text(page(study, pictures), encoding="utf-8")
+
+
+def write_table(studies: Mapping[str, Study], path: Path) -> None:
+    """Write the numbers of studies, by name, as CSV."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for name, study in studies.items():
+            for row in study.rows:
+                numbers = (row.published, row.ours, 100 * row.difference, row.coarser,
+                           100 * row.change)  # fmt: skip
+                words = [_plain(number, 6, "") for number in numbers]
+                writer.writerow([name, row.quantity, row.unit, *words, row.why])
+
+
+def page(study: Study, pictures: Mapping[str, bytes]) -> str:
+    """Return a page that needs nothing else: text, table, and figures as PNG by caption."""
+    figures = "\n".join(
+        f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
+        f'{base64.b64encode(png).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
+        for caption, png in pictures.items()
+    )
+    template = files("acoustube.reports.studies").joinpath("page.html").read_text(encoding="utf-8")
+    paragraphs = study.text.split("\n\n")
+    return Template(template).substitute(
+        title=escape(study.title),
+        text="\n".join(f"<p>{escape(part)}</p>" for part in paragraphs),
+        rows="\n".join(_html_row(row) for row in study.rows),
+        figures=figures,
+        version=__version__,
+    )
+
+
+def _html_row(row: Row) -> str:
+    far = bool(abs(row.difference) > FAR)
+    cells = (
+        _plain(row.published), _plain(row.ours), _percent(row.difference), _plain(row.coarser),
+        _percent(row.change),
+    )  # fmt: skip
+    numbers = "".join(f"<td>{cell}</td>" for cell in cells)
+    return (
+        f"<tr{' class=far' * far}><th scope=row>{escape(row.quantity)}</th>"
+        f"<td>{escape(row.unit)}</td>{numbers}<td class=why>{escape(row.why)}</td></tr>"
+    )
+
+
+def _plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
+    return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
+
+
+def _percent(share: float) -> str:
+    return "-" if not np.isfinite(share) else f"{100 * share:+.0f} %"

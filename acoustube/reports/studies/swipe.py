@@ -1,0 +1,212 @@
+"""A press that swipes along a tube, and two presses at once, followed through the whole sensor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from acoustube import signals, sleeve
+from acoustube.base.types import Array
+from acoustube.ranging import Rangefinder, record
+from acoustube.reports.figures.run import CM, PRESS
+from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
+from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
+from acoustube.reports.studies.report import Row
+from acoustube.sleeve import ContactTracker, Following
+from acoustube.waves import Placed, Scattering
+
+RATE = Rangefinder().cycle_rate
+SPEED = 0.05
+"""Of a swipe in m/s."""
+START, SWIPED = 0.40, 8.0
+"""Where a swipe begins in m, and how long it lasts in s."""
+PAIR, HELD = (0.60, 0.80), 2.0
+"""Places of two presses in m, and how long they last in s."""
+FORCES = (4.3, 7.0)
+"""In N: of the nearer press, and of the farther or of the swipe."""
+LIGHT, HARD, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
+"""Forces in N of nearer and of farther presses, and distances between them in m."""
+TOLD, SHORT = 0.10, 6
+"""Error in m up to which a press of a pair is told, half the least distance between them, and
+cycles that a pair is followed for."""
+LEAST = 0.06
+"""Height of an echo, as a share of the highest, from which it is a candidate: with 0.12 a press
+behind another is missed, with 0.03 a hard one has twice as many echoes of its own."""
+HOW = Following(deviation=0.015)
+"""What echoes scatter by that are late by trapped sound now and then."""
+
+
+class Track(NamedTuple):
+    """What was followed.
+
+    Attributes
+    ----------
+    times : array of shape (cycle,)
+        In s.
+    true : array of shape (cycle, contact)
+        Places in m.
+    candidates : list of array
+        Of each cycle, the places of all echoes in m.
+    contacts : list
+        Of each cycle, those that count; see :class:`acoustube.sleeve.ContactTracker`.
+    seconds : array of shape (cycle,)
+        Of the processor, that processing and following took.
+    """
+
+    times: Array
+    true: Array
+    candidates: list[Array]
+    contacts: list[sleeve.tracking.Contacts]
+    seconds: Array
+
+
+def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> tuple[Track, Track]:
+    """Follow a swipe, and two presses.
+
+    Parameters
+    ----------
+    presses : mapping
+        See :func:`acoustube.reports.studies.arm.by_depth`.
+    quick : bool
+        A quarter as long.
+
+    Returns
+    -------
+    tuple of Track
+
+    Notes
+    -----
+    The tube is straight: on a wrap a moving press would need the bends around each of its places.
+    """
+    light, hard = (_of_force(presses, force) for force in FORCES)
+    share = 0.25 if quick else 1.0
+    times = np.arange(int(share * SWIPED * RATE)) / RATE
+    swipe = _followed([hard], (START + SPEED * times)[:, None], times)
+    times = np.arange(int(share * HELD * RATE)) / RATE
+    pair = _followed([light, hard], np.tile(PAIR, (len(times), 1)), times)
+    return swipe, pair
+
+
+def pairs_told(
+    presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool
+) -> NDArray[np.bool_]:
+    """Tell which pairs of presses are told as two, each near its place.
+
+    Returns
+    -------
+    ndarray of bool
+        (gap, light, hard), in the order of :data:`GAPS`, :data:`LIGHT` and :data:`HARD`; in a quick
+        study only the first of each.
+    """
+    gaps, lights, hards = (every[: 1 if quick else None] for every in (GAPS, LIGHT, HARD))
+    times = np.arange(SHORT) / RATE
+    told = np.zeros((len(gaps), len(lights), len(hards)), bool)
+    for at in np.ndindex(told.shape):
+        places = PAIR[0] + np.array([0.0, gaps[at[0]]])
+        pair = [_of_force(presses, lights[at[1]]), _of_force(presses, hards[at[2]])]
+        found = _followed(pair, np.tile(places, (SHORT, 1)), times).contacts[-1].place
+        told[at] = len(found) == 2 and bool(np.all(np.abs(np.sort(found) - places) < TOLD))
+    return told
+
+
+def _of_force(presses: Mapping[float, tuple[Any, Scattering]], force: float) -> Scattering:
+    """Return the scattering of the press whose force is nearest to one in N."""
+    return min(presses.values(), key=lambda press: abs(float(press[0]["force"]) - force))[1]
+
+
+def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Track:
+    """Record presses at places (cycle, contact), find echoes and follow them."""
+    candidates, contacts, seconds = [], [], []
+    following = ContactTracker(HOW)
+    known: signals.Tracker | None = None
+    for i, (at, places) in enumerate(zip(times, true, strict=True)):
+        presses = [Placed(m, float(z)) for m, z in zip(matrices, places, strict=True)]
+        cycle = record(
+            presses, Rangefinder(), radius=RADIUS, length=LENGTH, temperature=TEMPERATURE,
+            first_cycle=i, seed=7, tube_seed=TUBE_SEEDS[0],
+        )  # fmt: skip
+        known = known or signals.Tracker(cycle["time"].values, processing_of(0))
+        warmth = float(cycle["temperature"].values[0])
+        begun = time.thread_time()
+        ranging = known.update(cycle["signal"].values[0], warmth)
+        loud = ranging.echoes.amplitudes >= LEAST * ranging.amplitude
+        found = signals.distance(ranging.echoes.times[loud] - ranging.send_time, warmth)
+        presses_heard = sleeve.contacts_of_their_own(found, ranging.echoes.amplitudes[loud])
+        contacts.append(following.update(float(at), presses_heard))
+        seconds.append(time.thread_time() - begun)
+        candidates.append(found[np.isfinite(found)])
+    return Track(times, true, candidates, contacts, np.array(seconds))
+
+
+def errors_of(track: Track) -> Array:
+    """Return how far the followed contact nearest to each true one is off, (cycle, contact), in m.
+
+    nan where no contact counts yet.
+    """
+    return np.array(
+        [
+            [np.min(np.abs(now.place - z)) if len(now.place) else np.nan for z in places]
+            for now, places in zip(track.contacts, track.true, strict=True)
+        ]
+    )
+
+
+def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row]:
+    """Return how well contacts are followed, which pairs are told, and how long it takes."""
+    swipe, pair = tracks
+    off, both = errors_of(swipe), errors_of(pair)
+    speeds = [now.speed[np.argmin(np.abs(now.place - z))] for now, (z,) in zip(
+        swipe.contacts, swipe.true, strict=True) if len(now.place)]  # fmt: skip
+    taken = np.concatenate([swipe.seconds, pair.seconds])
+    why = "Through the whole simulated sensor, on a straight tube; the paper shows no numbers."
+    of_two = (
+        "Behind a hard press another one is heard 20 dB lower, as what the first traps beside it "
+        "is; where both meet they are told as one, or the farther too far."
+    )
+    return [
+        Row(quantity="swipe of 5 cm/s: RMSE of the place", unit="cm",
+            ours=CM * float(np.sqrt(np.nanmean(off**2))), why=why),
+        Row(quantity="swipe of 5 cm/s: median speed told", unit="cm/s",
+            ours=CM * float(np.median(speeds)) if speeds else float("nan"), why=why),
+        Row(quantity="swipe of 5 cm/s: cycles with a contact", unit="%",
+            ours=100 * float(np.mean(np.isfinite(off))), why="It counts from the fourth cycle on."),
+        Row(quantity="swipe of 5 cm/s: contacts that count at its end", unit="1",
+            ours=float(len(swipe.contacts[-1].number)), why="One is there."),
+        Row(quantity="two presses 20 cm apart: contacts that count", unit="1",
+            ours=float(len(pair.contacts[-1].number)), why="Two are there."),
+        *(
+            Row(quantity=f"two presses 20 cm apart: RMSE of the {which}", unit="cm",
+                ours=CM * float(np.sqrt(np.nanmean(part**2))), why=why)
+            for which, part in zip(("nearer", "farther"), both.T, strict=True)
+        ),
+        *(
+            Row(quantity=f"pairs {100 * gap:g} cm apart told as two, within 10 cm, of {pairs.size}",
+                unit="1", ours=float(pairs.sum()), why=of_two)
+            for gap, pairs in zip(GAPS, told, strict=False)
+        ),
+        Row(quantity="processing and following of a cycle: processor time", unit="ms",
+            ours=1e3 * float(np.median(taken)), why="The rangefinder sends one every 50 ms."),
+    ]  # fmt: skip
+
+
+def swipe_figure(tracks: tuple[Track, Track]) -> Figure:
+    """Draw echoes and contacts over time."""
+    sheet = Figure(figsize=(12, 4.5), layout="constrained")
+    for axes, track in zip(sheet.subplots(1, 2, sharey=True), tracks, strict=True):
+        at = np.repeat(track.times, [len(found) for found in track.candidates])
+        axes.plot(at, CM * np.concatenate(track.candidates), ".", ms=3, color="0.7", label="echoes")
+        axes.plot(track.times, CM * track.true, "--", lw=1, color=PRESS)
+        for number in sorted({int(n) for now in track.contacts for n in now.number}):
+            path = np.array([
+                [t, now.place[now.number == number][0]]
+                for t, now in zip(track.times, track.contacts, strict=True) if number in now.number
+            ])  # fmt: skip
+            axes.plot(path[:, 0], CM * path[:, 1], color=f"C{number}", label=f"contact {number}")
+        axes.set(xlabel="time (s)", ylabel="distance (cm)")
+        axes.legend(fontsize="small")
+    return sheet

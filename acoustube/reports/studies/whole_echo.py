@@ -1,0 +1,89 @@
+"""The flat table again, by an estimator that is told the whole echo, on the same test cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from rich.console import Console
+
+from acoustube import estimation
+from acoustube.base.console import heard_interrupts, stage_progress
+from acoustube.base.types import Report
+from acoustube.estimation import Describing, Model
+from acoustube.estimation.model import TARGETS
+from acoustube.reports.studies.ranged import SHALLOWEST, measure_rows
+from acoustube.reports.studies.report import Row, Scale
+from acoustube.runs.opening import open_dataset
+from acoustube.runs.training import HUMAN
+
+EVERY = 10
+"""Of the cycles one is taken: those of a press differ by noise alone."""
+
+
+def rows(
+    work: Path, how: Describing, heard: NDArray[np.bool_], scale: Scale, console: Console
+) -> list[Row]:
+    """Return the errors of the whole-echo networks on the second dataset of the flat table.
+
+    Parameters
+    ----------
+    work : Path
+        The flat study's, with the cycles of both datasets.
+    how : Describing
+    heard : array of bool of shape (cycle,)
+        In which cycles of the second dataset the paper's processing finds an echo: where both can
+        be compared.
+    scale : Scale
+    console : rich.console.Console
+
+    Returns
+    -------
+    list of Row
+    """
+    every = 1 if scale.quick else EVERY
+    with heard_interrupts() as check, stage_progress(console, check) as report:
+        first, second = (
+            _described(work / name, how, every, report) for name in ("first", "second")
+        )
+        first = first.isel(cycle=first["depth"].values > SHALLOWEST)
+        model = _trained(first, how, scale, report)
+    return [
+        *_rows(model, second, heard[::every], "where the highest peak is found"),
+        *_rows(model, second, np.ones_like(heard[::every]), "of all cycles"),
+    ]
+
+
+def _described(work: Path, how: Describing, every: int, report: Report) -> xr.Dataset:
+    cycles = open_dataset(work / "cycles").isel(cycle=slice(None, None, every)).load()
+    return estimation.described(cycles, how, lambda share: report("whole echoes", share))
+
+
+def _trained(table: xr.Dataset, how: Describing, scale: Scale, report: Report) -> Model:
+    settings: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
+    total = settings.get("epochs", 25)
+
+    def learned(step: float, *_losses: float) -> None:
+        report("training", min(step / total, 1.0))
+
+    return estimation.train(table, "echo", how, progress=learned, **settings)
+
+
+def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) -> Iterator[Row]:
+    table = table.isel(cycle=some)
+    estimates = estimation.estimate(model, table)
+    for target in model.targets:
+        unit, scale = HUMAN[target]
+        truth, name = table[target].values.astype(float), TARGETS[target]
+        columns = [estimates[name + end].values for end in ("", "_deviation", "_half_width")]
+        found = estimation.errors(truth, *columns)
+        why = f"Second dataset, {which}; learned from the first."
+        yield from measure_rows(f"{name}, whole echo, {which}", unit, found, why=why, scale=scale)
+        yield Row(quantity=f"{name}, whole echo, {which}: median relative error", unit="%",
+                  ours=100 * found.relative, why=why)  # fmt: skip
+        yield Row(quantity=f"{name}, whole echo, {which}: in the intervals of 90 %", unit="%",
+                  ours=100 * found.covered_wide, why="90 is stated.")  # fmt: skip

@@ -1,0 +1,196 @@
+"""Checks across sections of settings."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from acoustube.air import sound_speed
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
+from acoustube.base.rules import filled, short
+
+if TYPE_CHECKING:  # the command line imports this module before it writes anything
+    pass
+
+if TYPE_CHECKING:
+    from acoustube.runs.config.config import Config, Mechanics
+
+from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
+
+CELLS_PER_WAVELENGTH = 8
+"""Coarsest grid of the wave stage."""
+
+BAND_WIDTH = 3.83
+"""Half the pulse's band down to -70 dB, in carriers times cycles."""
+MOST_CELLS = 50_000_000
+"""Largest grid of the wave stage, which then takes some 15 GB of memory."""
+
+
+def check_touched(config: Config | Mechanics) -> None:
+    """Refuse a press that does not touch the tube, where one is needed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if config.indentation.depth_mm == 0:
+        raise ConfigError(
+            f"depth_mm = 0 presses nothing; use {SHALLOWEST_MM:g} or more (only a sweep may "
+            "include the untouched tube)"
+        )
+
+
+def check_press(press: IndentationSettings) -> None:
+    """Refuse settings of the press that have no effect or contradict each other."""
+    if 0 < press.depth_mm < SHALLOWEST_MM:
+        raise ConfigError(
+            f"depth_mm = {short(press.depth_mm)} is hardly a touch; use {SHALLOWEST_MM:g} or more"
+        )
+    if press.yaw_deg != 0 and press.shape != "rod":
+        raise ConfigError(
+            f"yaw_deg = {short(press.yaw_deg)} turns a {press.shape}, which is round; use 0"
+        )
+    if press.offset_mm != 0 and press.shape == "rod":
+        raise ConfigError(
+            f"offset_mm = {short(press.offset_mm)} moves a rod along itself, which changes "
+            "nothing; use 0"
+        )
+    if (press.layer_mm is None) != (press.layer_mpa is None):
+        raise ConfigError("layer_mm and layer_mpa describe one layer; give both or neither")
+    if press.layer_mm is not None and press.support == "held":
+        raise ConfigError(
+            f"layer_mm = {short(press.layer_mm)} cannot hold a tube down; use support free"
+        )
+
+
+def check_audible(config: Config) -> None:
+    """Refuse what only the mechanics can follow so far."""
+    if config.tube.surface is not None:
+        raise ConfigError(
+            f"surface = {config.tube.surface} cannot be simulated with sound; "
+            "use acoustube indent for the press alone"
+        )
+
+
+def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
+    """Refuse a press past the floor, or far beyond a closed lumen."""
+    depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
+    gives = indentation.layer_mm or 0.0
+    deepest = _round_down(bore + tube.wall_mm / 2 + gives)
+    if depth > outer + gives:
+        reason = f"is past the floor (outer diameter {outer:g} mm)"
+    elif depth > deepest:
+        reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"
+    else:
+        return
+    raise ConfigError(f"depth_mm = {short(depth)} {reason}; use at most {deepest:g}")
+
+
+def check_position(config: Config) -> None:
+    """Refuse a press whose bent part reaches the listening plane or the far end."""
+    tube, position = config.tube, filled(config.indentation.position_cm)
+    reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / 10
+    reach += CLEARANCE * tube.outer_diameter_mm / 10
+    nearest = _round_up(config.waves.probe_cm + reach)
+    farthest = _round_down(tube.length_cm - reach)
+    bends = f"the press bends the tube for {reach:.4g} cm to each side"
+    if nearest > farthest:
+        shortest = _round_up(nearest + reach)
+        raise ConfigError(
+            f"length_cm = {short(tube.length_cm)} is too short: {bends} and the listening plane "
+            f"is at {config.waves.probe_cm:g} cm; use at least {shortest:g}"
+        )
+    if not nearest <= position <= farthest:
+        end = "source" if position < nearest else "far"
+        raise ConfigError(
+            f"position_cm = {short(position)} is too near the {end} end: {bends}; "
+            f"use {nearest:g} to {farthest:g}"
+        )
+
+
+def grid_cells(config: Config) -> float:
+    """Return the number of grid cells in the box around the bore that is marched."""
+    tube, waves = config.tube, config.waves
+    length = 10 * tube.length_cm
+    if waves.method == "scattering":
+        reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm)
+        length = 2 * (reach + 4 * tube.outer_diameter_mm)
+    return waves.resolution**3 * length / tube.inner_diameter_mm
+
+
+def check_resolution(config: Config) -> None:
+    """Refuse a grid that cannot carry the sound, or that no computer will hold."""
+    tube, waves = config.tube, config.waves
+    bore, highest = tube.inner_diameter_mm, waves.frequency_khz
+    if waves.method == "scattering":  # it follows the pulse's whole band
+        highest *= 1 + BAND_WIDTH / waves.cycles
+    wavelength_mm = sound_speed(waves.temperature_c) / highest
+    coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
+    if waves.resolution < coarsest:
+        raise ConfigError(
+            f"resolution = {waves.resolution} is too coarse for {highest:.4g} kHz in a "
+            f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
+            f"use at least {coarsest}"
+        )
+    cells = grid_cells(config)
+    if cells > MOST_CELLS:
+        finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
+        raise ConfigError(
+            f"resolution = {waves.resolution} makes {cells:.1e} grid cells in "
+            f"{tube.length_cm:g} cm of tube, more than {MOST_CELLS:.0e}; "
+            f"use at most {finest} or a shorter tube"
+        )
+
+
+def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
+    """Refuse a listening plane within the first layer of cells, where the pulse is set."""
+    nearest = _round_up(tube.inner_diameter_mm / waves.resolution / 10)
+    if waves.probe_cm < nearest:
+        raise ConfigError(
+            f"probe_cm = {short(waves.probe_cm)} lies in the first layer of cells; use at least "
+            f"{nearest:g} or a higher resolution"
+        )
+
+
+def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
+    """Refuse a pulse that has not left when the echo of the far end is back."""
+    pulse_ms = waves.cycles / waves.frequency_khz
+    record_ms = 20 * tube.length_cm / sound_speed(waves.temperature_c)
+    if pulse_ms > record_ms:
+        raise ConfigError(
+            f"cycles = {waves.cycles} make a pulse of {pulse_ms:.3g} ms, longer than the "
+            f"{record_ms:.3g} ms that a {tube.length_cm:g} cm tube takes to answer; use at most "
+            f"{math.floor(record_ms * waves.frequency_khz)}"
+        )
+
+
+def check_lowpass(config: Config) -> None:
+    """Refuse an envelope filter that lets the carrier through, or is slower than the record."""
+    waves, lowpass = config.waves, filled(config.signals.lowpass_khz)
+    # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
+    highest = waves.frequency_khz / 2
+    record_ms = 20 * config.tube.length_cm / sound_speed(waves.temperature_c)
+    # The filter continues the record at both ends by three periods of the cut-off.
+    lowest = _round_up(3 / record_ms)
+    if lowpass < lowest:
+        raise ConfigError(
+            f"lowpass_khz = {short(lowpass)} is too slow for the {record_ms:.2f} ms that a "
+            f"{config.tube.length_cm:g} cm tube takes to answer; use at least {lowest:g}"
+        )
+    if lowpass > highest:
+        raise ConfigError(
+            f"lowpass_khz = {short(lowpass)} lets the rectified "
+            f"{waves.frequency_khz:g} kHz carrier through; use at most {_round_down(highest):g}, "
+            "under [signals] in a --config file"
+        )
+
+
+def _round_up(value: float) -> float:
+    """Return the value rounded up to two decimals, so that the advice itself is allowed."""
+    return math.ceil(round(value * 100, 6)) / 100
+
+
+def _round_down(value: float) -> float:
+    """Return the value rounded down to two decimals, so that the advice itself is allowed."""
+    return math.floor(round(value * 100, 6)) / 100

@@ -1,0 +1,125 @@
+"""All settings of a press and of a simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from acoustube.base.errors import ConfigError
+
+if TYPE_CHECKING:  # the command line imports this module before it writes anything
+    pass
+
+from acoustube.runs.config.checks import (
+    check_audible,
+    check_depth,
+    check_lowpass,
+    check_position,
+    check_press,
+    check_probe,
+    check_pulse,
+    check_resolution,
+    check_touched,
+)
+from acoustube.runs.config.settings import (
+    IndentationSettings,
+    SignalSettings,
+    TubeSettings,
+    WaveSettings,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mechanics:
+    """The settings of a press alone, which may close the lumen.
+
+    Parameters
+    ----------
+    tube, indentation : section
+        The sections; each is checked on its own before they are checked together.
+
+    Raises
+    ------
+    ConfigError
+        If the press is deeper than the solver follows.
+    """
+
+    tube: TubeSettings = dataclasses.field(default_factory=TubeSettings)
+    indentation: IndentationSettings = dataclasses.field(default_factory=IndentationSettings)
+
+    def __post_init__(self) -> None:
+        _check_sections(self)
+        check_press(self.indentation)
+        check_touched(self)
+        if self.tube.surface is None:
+            check_depth(self.tube, self.indentation)
+        elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
+            raise ConfigError(
+                f"mesh = {self.indentation.mesh} is of a round tube, and surface = "
+                f"{self.tube.surface} is meshed by its own size; use mesh usual"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """All settings of one simulation.
+
+    Parameters
+    ----------
+    tube, indentation, waves, signals : section
+        The sections; each is checked on its own before the checks across sections are made here.
+
+    Raises
+    ------
+    ConfigError
+        If the sections contradict each other: a press deeper than the solver follows, too near an
+        end, or a grid that is too coarse for the sound or too large.
+
+    Notes
+    -----
+    A depth of zero is the untouched tube, which a sweep may include.
+    """
+
+    tube: TubeSettings = dataclasses.field(default_factory=TubeSettings)
+    indentation: IndentationSettings = dataclasses.field(default_factory=IndentationSettings)
+    waves: WaveSettings = dataclasses.field(default_factory=WaveSettings)
+    signals: SignalSettings = dataclasses.field(default_factory=SignalSettings)
+
+    def __post_init__(self) -> None:
+        _check_sections(self)
+        check_press(self.indentation)
+        check_audible(self)
+        self._fill("indentation", "position_cm", self.tube.length_cm / 2)
+        self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
+        check_depth(self.tube, self.indentation)
+        check_position(self)
+        check_resolution(self)
+        check_probe(self.tube, self.waves)
+        check_pulse(self.tube, self.waves)
+        check_lowpass(self)
+
+    def _fill(self, section: str, name: str, value: float) -> None:
+        """Give a setting that was left open the value that follows from the others."""
+        settings = getattr(self, section)
+        if getattr(settings, name) is None:
+            object.__setattr__(self, section, dataclasses.replace(settings, **{name: value}))
+
+
+def _check_sections(config: Any) -> None:
+    """Refuse what is not a section where one belongs."""
+    for field in dataclasses.fields(config):
+        value, section = getattr(config, field.name), SECTIONS[field.name]
+        if not isinstance(value, section):
+            raise ConfigError(f"{field.name} = {value!r} must be a {section.__name__}")
+
+
+SECTIONS: dict[str, type[Any]] = {
+    "tube": TubeSettings,
+    "indentation": IndentationSettings,
+    "waves": WaveSettings,
+    "signals": SignalSettings,
+}
+
+
+Settings = TypeVar("Settings", Config, Mechanics)

@@ -1,0 +1,227 @@
+"""Settings in TOML documents, and options that go before them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number, nearest, short
+
+if TYPE_CHECKING:  # the command line imports this module before it writes anything
+    from tomlkit.items import Table
+
+from acoustube.runs.config.config import SECTIONS, Config, Mechanics, Settings
+
+_SECTION_OF = {
+    field.name: name for name, section in SECTIONS.items() for field in dataclasses.fields(section)
+}
+Given = dict[str, dict[str, Any]]
+
+
+def load_config(
+    path: str | Path | None = None,
+    kind: type[Settings] = Config,  # type: ignore[assignment]
+    **overrides: Any,
+) -> Settings:
+    """Build the settings from the defaults, then a file, then single values.
+
+    Parameters
+    ----------
+    path : str or path, optional
+        A TOML file with any of the sections ``[tube]``, ``[indentation]``, ``[waves]`` and
+        ``[signals]``; what it does not mention keeps its default.
+    kind : {Config, Mechanics}
+        Which settings are wanted; sections that it lacks are left alone.
+    **overrides
+        Settings by name, such as ``depth_mm=3``; they win over the file. None means not given.
+
+    Returns
+    -------
+    Config
+        The checked settings.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a section, a name or a value is wrong.
+
+    Examples
+    --------
+    >>> load_config(indenter_mm=10).indentation.indenter_mm
+    10.0
+    """
+    given: Given = {}
+    if path is not None:
+        given = given_in(Path(path), read_document(Path(path)))
+    return configured(given, kind, **overrides)
+
+
+def configured(
+    given: Mapping[str, Mapping[str, Any]],
+    kind: type[Settings] = Config,  # type: ignore[assignment]
+    **overrides: Any,
+) -> Settings:
+    """Build the settings from values by section, then from single ones, as :func:`load_config`.
+
+    Raises
+    ------
+    ConfigError
+        If a name or a value is wrong.
+    """
+    values = {name: dict(given.get(name, {})) for name in SECTIONS}
+    for name, value in overrides.items():
+        if value is not None:
+            values[section_of(name)][name] = value
+    # From the folder that the caller is in; those of the file are already absolute.
+    _make_absolute(values, Path.cwd())
+    wanted = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: SECTIONS[name](**values[name]) for name in wanted})
+
+
+def is_whole(name: str) -> bool:
+    """Tell whether a setting is a whole number."""
+    fields = dataclasses.fields(SECTIONS[section_of(name)])
+    (rule,) = (field.metadata["rule"] for field in fields if field.name == name)
+    return isinstance(rule, Number) and rule.whole
+
+
+def section_of(name: str) -> str:
+    """Return the section that a setting belongs to.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such setting.
+    """
+    if name not in _SECTION_OF:
+        raise ConfigError(f"{name} is not a setting{nearest(name, _SECTION_OF)}")
+    return _SECTION_OF[name]
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or it is not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is not a text file in UTF-8; give a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"{path} cannot be read ({reason}); check the name of the file"
+        ) from error
+
+
+def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the values that a TOML file gives, by section.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    document : dict
+        Its content.
+
+    Raises
+    ------
+    ConfigError
+        If a section or a name is not known.
+    """
+    for section, values in document.items():
+        _check_names(path, section, values)
+    given = {name: dict(document.get(name, {})) for name in SECTIONS}
+    _make_absolute(given, path.resolve().parent)
+    return given
+
+
+def _make_absolute(given: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Let the name of a surface, which a file gives from its own folder, be read from anywhere."""
+    surface = given["tube"].get("surface")
+    if isinstance(surface, str | Path) and str(surface):
+        given["tube"]["surface"] = str(folder / Path(surface).expanduser())
+
+
+def _check_names(path: Path, section: str, values: Any) -> None:
+    """Refuse what is not a known section with known settings in it."""
+    if section in SECTIONS and not isinstance(values, dict):
+        raise ConfigError(
+            f"{path}: {section} must be a section, written [{section}] above its settings"
+        )
+    if not isinstance(values, dict):
+        home = f" under [{_SECTION_OF[section]}]" if section in _SECTION_OF else ""
+        advice = f"; put it{home}" if home else nearest(section, _SECTION_OF)
+        raise ConfigError(f"{path}: {section} stands outside a section{advice}")
+    if section not in SECTIONS:
+        raise ConfigError(f"{path}: [{section}] is not a section{nearest(section, SECTIONS)}")
+    known = [field.name for field in dataclasses.fields(SECTIONS[section])]
+    for name in values:
+        if name not in known:
+            advice = nearest(name, known)
+            if name in _SECTION_OF:
+                advice = f"; it belongs under [{_SECTION_OF[name]}]"
+            raise ConfigError(f"{path}: [{section}] {name} is not a setting{advice}")
+
+
+def describe(name: str, default: Any = None) -> str:
+    """Return what a setting means, its default (or another) and what it may be, in words."""
+    section = _SECTION_OF[name]
+    (field,) = (f for f in dataclasses.fields(SECTIONS[section]) if f.name == name)
+    rule = field.metadata["rule"]
+    default = getattr(getattr(Config(), section), name) if default is None else default
+    meaning = rule.meaning[0].upper() + rule.meaning[1:]
+    if default is None:
+        return f"{meaning}."
+    if isinstance(default, str):  # the choices are listed anyway
+        return f"{meaning}; default {default}."
+    return f"{meaning}: {rule.allowed}; default {short(default)}."
+
+
+def to_toml(config: Config | Mechanics) -> str:
+    """Return the settings as a TOML document that :func:`load_config` reads back as they are.
+
+    Parameters
+    ----------
+    config : Config or Mechanics
+        The settings.
+
+    Returns
+    -------
+    str
+        Every section and every setting that has a value, each with its meaning and its range as a
+        comment.
+    """
+    import tomlkit
+
+    document = tomlkit.document()
+    for field in dataclasses.fields(config):
+        if document:
+            document.add(tomlkit.nl())
+        document.add(field.name, _table(getattr(config, field.name)))
+    return tomlkit.dumps(document)
+
+
+def _table(section: Any) -> Table:
+    """Return one section as a table of TOML."""
+    import tomlkit
+
+    table = tomlkit.table()
+    for field in dataclasses.fields(section):
+        value = getattr(section, field.name)
+        rule = field.metadata["rule"]
+        meaning = f"{rule.meaning}; {rule.allowed}"
+        if value is None:
+            table.add(tomlkit.comment(f"{field.name} = # {meaning}"))
+        else:
+            table.add(field.name, tomlkit.item(value).comment(meaning))
+    return table

@@ -1,0 +1,162 @@
+"""User settings: what a person may ask for, in human units, checked before anything is computed.
+
+Each section is a frozen dataclass whose fields carry their own rule (range or choice), so that one
+check serves them all; :class:`Config` adds the checks that need more than one section. This module
+imports nothing heavy: wrong settings are refused at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.limits import SHALLOWEST_MM
+from acoustube.base.rules import Choice, File, Number, Section, setting
+
+if TYPE_CHECKING:  # the command line imports this module before it writes anything
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeSettings(Section):
+    """The tube. The defaults are the paper's silicone tube.
+
+    The material is given by its hardness or by its shear modulus, not both; with neither, the
+    hardness is 35 Shore A.
+    """
+
+    inner_diameter_mm: float = setting(7.9, Number(1, 50, "mm", "diameter of the bore"))
+    wall_mm: float = setting(1.6, Number(0.2, 20, "mm", "wall thickness"))
+    length_cm: float = setting(40.0, Number(5, 1000, "cm", "length of the tube"))
+    shore_a: float | None = setting(None, Number(10, 90, "Shore A", "hardness of the wall"))
+    shear_modulus_mpa: float | None = setting(
+        None, Number(0.01, 20, "MPa", "shear modulus of the wall, in place of shore_a")
+    )
+    poisson_ratio: float = setting(0.49, Number(0.2, 0.499, "", "Poisson's ratio of the wall"))
+    surface: str | None = setting(
+        None,
+        File("closed surface of a wall in mm along z (STL, PLY, OBJ), in place of the round tube"),
+    )
+
+    def __post_init__(self) -> None:
+        if self.shore_a is None and self.shear_modulus_mpa is None:
+            object.__setattr__(self, "shore_a", 35.0)
+        super().__post_init__()
+        if self.shore_a is not None and self.shear_modulus_mpa is not None:
+            raise ConfigError(
+                f"shore_a = {self.shore_a:g} and shear_modulus_mpa = {self.shear_modulus_mpa:g} "
+                "both describe the wall's stiffness; give one of the two"
+            )
+
+    @property
+    def outer_diameter_mm(self) -> float:
+        """Outer diameter in mm."""
+        return self.inner_diameter_mm + 2 * self.wall_mm
+
+
+class _Depth(Number):
+    """A depth of press; zero is the untouched tube."""
+
+    @property
+    def allowed(self) -> str:
+        """The range in words."""
+        return f"{SHALLOWEST_MM:g} to {self.high:g} {self.unit}, or 0 in a sweep"
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndentationSettings(Section):
+    """The press: a rigid tool that comes down on the tube, and what the tube rests on."""
+
+    shape: Literal["rod", "punch", "sphere"] = setting(
+        "rod",
+        Choice(
+            ("rod", "punch", "sphere"),
+            "a cylinder lying across the tube, an upright one with a flat end, or a sphere",
+        ),
+    )
+    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing tool"))
+    depth_mm: float = setting(4.0, _Depth(0, 50, "mm", "how far it is pressed in"))
+    steps: int = setting(
+        16,
+        Number(1, 1000, "", "equally spaced depths that acoustube indent reports", whole=True),
+    )
+    position_cm: float | None = setting(
+        None,
+        Number(0.1, 1000, "cm", "distance of the press from the source end (the middle)"),
+    )
+    offset_mm: float = setting(
+        0.0, Number(-50, 50, "mm", "how far beside the tube's axis a punch or sphere comes down")
+    )
+    yaw_deg: float = setting(
+        0.0, Number(-60, 60, "deg", "by how much a rod is turned from across the tube")
+    )
+    support: Literal["held", "free"] = setting(
+        "held",
+        Choice(
+            ("held", "free"),
+            "bottom line held down along its length, or resting on a floor with free ends",
+        ),
+    )
+    layer_mm: float | None = setting(
+        None, Number(0.1, 100, "mm", "thickness of an elastic layer under a free tube")
+    )
+    layer_mpa: float | None = setting(
+        None, Number(0.001, 1000, "MPa", "Young's modulus of that layer")
+    )
+    mesh: Literal["coarse", "usual", "fine"] = setting(
+        "usual",
+        Choice(
+            ("coarse", "usual", "fine"),
+            "finite elements of a round tube, to see what they change",
+        ),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaveSettings(Section):
+    """The sound in the lumen, and the grid on which it is computed."""
+
+    frequency_khz: float = setting(42.0, Number(5, 100, "kHz", "carrier of the pulse"))
+    cycles: int = setting(11, Number(1, 100, "", "carrier cycles in the pulse", whole=True))
+    temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
+    humidity_percent: float = setting(
+        50.0, Number(0, 100, "%", "relative humidity of the air, which absorbs sound")
+    )
+    pressure_kpa: float = setting(101.325, Number(10, 200, "kPa", "pressure of the air at rest"))
+    losses: Literal["off", "on"] = setting(
+        "off", Choice(("off", "on"), "losses at the wall and in the air")
+    )
+    method: Literal["full", "scattering"] = setting(
+        "full",
+        Choice(
+            ("full", "scattering"),
+            "march the whole tube, or the press alone and join it to straight tube",
+        ),
+    )
+    resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))
+    source_end: Literal["release", "absorbing"] = setting(
+        "release",
+        Choice(("release", "absorbing"), "what the source end does once the pulse has left"),
+    )
+    probe_cm: float = setting(
+        2.0, Number(0.1, 100, "cm", "distance of the listening plane from the source end")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalSettings(Section):
+    """The processing from pressure to distance."""
+
+    lowpass_khz: float | None = setting(
+        None,
+        Number(
+            0.5,
+            50,
+            "kHz",
+            "cut-off of the envelope's low-pass (half of frequency_khz, at most 10)",
+        ),
+    )
+    prominence: float = setting(
+        0.001, Number(0.0001, 1, "", "least prominence of an echo, as a share of the send pulse")
+    )

@@ -1,0 +1,127 @@
+"""Sweeps and datasets of any number of files as one, opened lazily."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from glob import glob
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+
+ORDER = (
+    "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
+    "diameter", "carrier_frequency", "temperature", "true_distance", "depth", "press",
+)  # fmt: skip
+"""Labels that cases are sorted by, the last of them fastest."""
+PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
+"""Files of a folder, by the dimension along which they are joined."""
+
+
+def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
+    """Open a sweep or a dataset of cycles, or several, as one.
+
+    Parameters
+    ----------
+    where : str, path or several
+        Folders that ``acoustube sweep`` or ``acoustube dataset`` wrote, their files, or patterns
+        such as ``"runs/*"``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of a sweep: along ``press``, whose coordinate holds the names of the cases, sorted by tube,
+        tool, sound, place and depth. Of a dataset: along ``cycle``, with a coordinate ``press``
+        that holds the case of each. Read when it is used.
+
+    Raises
+    ------
+    ConfigError
+        If there is nothing, or sweeps and datasets are mixed.
+
+    Examples
+    --------
+    >>> data = open_dataset("runs/*")  # doctest: +SKIP
+    >>> data.isel(cycle=slice(64))["signal"].values  # doctest: +SKIP
+    """
+    paths = files_of(where)
+    kinds = {
+        dimension for dimension, pattern in PATTERNS.items() for p in paths if p.match(pattern)
+    }
+    if not kinds:
+        raise ConfigError(
+            f"{where} is no file of acoustube sweep or dataset; name a folder that one of them "
+            "wrote"
+        )
+    if len(kinds) != 1:
+        raise ConfigError(
+            f"{where} holds sweeps and datasets, which have different dimensions; open one kind"
+        )
+    (dimension,) = kinds
+    for path in paths:
+        _check_file(path, dimension)
+    found = xr.open_mfdataset(
+        paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
+        data_vars="minimal", coords="minimal", compat="override", combine_attrs="drop_conflicts",
+    )  # fmt: skip
+    for internal in ("content", "scattering", "walls"):
+        found.attrs.pop(internal, None)
+    if dimension == "press":
+        return _sorted(found.drop_duplicates("press"))
+    if "sampling_rate" not in found.attrs:
+        raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
+    return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
+
+
+def _check_file(path: Path, dimension: str) -> None:
+    """Refuse a file that is damaged, or that another program wrote under a name of ours."""
+    import h5py
+
+    needed = ORDER if dimension == "press" else ("press", "signal")
+    try:
+        with h5py.File(path) as file:
+            missing = [name for name in needed if name not in file]
+    except OSError as error:
+        command = "sweep" if dimension == "press" else "dataset"
+        raise ConfigError(
+            f"{path} is damaged ({error}); repeat acoustube {command}, which computes it again"
+        ) from error
+    if missing:
+        raise ConfigError(
+            f"{path} is no file of acoustube sweep or dataset (it has no {missing[0]}); move it "
+            "elsewhere"
+        )
+
+
+def _sorted(cases: xr.Dataset) -> xr.Dataset:
+    order = np.lexsort([cases[name].values for name in reversed(ORDER)])
+    return cases.isel(press=order)
+
+
+def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return the files of sweeps and datasets, in a fixed order.
+
+    Raises
+    ------
+    ConfigError
+        If there are none.
+    """
+    given: Sequence[Any] = [where] if isinstance(where, str | Path) else list(where)
+    found: list[Path] = []
+    for one in given:
+        named = [Path(one)] if Path(one).exists() else [Path(p) for p in glob(str(one))]  # noqa: PTH207
+        for path in sorted(named):
+            inside = [p for pattern in PATTERNS.values() for p in sorted(path.glob(pattern))]
+            found += [path] if path.is_file() and path.suffix == ".nc" else inside
+    if not found:
+        missing = [one for one in given if not Path(one).exists()]
+        raise ConfigError(
+            f"{missing[0]} does not exist; name a folder that acoustube sweep or dataset wrote"
+            if missing
+            else f"{', '.join(map(str, given))} holds no results of acoustube sweep or dataset; "
+            "name a folder that one of them wrote"
+        )
+    return found

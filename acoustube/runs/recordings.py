@@ -1,0 +1,189 @@
+"""Recordings processed piece by piece, with tables of their echoes."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import xarray as xr
+from platformdirs import user_data_path
+from rich.console import Console
+
+from acoustube import signals
+from acoustube.base.console import stage_progress
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import partial_file
+from acoustube.signals import Calibration, Processing, Ranging
+
+CHUNK = 250
+"""Cycles that are processed together: 8 MB of double precision per step."""
+THREADS = 2
+COLUMNS = (
+    "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
+    "file",
+)  # fmt: skip
+TRUE = {
+    "true_distance": ("true_distance_cm", 100.0), "depth": ("depth_mm", 1e3),
+    "force": ("force_n", 1.0),
+}  # fmt: skip
+"""Columns of the labels that a recording may have, and how many of their unit make one of SI."""
+
+
+def located(
+    data: xr.Dataset, how: Processing, done: Callable[[int], None] | None = None
+) -> Iterator[tuple[int, Ranging]]:
+    """Process the cycles of a recording in pieces, on two threads.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`acoustube.recordings.read`.
+    how : Processing
+        :func:`acoustube.signals.suited` to the recording's sampling rate.
+    done : callable, optional
+        Called with the number of cycles of each finished piece.
+
+    Yields
+    ------
+    first : int
+        Number of the piece's first cycle.
+    ranging : Ranging
+        Of the piece.
+    """
+    cycles, time = data["signal"], data["time"].values
+    how = signals.suited(how, signals.sampling_rate(time))
+    warmth = data["temperature"].values
+    starts = range(0, cycles.sizes["cycle"], CHUNK)
+
+    def piece(start: int) -> Ranging:
+        part = slice(start, start + CHUNK)
+        return signals.locate(time, cycles.values[part], how, temperature=warmth[part])
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        waiting: list[tuple[int, Future[Ranging]]] = []
+        for start in starts:
+            waiting.append((start, pool.submit(piece, start)))
+            # So many pieces are in memory at once.
+            if len(waiting) > THREADS:
+                yield _finished(waiting.pop(0), done)
+        while waiting:
+            yield _finished(waiting.pop(0), done)
+
+
+def _finished(
+    job: tuple[int, Future[Ranging]], done: Callable[[int], None] | None
+) -> tuple[int, Ranging]:
+    start, future = job
+    ranging = future.result()
+    if done is not None:
+        done(len(ranging.detected))
+    return start, ranging
+
+
+def chosen(
+    calibration: str | None, prominence: float | None
+) -> tuple[Calibration | None, Processing]:
+    """Return the calibration that was asked for, if any, and the processing with it.
+
+    Parameters
+    ----------
+    calibration : str or None
+        A file, or the name of a calibration.
+    prominence : float or None
+        In place of the calibration's.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such calibration.
+    """
+    known = None if calibration is None else signals.load(calibration_path(calibration))
+    how = Processing() if known is None else known.processing
+    return known, how if prominence is None else replace(how, prominence=prominence)
+
+
+@contextlib.contextmanager
+def opened(out: Path | None) -> Iterator[TextIO]:
+    """Yield standard output, or a new file that appears when it is complete."""
+    if out is None:
+        yield sys.stdout
+        return
+    with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        yield file
+
+
+def with_progress(
+    data: xr.Dataset, how: Processing, console: Console, check: Callable[[], None], path: Path
+) -> Iterator[tuple[int, Ranging]]:
+    """Yield the estimates of a recording piece by piece, with a bar."""
+    total, finished = data.sizes["cycle"], 0
+    with stage_progress(console, check) as show:
+        for first, ranging in located(data, how):
+            check()
+            finished += len(ranging.detected)
+            if total > 4 * CHUNK:
+                show(path.name, finished / total)
+            yield first, ranging
+
+
+def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
+    """Refuse a calibration of another sampling rate: its gain and template are of its own."""
+    if known is not None and abs(rate / known.sampling_rate - 1) > 1e-3:
+        raise ConfigError(
+            f"{source} has {rate:g} samples per second and the calibration "
+            f"{known.sampling_rate:g}; calibrate with cycles like these"
+        )
+
+
+def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[object]]:
+    """Return a row of :data:`COLUMNS` for each cycle, the first of which has a number.
+
+    The ranging is one of several cycles or of a single one.
+    """
+    flight = 1e3 * (ranging.return_time - ranging.send_time)
+    columns = (flight, 100 * ranging.distance, ranging.amplitude, ranging.prominence)
+    numbers = np.atleast_2d(np.stack(columns, axis=-1))
+    peaks = np.atleast_1d(np.sum(np.isfinite(ranging.echoes.times), axis=-1))
+    for i, seen in enumerate(np.atleast_1d(ranging.detected)):
+        texts = [f"{value:.6g}" if seen else "" for value in numbers[i]]
+        yield [first + i, *texts, int(peaks[i]), int(seen), str(source)]
+
+
+def true_rows(data: xr.Dataset) -> Iterator[list[object]]:
+    """Return the labels of :data:`TRUE` of each cycle, empty where there is none."""
+    columns = [
+        scale * data[name].values if name in data else np.full(data.sizes["cycle"], np.nan)
+        for name, (_, scale) in TRUE.items()
+    ]
+    for values in np.stack(columns, axis=-1):
+        yield ["" if np.isnan(value) else f"{value:.6g}" for value in values]
+
+
+def calibration_path(name: str) -> Path:
+    """Return the file of a calibration that is given by its file or its name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    home = calibration_folder() / f"{name}.toml"
+    if home.exists():
+        return home
+    known = sorted(p.stem for p in calibration_folder().glob("*.toml"))
+    advice = f"known are {', '.join(known)}" if known else "acoustube calibrate makes one"
+    raise ConfigError(f"{name} is neither a file nor the name of a calibration; {advice}")
+
+
+def calibration_folder() -> Path:
+    """Return where named calibrations are kept."""
+    return user_data_path("acoustube") / "calibrations"

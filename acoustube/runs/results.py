@@ -1,0 +1,374 @@
+"""One press as a dataset: every stage's arrays with their units, names and origin."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.netcdf import Variable, flag, variable
+from acoustube.base.version import __version__
+from acoustube.indentation import Indentation, Mesh
+from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
+from acoustube.runs.config import Config, Mechanics
+from acoustube.signals import Ranging
+from acoustube.waves import Budget, Pulse, Recording, SourceEnd
+
+EVEN_POINTS = 401
+"""Points of the profile along the tube, besides those where the finite elements have rings."""
+
+MEASURED_PART = 0.95
+"""Share of the modelled length within which the deformed tube is measured.
+
+The end of a tube that tilts off the floor is slanted.
+"""
+DEPTH = "how far the tool has come down from first touch"
+
+
+def dataset(
+    config: Config,
+    indentation: Indentation,
+    lumen: Lumen,
+    recordings: Mapping[SourceEnd, Recording],
+    rangings: Mapping[SourceEnd, Ranging],
+    *,
+    sound_speed: float,
+    budget: Budget,
+    seconds: Mapping[str, float],
+    warnings: Sequence[str],
+    device: str,
+) -> xr.Dataset:
+    """Gather one press.
+
+    Parameters
+    ----------
+    config : Config
+    indentation : Indentation
+    lumen : Lumen
+    recordings, rangings : mapping of str
+        The recorded and the processed signal for each choice of the source end.
+    sound_speed : float
+        In m/s.
+    budget : Budget
+        What the recordings can be trusted with.
+    seconds : mapping of str to float
+        How long each stage took.
+    warnings : sequence of str
+        Where the run leaves the range in which the model holds.
+    device : str
+        What computed it.
+
+    Returns
+    -------
+    xarray.Dataset
+        In SI units; every variable has ``units`` and ``long_name``.
+    """
+    variables = (
+        _mechanics(indentation, range(len(indentation.depth)))
+        | _mesh(indentation.mesh)
+        | _shape(indentation, lumen)
+        | _recorded(recordings, config)
+        | _ranged(rangings, config.waves.source_end)
+        | _trusted(budget)
+        | {
+            "true_distance": variable("", lumen.position, "m", "distance of the press"),
+            "sound_speed": variable("", sound_speed, "m/s", "speed of sound"),
+            "elapsed_time": variable("stage", list(seconds.values()), "s", "time of each stage"),
+        }
+    )
+    coordinates = {
+        "depth": variable("depth", indentation.depth, "m", DEPTH),
+        "stage": variable("stage", list(seconds), "1", "stage of the chain"),
+        "source_end": variable(
+            "source_end", list(recordings), "1", "what the source end does after the pulse"
+        ),
+        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+    }
+    origin = _provenance(config, warnings, device)
+    path = 2 * (lumen.position - next(iter(recordings.values())).probes[0])
+    origin["accuracy"] = budget.in_words(path)
+    return xr.Dataset(variables, coordinates, origin)
+
+
+def press_dataset(
+    config: Mechanics,
+    indentation: Indentation,
+    depths: Sequence[float],
+    *,
+    seconds: float,
+    warnings: Sequence[str],
+    device: str,
+) -> xr.Dataset:
+    """Gather a press alone, at the depths that were asked for.
+
+    Parameters
+    ----------
+    config : Mechanics
+    indentation : Indentation
+        It may end before the last depth; what is missing is not ``converged``, and nan, or zero
+        where it is a whole number.
+    depths : sequence of float
+        In m.
+    seconds : float
+        How long it took.
+    warnings : sequence of str
+        Where the run leaves the range in which the model holds.
+    device : str
+        What computed it.
+
+    Returns
+    -------
+    xarray.Dataset
+        In SI units, of the whole tube; every variable has ``units`` and ``long_name``.
+    """
+    reached = indentation.rows_at(depths)
+    rows = _mechanics(indentation, reached) | _axial(indentation, reached)
+    missing = len(depths) - len(reached)
+    found = {name: _lengthened(value, missing) for name, value in rows.items()}
+    converged = np.arange(len(depths)) < len(reached)
+    found |= _mesh(indentation.mesh) | {
+        "indentation_depth": variable("depth", depths, "m", DEPTH),
+        "converged": flag(
+            "depth", converged, "whether the press came to equilibrium at this depth"
+        ),
+        "elapsed_time": variable("", seconds, "s", "time that the press took"),
+    }
+    coordinates = {
+        "depth": variable("depth", depths, "m", DEPTH),
+        "z": found.pop("z"),
+        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+    }
+    origin = _provenance(config, warnings, device) | {
+        "title": "A press of a soft tube",
+        "precision": "float64",
+        "closed": (
+            "the lumen counts as closed where smallest_gap is under "
+            f"{1e3 * indentation.closing_distance:.4g} mm, where its walls feel each other"
+        ),
+    }
+    return xr.Dataset(found, coordinates, origin)
+
+
+def _lengthened(value: Variable, missing: int) -> Variable:
+    """Return a variable with rows of nan for depths that were not reached."""
+    dims, values, attributes = value
+    if dims[0] != "depth" or missing == 0:
+        return value
+    filler = np.full((missing, *values.shape[1:]), 0 if values.dtype.kind in "iu" else np.nan)
+    return dims, np.concatenate([values, filler.astype(values.dtype)]), attributes
+
+
+def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
+    """Return the press at some of its increments."""
+    wall = inner_wall(indentation.mesh)
+    place = np.array([indentation.presses[0].z])
+    sections = [measure(indentation, i, place, wall) for i in rows]
+
+    def at_press(quantity: str) -> list[float]:
+        return [float(getattr(section, quantity)[0]) for section in sections]
+
+    def taken(name: str) -> Any:
+        return np.asarray(getattr(indentation, name))[list(rows)]
+
+    scalars = {
+        "indentation_depth": (taken("depth"), "m", DEPTH),
+        "contact_force": (taken("contact_force"), "N", "force of the tool on the whole tube"),
+        "contact_area": (
+            taken("contact_area").sum(axis=1), "m2", "deformed outer wall that touches the tool",
+        ),
+        "lumen_height": (at_press("height"), "m", "height of the lumen at the press"),
+        "lumen_width": (at_press("width"), "m", "width of the lumen at the press"),
+        "lumen_area": (at_press("area"), "m2", "cross-section of the lumen at the press"),
+        "elastic_energy": (taken("energy"), "J", "elastic energy of the whole tube"),
+        "smallest_gap": (
+            taken("smallest_gap"), "m", "smallest distance of the level parts of bed and roof",
+        ),
+        "smallest_volume_ratio": (
+            taken("smallest_volume_ratio"), "1", "smallest J at any quadrature point",
+        ),
+        "newton_iterations": (taken("iterations"), "1", "Newton iterations"),
+        "newton_residual": (taken("residual"), "N", "norm of the out-of-balance nodal forces"),
+    }  # fmt: skip
+    found = {
+        name: variable("depth", values, units, text)
+        for name, (values, units, text) in scalars.items()
+    }
+    return found | {
+        "closed": flag("depth", taken("closed"), "whether the lumen's walls feel each other"),
+        "node_displacement": variable(
+            "depth node xyz", taken("displacement"), "m", "displacement of the nodes"
+        ),
+    }
+
+
+def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
+    """Return the lumen along the modelled part of the tube, the press at zero."""
+    reach = MEASURED_PART * indentation.mesh.points[:, 2].max()
+    ahead = np.linspace(0, reach, EVEN_POINTS // 2 + 1)
+    z = np.concatenate([-ahead[:0:-1], ahead])
+    wall = inner_wall(indentation.mesh)
+    profiles = [measure(indentation, i, z, wall) for i in rows]
+    table = {
+        "lumen_area_profile": ("area", "m2", "cross-section of the lumen along the tube"),
+        "lumen_height_profile": ("height", "m", "height of the lumen along the tube"),
+        "lumen_width_profile": ("width", "m", "width of the lumen along the tube"),
+    }
+    found = {
+        name: variable(
+            "depth z",
+            np.array([getattr(p, quantity) for p in profiles]).reshape(-1, z.size),
+            units,
+            text,
+        )
+        for name, (quantity, units, text) in table.items()
+    }
+    return found | {"z": variable("z", z, "m", "deformed axial position, zero at the press")}
+
+
+def _mesh(mesh: Mesh) -> dict[str, Variable]:
+    """Return the finite-element mesh."""
+    kind = "20-node hexahedra" if mesh.sweep is not None else "10-node tetrahedra"
+    planes = [f"{axis} >= 0" for axis, halved in zip("xz", mesh.halved, strict=True) if halved]
+    part = " and ".join(planes) or "the whole tube"
+    return {
+        "node_position": variable(
+            "node xyz", mesh.points, "m", f"nodes of the undeformed part that is modelled, {part}"
+        ),
+        "element_node": variable("element corner", mesh.elements, "1", f"nodes of the {kind}"),
+        "inner_face_node": variable(
+            "inner_face face_corner", mesh.inner_faces, "1", "nodes of the faces on the inner wall"
+        ),
+        "outer_face_node": variable(
+            "outer_face face_corner", mesh.outer_faces, "1", "nodes of the faces on the outer wall"
+        ),
+    }
+
+
+def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
+    """Return the walls of the whole tube, and the lumen's profile."""
+    length = indentation.tube.length
+    # The rings are dense where the lumen is pressed, and one of them lies under the rod.
+    stations = np.clip(lumen.rings[:, 0, 2], 0, length)
+    z = np.union1d(np.linspace(0, length, EVEN_POINTS), stations)
+    faces = ring_faces(*lumen.rings.shape[:2])
+    # A plane through the far cap itself cuts nothing.
+    along = profile(lumen.rings.reshape(-1, 3), faces, np.minimum(z, length * (1 - 1e-12)))
+    return {
+        "inner_wall": variable(
+            "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"
+        ),
+        "outer_wall": variable(
+            "ring around xyz", lumen.outer_rings, "m", "rings of the outer wall"
+        ),
+        "lumen_face": variable(
+            "face vertex",
+            faces,
+            "1",
+            "triangles of the closed lumen; vertex number = ring * n_around + around",
+        ),
+        "z": variable("z", z, "m", "distance from the source end"),
+        "area_profile": variable("z", along.area, "m2", "cross-section of the lumen"),
+        "height_profile": variable("z", along.height, "m", "height of the lumen"),
+        "width_profile": variable("z", along.width, "m", "width of the lumen"),
+    }
+
+
+def _recorded(recordings: Mapping[SourceEnd, Recording], config: Config) -> dict[str, Variable]:
+    """Return what the probe heard, and the grid on which it was computed."""
+    first = next(iter(recordings.values()))
+    pulse = Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
+    return {
+        "time": variable("time", first.time, "s", "time since the pulse starts to leave"),
+        "pressure": variable(
+            "source_end time",
+            np.stack([recording.pressure[0] for recording in recordings.values()]),
+            "1",
+            "mean pressure on the probe plane, as a share of the pulse's peak",
+        ),
+        "probe_position": variable("", first.probes[0], "m", "distance of the probe plane"),
+        "pulse_duration": variable("", pulse.duration, "s", "duration of the pulse"),
+        "time_step": variable("", first.time_step, "s", "time step"),
+        "grid_spacing": variable("xyz", first.spacing, "m", "size of a grid cell"),
+        "grid_shape": variable("xyz", first.shape, "1", "grid cells of the half x > 0"),
+    }
+
+
+def _trusted(budget: Budget) -> dict[str, Variable]:
+    """Return the known errors of the sound."""
+    table = {
+        "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
+        "delay_bias": ("1", "what the grid adds to the group delay of the plane wave, relative"),
+        "section_error": ("1", "error of the bore's cross-section on the grid, relative"),
+        "cut_on_error": ("1", "error of the cut-on of (1,1) on the grid, relative"),
+        "absorption": ("dB", "what an absorbing end returns of a mode 1 % over its cut-on"),
+        "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
+    }
+    return {
+        name: variable("", getattr(budget, name), units, text)
+        for name, (units, text) in table.items()
+        if getattr(budget, name) is not None
+    }
+
+
+def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
+    """Return what the processing made of it, for each choice of the source end."""
+    results = list(rangings.values())
+    names = {
+        "envelope": ("source_end time", "1", "envelope, as a share of the send pulse"),
+        "send_time": ("source_end", "s", "maximum of the send pulse"),
+        "return_time": ("source_end", "s", "maximum of the highest echo"),
+        "amplitude": ("source_end", "1", "highest echo, as a share of the send pulse"),
+        "distance": ("source_end", "m", "distance that the highest echo tells"),
+    }
+    renamed = {"amplitude": "echo_amplitude", "distance": "estimated_distance"}
+    found = {
+        renamed.get(name, name): variable(
+            dims, np.stack([getattr(result, name) for result in results]), units, long_name
+        )
+        for name, (dims, units, long_name) in names.items()
+    }
+    chosen = {"source_end": source_end}
+    for name, label in (("distance", "estimated distance"), ("amplitude", "height of its echo")):
+        units = names[name][1]
+        attributes = {"units": units, "long_name": label} | chosen
+        found[name] = ((), getattr(rangings[source_end], name), attributes)
+    return found | _peaks(results)
+
+
+def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
+    """Return all peaks; the rows of a source end with fewer of them end in nan."""
+    most = max(result.echoes.times.size for result in results)
+    dims, rows = "source_end peak", np.full((3, len(results), most), np.nan)
+    for i, result in enumerate(results):
+        echoes = result.echoes
+        for row, values in zip(
+            rows[:, i], (echoes.times, echoes.amplitudes, echoes.prominences), strict=True
+        ):
+            row[: values.size] = values
+    return {
+        "peak_time": variable(dims, rows[0], "s", "peaks of the envelope"),
+        "peak_amplitude": variable(dims, rows[1], "1", "height of each peak"),
+        "peak_prominence": variable(dims, rows[2], "1", "prominence of each peak"),
+    }
+
+
+def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
+    """Return where the data come from."""
+    settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
+    return {
+        "title": "One press of a soft acoustic waveguide",
+        "source": "simulation",
+        "acoustube_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "configuration": settings,
+        "configuration_hash": hashlib.sha256(settings.encode()).hexdigest()[:16],
+        "device": device,
+        "precision": "float64 in the wall, float32 in the air",
+        "warnings": "\n".join(warnings),
+    }

@@ -1,0 +1,118 @@
+"""Scattering matrices in netCDF files."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.netcdf import flag, variable
+from acoustube.base.version import __version__
+from acoustube.waves.scattering import Scattering
+
+
+def to_dataset(found: Scattering) -> xr.Dataset:
+    """Gather a scattering matrix with its coordinates and its origin.
+
+    Parameters
+    ----------
+    found : Scattering
+
+    Returns
+    -------
+    xarray.Dataset
+        Which :func:`from_dataset` makes a scattering of again.
+    """
+    dims = "frequency port_out mode_out port_in mode_in"
+    s = found.s
+    what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
+    variables = {
+        "s_real": variable(dims, s.real, "1", f"real part of the {what}"),
+        "s_imag": variable(dims, s.imag, "1", f"imaginary part of the {what}"),
+        "settled": flag(dims, found.settled, "whether the ringing was over"),
+        "propagates": flag("frequency mode_in", found.propagates, "whether the mode propagates"),
+        "cut_on": variable("mode_in", found.cut_ons, "Hz", "cut-on frequency on the grid"),
+    }
+    coordinates: dict[str, Any] = {
+        "frequency": variable("frequency", found.frequency, "Hz", "frequency")
+    }
+    for name in ("port_in", "port_out"):
+        coordinates[name] = variable(name, [1, 2], "1", "1: low z, 2: high z")
+    for name in ("mode_in", "mode_out"):
+        text = "nodal diameters, nodal circles; c: symmetric about x = 0, s: antisymmetric"
+        coordinates[name] = variable(name, list(found.modes), "1", text)
+    origin = {
+        "title": "Scattering of duct modes by a lumen",
+        "acoustube_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "time_convention": "exp(+j omega t)",
+        "sound_speed": found.sound_speed,
+        "reference_z_1": 0.0,
+        "reference_z_2": 0.0,
+        "extent": found.extent,
+        "cell_size": found.spacing,
+        "grid_shape": found.shape,
+        "steps": found.steps,
+        "time_step": found.time_step,
+    }
+    return xr.Dataset(variables, coordinates, origin)
+
+
+def read(path: str | Path) -> Scattering:
+    """Read what :func:`run_scatter` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Scattering
+        Its reference planes at z = 0 of the surface that was given.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such file.
+    """
+    if not Path(path).is_file():
+        raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            return from_dataset(file.load())
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise ConfigError(
+            f"{path} is not a file of this version's acoustube scatter "
+            f"({' '.join(str(error).split())}); write one with it"
+        ) from error
+
+
+def from_dataset(data: xr.Dataset) -> Scattering:
+    """Return the scattering that :func:`to_dataset` made a dataset of.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If it is another dataset.
+    """
+    s = data["s_real"].values + 1j * data["s_imag"].values
+    nx, ny, nz = (int(n) for n in data.attrs["grid_shape"])
+    dx, dy, dz = (float(h) for h in data.attrs["cell_size"])
+    low, high = (float(z) for z in data.attrs["extent"])
+    return Scattering(
+        frequency=data["frequency"].values,
+        modes=tuple(str(name) for name in data["mode_in"].values),
+        s=s,
+        propagates=data["propagates"].values.astype(bool),
+        cut_ons=data["cut_on"].values,
+        settled=data["settled"].values.astype(bool),
+        sound_speed=float(data.attrs["sound_speed"]),
+        extent=(low, high),
+        spacing=(dx, dy, dz),
+        shape=(nx, ny, nz),
+        steps=int(data.attrs["steps"]),
+        time_step=float(data.attrs["time_step"]),
+    )

@@ -1,0 +1,170 @@
+"""A few small computations with known results, to tell whether an installation computes right.
+
+Each stage does what it does in a run, on a grid or a mesh that is as coarse as it may be: the
+tolerances are those of these grids, not of the results of a run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube import signals
+from acoustube.air import Air
+from acoustube.base.types import Array
+from acoustube.indentation import MeshSize, Press, indent
+from acoustube.lumen import ring_faces
+from acoustube.tube import Tube
+from acoustube.waves import (
+    CutCells,
+    Pulse,
+    cut_cells,
+    cut_on_frequency,
+    grid_spacing,
+    scatter,
+    section_cut_ons,
+)
+
+RADIUS = 3.95e-3
+AIR = Air(sound_speed=343.2, density=1.204)
+COARSE = MeshSize(through_wall=1, around=8, along=6)
+FORCE = 0.113604
+"""In N, of the press below on that mesh; computed with acoustube 0.1.0 on Linux."""
+FREQUENCY, REFLECTED = 12e3, 0.64041
+"""In Hz, and the amplitude that a bore narrowed by 40 % over 16 mm reflects there.
+
+From a spectral method that has nothing in common with the grid: case E of
+``tests/data/scattering.csv``.
+"""
+
+
+class Outcome(NamedTuple):
+    """What a test computed, and what it should have.
+
+    Attributes
+    ----------
+    name : str
+    computed, expected, tolerance : float
+        In `unit`; the tolerance is absolute. Computed is nan where there is a problem.
+    unit : str
+    seconds : float
+        How long it took.
+    problem : str
+        Why nothing was computed; empty otherwise.
+    """
+
+    name: str
+    computed: float
+    expected: float
+    tolerance: float
+    unit: str
+    seconds: float
+    problem: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether what was computed is within the tolerance."""
+        return bool(abs(self.computed - self.expected) <= self.tolerance)
+
+
+class Trial(NamedTuple):
+    """A test: its name, what computes a number, and what that should be."""
+
+    name: str
+    compute: Callable[[], float]
+    expected: float
+    tolerance: float
+    unit: str
+
+
+def run_trials(trials: Sequence[Trial] | None = None) -> Iterator[Outcome]:
+    """Compute one test after the other.
+
+    Parameters
+    ----------
+    trials : sequence of Trial, optional
+        All of :func:`all_trials` by default.
+
+    Yields
+    ------
+    Outcome
+        Of each. A test that cannot be computed has failed, and says why.
+    """
+    for trial in all_trials() if trials is None else trials:
+        started, problem = time.perf_counter(), ""
+        try:
+            computed = float(trial.compute())
+        # Whatever an incomplete installation raises is the finding that is asked for.
+        except Exception as error:
+            computed, problem = np.nan, f"{type(error).__name__}: {error}"
+        seconds = time.perf_counter() - started
+        yield Outcome(
+            trial.name, computed, trial.expected, trial.tolerance, trial.unit, seconds, problem
+        )
+
+
+def all_trials() -> tuple[Trial, ...]:
+    """Return the tests, the quick ones first."""
+    cut_on = 1e-3 * cut_on_frequency(1, 1, RADIUS, AIR.sound_speed)
+    return (
+        Trial("distance of a synthetic echo", _echo, 50.0, 0.1, "cm"),
+        Trial("cut-on of mode (1,1), Bessel's zero", _cut_on, cut_on, 0.005 * cut_on, "kHz"),
+        Trial("reflection of a narrowed bore", _reflection, REFLECTED, 0.02, "1"),
+        Trial("power reflected and passed", _power, 1.0, 1e-3, "1"),
+        Trial("force of a press of 0.2 mm", _force, FORCE, 1e-3 * FORCE, "N"),
+    )
+
+
+def _echo() -> float:
+    """Return the distance in cm of an echo that was put at 50 cm."""
+    pulse, time = Pulse(frequency=42e3), np.arange(6000) / 1e6
+    delay = 2 * 0.5 / signals.speed_of_sound(20.0)
+    pressure = np.asarray(pulse(time)) + 0.05 * np.asarray(pulse(time - delay))
+    found = signals.process(time, pressure, pulse_duration=pulse.duration, temperature=20.0)
+    return 100 * float(found.distance)
+
+
+def _cut_on() -> float:
+    """Return the cut-on of mode (1,1) in kHz on a grid of 16 cells across."""
+    cells = _bore(np.zeros(2), np.array([0.0, 1.5 * 2 * RADIUS / 16]), 16)
+    return 1e-3 * float(section_cut_ons(cells, 1, AIR.sound_speed)[1])
+
+
+def _reflection() -> float:
+    return float(abs(_scattered()[0]))
+
+
+def _power() -> float:
+    return float(np.sum(np.abs(_scattered()) ** 2))
+
+
+def _scattered() -> NDArray[np.complex128]:
+    """Return reflection and transmission of a plane wave on a grid of 8 cells across."""
+    z = np.linspace(0.0, 0.04, 81)
+    near = np.abs(z - 0.02) < 8e-3
+    cells = _bore(np.where(near, 0.2 + 0.2 * np.cos(np.pi * (z - 0.02) / 8e-3), 0.0), z, 8)
+    frequency = FREQUENCY + 1e3 * np.arange(2)
+    found = scatter(cells, AIR, frequency, reference=(0.02, 0.02), lossy=False, symmetric_only=True)
+    return np.asarray(found.s[0, :, 0, 0, 0])
+
+
+def _bore(narrowing: Array, z: Array, resolution: int) -> CutCells:
+    """Return a round bore whose radius is less by a share at each z, on its grid."""
+    import trimesh
+
+    angle = 2 * np.pi * np.arange(192) / 192
+    radius = RADIUS * (1 - narrowing)[:, None]
+    along = np.broadcast_to(z[:, None], (z.size, angle.size))
+    rings = np.stack([radius * np.cos(angle), radius * np.sin(angle), along], axis=-1)
+    surface = trimesh.Trimesh(rings.reshape(-1, 3), ring_faces(*rings.shape[:2]), process=False)
+    return cut_cells(surface, grid_spacing(2 * RADIUS, resolution))
+
+
+def _force() -> float:
+    """Return the force in N of a press on a coarse mesh of the paper's tube."""
+    pressed = indent(Tube(), Press(diameter=25e-3), depth=0.2e-3, mesh=COARSE)
+    return float(pressed.contact_force[-1])

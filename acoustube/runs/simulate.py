@@ -1,0 +1,161 @@
+"""The whole chain for one press: tube, indentation, lumen, waves, signals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import jax
+import numpy as np
+import xarray as xr
+
+from acoustube.air import LAYERS_OF_A_GAP, viscous_thickness
+from acoustube.base.errors import SimulationError
+from acoustube.base.limits import LARGEST_CLOSING
+from acoustube.base.rules import filled
+from acoustube.base.types import Report
+from acoustube.indentation import Indentation
+from acoustube.lumen import lumen, measure, pressed_part
+from acoustube.runs import results
+from acoustube.runs.config import Config, check_touched
+from acoustube.runs.presses import pressed
+from acoustube.runs.sound import (
+    BAND_EDGE,
+    air_of,
+    blind_time,
+    listen,
+    listen_by_parts,
+    locate,
+    probe_of,
+    pulse_of,
+)
+from acoustube.waves import (
+    attenuation,
+    cut_ons_in_band,
+)
+
+
+def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
+    """Press a tube once, send a pulse through it, and find the press by its echo.
+
+    Parameters
+    ----------
+    config : Config, optional
+        The settings; see :func:`acoustube.load_config`. The paper's tube and a 25 mm rod by
+        default.
+    report : callable, optional
+        Called with the name of a stage and the fraction of it that is done.
+
+    Returns
+    -------
+    xarray.Dataset
+        Every stage's arrays, in SI units, with both choices of the source end along the dimension
+        ``source_end``. ``distance`` and ``amplitude`` are those of the chosen one.
+
+    Raises
+    ------
+    SimulationError
+        If a stage cannot finish.
+    ConfigError
+        If the tube is not pressed.
+
+    Notes
+    -----
+    The stages are functions of their own: :func:`acoustube.indentation.indent`,
+    :func:`acoustube.lumen.lumen`, :func:`acoustube.waves.cut_cells`,
+    :func:`acoustube.waves.propagate`, :func:`acoustube.signals.process`.
+    """
+    config = config or Config()
+    check_touched(config)
+    report = report or _silent
+    seconds: dict[str, float] = {}
+    notes: list[str] = []
+    air = air_of(config)
+
+    with stage("indentation", seconds, report) as progress:
+        depth = 1e-3 * config.indentation.depth_mm
+        indentation = pressed(config, [depth], progress, notes.append)
+    with stage("lumen", seconds, report):
+        space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
+    with stage("waves", seconds, report) as progress:
+        if config.waves.method == "full":
+            recordings, budget = listen(config, space, progress)
+        else:
+            recordings, budget = listen_by_parts(config, pressed_part(indentation), progress)
+    with stage("signals", seconds, report):
+        rangings = {end: locate(config, recording) for end, recording in recordings.items()}
+
+    return results.dataset(
+        config,
+        indentation,
+        space,
+        recordings,
+        rangings,
+        sound_speed=air.sound_speed,
+        seconds=seconds,
+        budget=budget,
+        warnings=[*notes, *warnings_for(config), *_narrow(config, indentation)],
+        device=jax.devices()[0].device_kind,
+    )
+
+
+def warnings_for(config: Config) -> list[str]:
+    """Return one sentence for each way in which the settings leave the model's range."""
+    waves, radius = config.waves, 0.5e-3 * config.tube.inner_diameter_mm
+    air, pulse = air_of(config), pulse_of(config)
+    found = [
+        f"Mode ({mode.m},{mode.n}) cuts on at {1e-3 * mode.cut_on:.2f} kHz, inside the pulse's "
+        "band: small errors of bore or temperature decide whether it propagates."
+        for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
+    ]
+    path = 2 * (1e-2 * filled(config.indentation.position_cm) - probe_of(config))
+    blind = blind_time(config)
+    if path < air.sound_speed * blind:
+        found.append(
+            f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
+            "looked for: move the press away from the source or raise the low-pass."
+        )
+    depth, bore = config.indentation.depth_mm, config.tube.inner_diameter_mm
+    if depth > LARGEST_CLOSING * bore:
+        found.append(
+            f"At {depth:g} mm the walls of the {bore:g} mm lumen meet, or nearly: what is narrower "
+            f"than a cell of {bore / waves.resolution:.2g} mm passes sound only about as it should."
+        )
+    if waves.losses == "off":
+        loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
+        found.append(
+            f"The losses are off; boundary layers and the air, {waves.temperature_c:g} degC warm, "
+            f"would lower this echo by {loss:.1f} dB."
+        )
+    return found
+
+
+def _narrow(config: Config, indentation: Indentation) -> list[str]:
+    """Return a warning where the lumen is so narrow that its boundary layers fill it."""
+    height = measure(indentation, -1, np.array([indentation.presses[0].z])).height[0]
+    layers = height / viscous_thickness(air_of(config), 1e3 * config.waves.frequency_khz)
+    warning = (
+        f"The lumen is {1e6 * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
+        "layers: the losses there are more than first order."
+    )
+    return [warning] if layers < LAYERS_OF_A_GAP else []
+
+
+def _silent(_stage: str, _fraction: float) -> None:
+    """Report nothing."""
+
+
+@contextmanager
+def stage(
+    name: str, seconds: dict[str, float], report: Report
+) -> Iterator[Callable[[float], None]]:
+    """Report and time a stage; what it refuses in SI terms becomes a failure of that stage."""
+    start = time.perf_counter()
+    report(name, 0.0)
+    try:
+        yield lambda fraction: report(name, fraction)
+    except ValueError as error:
+        raise SimulationError(f"{name}: {error}") from error
+    report(name, 1.0)
+    seconds[name] = time.perf_counter() - start

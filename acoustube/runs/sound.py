@@ -1,0 +1,293 @@
+"""The whole chain for one press: tube, indentation, lumen, waves, signals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from acoustube import signals
+from acoustube.air import Air, air_at
+from acoustube.base.rules import filled
+from acoustube.lumen import Lumen
+from acoustube.runs.config import Config
+from acoustube.waves import (
+    Budget,
+    CutCells,
+    Placed,
+    Pulse,
+    Recording,
+    Scattering,
+    SourceEnd,
+    cut_cells,
+    error_budget,
+    grid_spacing,
+    heard,
+    propagate,
+    scatter,
+)
+
+SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
+"""Both choices of the source end are computed: a real one lies between them."""
+
+BAND_EDGE = -20.0
+"""Level in dB under the pulse's spectral peak down to which a mode's cut-on is warned of."""
+
+HEARD = -70.0
+"""Level in dB under the pulse's spectral peak down to which its sound is followed."""
+LOWEST = 0.1
+"""Lowest frequency that is followed of a short pulse, whose band reaches to zero, in carriers."""
+FREQUENCY_STEP = 100.0
+"""Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
+TIME_STEP = 1e-6
+"""Of the sound in s that is put together from scattering and straight tube."""
+
+
+def blind_time(config: Config) -> float:
+    """Return how long after its maximum the send pulse's envelope has faded, in s."""
+    return signals.blind_time(pulse_of(config).duration, 1e3 * filled(config.signals.lowpass_khz))
+
+
+def air_of(config: Config) -> Air:
+    """Return the air in the tube that the settings describe."""
+    waves = config.waves
+    return air_at(
+        waves.temperature_c,
+        humidity=waves.humidity_percent,
+        pressure=1e3 * waves.pressure_kpa,
+    )
+
+
+def pulse_of(config: Config) -> Pulse:
+    """Return the source pulse that the settings describe."""
+    return Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
+
+
+def listen(
+    config: Config, space: Lumen, progress: Callable[[float], None] | None = None
+) -> tuple[dict[SourceEnd, Recording], Budget]:
+    """Send a pulse through a lumen and record it at the probe plane.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    space : Lumen
+        The lumen; where it is symmetric about x = 0, half of it is computed.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    recordings : dict of Recording
+        For each choice of the source end.
+    budget : Budget
+        What they can be trusted with.
+    """
+    air, pulse, probe = air_of(config), pulse_of(config), probe_of(config)
+    spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
+    cells = cut_cells(space.surface, spacing, half=space.symmetric)
+    recordings: dict[SourceEnd, Recording] = {}
+    # Both on the time axis of the first: their limits differ by less than a permille.
+    time_step: float | None = None
+    for done, source_end in enumerate(SOURCE_ENDS):
+        recordings[source_end] = propagate(
+            cells,
+            air,
+            pulse,
+            duration=_duration(config, air),
+            probes=(probe,),
+            source_end=source_end,
+            time_step=time_step,
+            lossy_band=band_of(config) if config.waves.losses == "on" else None,
+            progress=_share_of(progress or _ignore, done),
+        )
+        time_step = recordings[source_end].time_step
+    return recordings, _budget(config, cells, time_step, recordings)
+
+
+def listen_by_parts(
+    config: Config, part: Lumen, progress: Callable[[float], None] | None = None
+) -> tuple[dict[SourceEnd, Recording], Budget]:
+    """Return what :func:`listen` does, from the scattering of the pressed part and straight tube.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    part : Lumen
+        The pressed part, from :func:`acoustube.lumen.pressed_part`.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    recordings : dict of Recording
+        For each choice of the source end.
+    budget : Budget
+        What they can be trusted with.
+    """
+    bore = 1e-3 * config.tube.inner_diameter_mm
+    matrix, cells = scattering_of(
+        part, air_of(config), band_of(config), bore=bore, resolution=config.waves.resolution,
+        lossy=config.waves.losses == "on", progress=progress,
+    )  # fmt: skip
+    recordings = joined(config, [Placed(matrix, 1e-2 * filled(config.indentation.position_cm))])
+    return recordings, _budget(config, cells, None, recordings)
+
+
+def scattering_of(
+    part: Lumen,
+    air: Air,
+    band: tuple[float, float],
+    *,
+    bore: float,
+    resolution: int,
+    lossy: bool,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Scattering, CutCells]:
+    """Return the scattering of a press, by its own place.
+
+    Parameters
+    ----------
+    part : Lumen
+        The pressed part, from :func:`acoustube.lumen.pressed_part`.
+    air : Air
+    band : tuple of float
+        Lowest and highest frequency in Hz.
+    bore : float
+        Inner diameter in m.
+    resolution : int
+        Grid cells across the bore.
+    lossy : bool
+        With losses at the wall and in the air.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    scattering : Scattering
+        In steps of `FREQUENCY_STEP`.
+    cells : CutCells
+        The lumen on its grid.
+    """
+    across, length = bore / resolution, 2 * part.position
+    # A whole number of layers, so that the grid of a symmetric press is symmetric too.
+    spacing = across, across, length / np.ceil(length / across)
+    lowest, highest = band
+    count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
+    cells = cut_cells(part.surface, spacing)
+    matrix = scatter(
+        cells,
+        air,
+        lowest + FREQUENCY_STEP * np.arange(count + 1),
+        reference=(part.position, part.position),
+        lossy=lossy,
+        symmetric_only=part.symmetric,
+        progress=progress,
+    )
+    return matrix, cells
+
+
+def joined(config: Config, presses: Sequence[Placed]) -> dict[SourceEnd, Recording]:
+    """Return what the probe of a tube hears, from presses of known scattering.
+
+    Parameters
+    ----------
+    config : Config
+        The settings of the tube and of the sound.
+    presses : sequence of Placed
+        Instead of the settings' press; none for an untouched tube.
+
+    Returns
+    -------
+    dict of Recording
+        For each choice of the source end. Spacing and shape of the grid are the first press's.
+    """
+    probe = probe_of(config)
+    recordings: dict[SourceEnd, Recording] = {}
+    for source_end in SOURCE_ENDS:
+        time, pressure = heard(
+            presses,
+            air_of(config),
+            pulse_of(config),
+            radius=0.5e-3 * config.tube.inner_diameter_mm,
+            length=1e-2 * config.tube.length_cm,
+            duration=_duration(config, air_of(config)),
+            time_step=TIME_STEP,
+            probes=[probe],
+            source_reflection=-1.0 if source_end == "release" else 0.0,
+            lossy=config.waves.losses == "on",
+        )
+        # A bend has no grid.
+        found = (press.scattering for press in presses)
+        first = next((matrix for matrix in found if isinstance(matrix, Scattering)), None)
+        recordings[source_end] = Recording(
+            time=time,
+            pressure=pressure,
+            time_step=TIME_STEP,
+            probes=(probe,),
+            spacing=first.spacing if first else (np.nan,) * 3,
+            shape=first.shape if first else (0, 0, 0),
+        )
+    return recordings
+
+
+def _budget(
+    config: Config,
+    cells: CutCells,
+    time_step: float | None,
+    recordings: Mapping[SourceEnd, Recording],
+) -> Budget:
+    """Return what recordings can be trusted with."""
+    pulse = pulse_of(config)
+    return error_budget(
+        cells,
+        air_of(config),
+        frequency=pulse.frequency,
+        highest=pulse.band(BAND_EDGE)[1],
+        radius=0.5e-3 * config.tube.inner_diameter_mm,
+        time_step=time_step,
+        lossy=config.waves.losses == "on",
+        pressure=recordings[config.waves.source_end].pressure,
+    )
+
+
+def band_of(config: Config) -> tuple[float, float]:
+    """Return the band in Hz in which the sound is followed."""
+    pulse = pulse_of(config)
+    lowest, highest = pulse.band(HEARD)
+    return max(lowest, LOWEST * pulse.frequency), highest
+
+
+def _duration(config: Config, air: Air) -> float:
+    """Return a time in s that is long enough for the middle of an echo from the far end."""
+    return 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse_of(config).duration
+
+
+def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:
+    """Return a progress function for one of the runs, `done` of which are over."""
+    return lambda part: progress((done + part) / len(SOURCE_ENDS))
+
+
+def locate(config: Config, recording: Recording) -> signals.Ranging:
+    """Find the press in a recording by the settings' processing."""
+    return signals.process(
+        recording.time,
+        recording.pressure[0],
+        pulse_duration=pulse_of(config).duration,
+        probe_position=probe_of(config),
+        temperature=config.waves.temperature_c,
+        cutoff=1e3 * filled(config.signals.lowpass_khz),
+        prominence=config.signals.prominence,
+        farthest=1e-2 * config.tube.length_cm,
+    )
+
+
+def probe_of(config: Config) -> float:
+    """Return the distance of the probe plane from the source end, in m."""
+    return 1e-2 * config.waves.probe_cm
+
+
+def _ignore(_fraction: float) -> None:
+    """Report nothing."""

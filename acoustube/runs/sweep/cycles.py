@@ -1,0 +1,195 @@
+"""Cycles of a rangefinder for each case of a sweep, labelled: a piece of a dataset."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube import ranging
+from acoustube.base.netcdf import variable
+from acoustube.base.rules import filled
+from acoustube.base.version import __version__
+from acoustube.ranging import Burst, Rangefinder
+from acoustube.runs.config import Config, configured
+from acoustube.runs.scattering_file import from_dataset
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.plan import digest
+from acoustube.runs.sweep.tasks import placed, tube_of
+from acoustube.waves import Scattering
+
+LONGEST_SESSION = 72_000
+"""Cycles, an hour of them, over which a session's cases are spread."""
+SIGNAL_CHUNK = 64
+"""Cycles that are read at once at the least."""
+CARRIED = {
+    "true_distance": "m", "depth": "m", "force": "N", "diameter": "m", "shape": "1",
+    "lumen_area": "m2", "lumen_height": "m", "inner_diameter": "m", "wall_thickness": "m",
+    "shear_modulus": "Pa", "tube_length": "m", "carrier_frequency": "Hz",
+}  # fmt: skip
+"""Labels of a cycle that are its case's, with their units."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How cycles are recorded of each case.
+
+    Attributes
+    ----------
+    n_cycles : int
+        Of each case, in each session.
+    n_tubes : int
+        Specimens of each tube, each with irregularities of its own.
+    n_sessions : int
+        Of each specimen, each with a drift and an error of the temperature of its own.
+    seed : int
+    rangefinder : Rangefinder or None
+        With None that of the paper, at the case's carrier frequency.
+    """
+
+    n_cycles: int = 50
+    n_tubes: int = 1
+    n_sessions: int = 1
+    seed: int = 0
+    rangefinder: Rangefinder | None = None
+
+    @property
+    def per_case(self) -> int:
+        """How many cycles a case has in all."""
+        return self.n_cycles * self.n_tubes * self.n_sessions
+
+    @property
+    def name(self) -> str:
+        """Hash of all that it says."""
+        own = None if self.rangefinder is None else self.rangefinder.to_json()
+        return digest([self.n_cycles, self.n_tubes, self.n_sessions, self.seed, own, __version__])
+
+    def rangefinder_for(self, config: Config) -> Rangefinder:
+        """Return the rangefinder that a case is recorded with."""
+        carrier = 1e3 * config.waves.frequency_khz
+        usual = Rangefinder(drive=Burst(frequency=carrier), resonance=carrier)
+        return self.rangefinder or usual
+
+
+def seed_of(*what: Any) -> int:
+    """Return a seed that belongs to what is named, and to nothing else."""
+    return int(digest(what)[:15], 16)
+
+
+def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -> int:
+    """Record cycles of some cases, and write them to one file.
+
+    Parameters
+    ----------
+    cases : sequence of (str, Path)
+        Names, and the sweep's files that hold them.
+    out : Path
+        The file.
+    recipe : Recipe
+
+    Returns
+    -------
+    int
+        How many cycles there are.
+    """
+    parts = [part for name, path in cases for part in _recorded(name, path, recipe)]
+    data = xr.concat(parts, dim="cycle", data_vars="minimal", coords="minimal", compat="override",
+                     combine_attrs="drop_conflicts", join="exact")  # fmt: skip
+    data = data.assign_attrs(
+        title="Cycles of a rangefinder on a soft acoustic waveguide",
+        source="simulation", acoustube_version=__version__, seed=recipe.seed, warnings="",
+    )  # fmt: skip
+    store.write_file(out, data, chunks={"signal": SIGNAL_CHUNK})
+    return int(data.sizes["cycle"])
+
+
+def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
+    """Return one cycle of a case, as :func:`record_cases` would record it.
+
+    Raises
+    ------
+    ValueError
+        If the rangefinder hears sound of which the press's scattering is not known.
+    """
+    return next(_recorded(name, path, dataclasses.replace(recipe, n_cycles=1)))
+
+
+@lru_cache(maxsize=64)
+def _opened(path: Path) -> tuple[xr.Dataset, Scattering | None]:
+    """Return what cycles are made of from a sweep's file; its cases come back one by one."""
+    data, matrix = store.read(path)
+    return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)
+
+
+def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
+    """Yield the cycles of a case, of each specimen in each session."""
+    data, scattering = _opened(path)
+    case = data.sel(press=name)
+    config = configured(json.loads(str(case["configuration"].values)))
+    touched = config.indentation.depth_mm > 0
+    presses = placed(config, scattering if touched else None)
+    rangefinder = recipe.rangefinder_for(config)
+    for specimen in range(recipe.n_tubes):
+        tube = f"{tube_of(config)}-{specimen}"
+        for number in range(recipe.n_sessions):
+            session = seed_of(tube, number, recipe.seed)
+            cycles = ranging.record(
+                presses,
+                _in_session(rangefinder, session),
+                radius=0.5e-3 * config.tube.inner_diameter_mm,
+                length=1e-2 * config.tube.length_cm,
+                temperature=config.waves.temperature_c,
+                n_cycles=recipe.n_cycles,
+                first_cycle=seed_of(name) % LONGEST_SESSION,
+                seed=seed_of(name, tube, number, recipe.seed),
+                session_seed=session,
+                tube_seed=seed_of(tube, recipe.seed),
+            )
+            yield _labelled(cycles, case, config, {
+                "press": name, "tube": tube, "session": f"{tube}-{number}",
+            }, touched)  # fmt: skip
+
+
+def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
+    """Return a rangefinder whose temperature is off by what it may be, as drawn for a session."""
+    most = rangefinder.temperature_bias
+    bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
+    return dataclasses.replace(rangefinder, temperature_bias=float(bias))
+
+
+def _labelled(
+    cycles: xr.Dataset, case: xr.Dataset, config: Config, names: dict[str, str], touched: bool
+) -> xr.Dataset:
+    """Return cycles with the labels of their case, and the names of case, tube and session."""
+    n = cycles.sizes["cycle"]
+    labels = {
+        label: variable("cycle", np.full(n, case[label].values), units, str(text))
+        for label, units in CARRIED.items()
+        for text in [case[label].attrs["long_name"]]
+    }
+    if not touched:
+        labels |= {
+            label: variable("cycle", np.full(n, np.nan), "m", "of no press")
+            for label in ("true_distance", "diameter")
+        }
+    labels["air_temperature"] = variable(
+        "cycle", np.full(n, filled(config.waves.temperature_c)), "degC", "temperature of the air"
+    )
+    texts = {
+        "press": "name of the case", "tube": "specimen of a tube", "session": "recording session",
+    }  # fmt: skip
+    coordinates = {
+        name: variable("cycle", np.full(n, value), "1", texts[name])
+        for name, value in names.items()
+    }
+    own = {k: v for k, v in cycles.attrs.items() if k in ("sampling_rate", "full_scale")}
+    found = cycles.assign(labels).assign_coords(coordinates)
+    found.attrs = own | {"rangefinder": cycles.attrs["rangefinder"]}
+    return found

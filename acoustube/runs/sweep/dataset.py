@@ -1,0 +1,323 @@
+"""The command ``acoustube dataset``: labelled cycles of a rangefinder for each case of a sweep."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+
+from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.files import check_out, partial_file
+from acoustube.base.rules import nearest
+from acoustube.base.version import __version__
+from acoustube.ranging import Burst, Rangefinder
+from acoustube.runs.config import read_document
+from acoustube.runs.opening import open_dataset
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.costs import in_words
+from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
+from acoustube.runs.sweep.plan import digest
+from acoustube.runs.sweep.progress import Board, progress_board
+from acoustube.runs.sweep.run import run_in_sight
+from acoustube.runs.sweep.workers import Task, Workers, count_of
+
+RECIPE, CARD = "dataset.json", "README.md"
+CYCLES_PER_FILE = 5000
+SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
+"""Measured on one quiet core, for the estimates."""
+RANGES = {
+    "true_distance": ("place", 1e2, "cm"), "depth": ("depth", 1e3, "mm"),
+    "force": ("force", 1.0, "N"), "diameter": ("indenter", 1e3, "mm"),
+    "lumen_area": ("lumen area", 1e6, "mm2"), "air_temperature": ("air", 1.0, "degC"),
+    "inner_diameter": ("bore", 1e3, "mm"), "wall_thickness": ("wall", 1e3, "mm"),
+    "shear_modulus": ("shear modulus", 1e-6, "MPa"), "tube_length": ("tube length", 1e2, "cm"),
+    "carrier_frequency": ("carrier", 1e-3, "kHz"),
+}  # fmt: skip
+"""Labels whose range a dataset card tells, in human units."""
+CARD_TEXT = """\
+# Cycles of a rangefinder on a soft acoustic waveguide
+
+{n_cycles} simulated cycles of {n_samples} samples at {rate:g} kHz.
+
+* presses: {n_presses} ({shapes})
+* tubes: {n_tubes}
+* sessions: {n_sessions}
+* cycles without contact: {n_untouched}
+
+## How it was made
+
+acoustube {version}: each press by finite elements, its scattering of sound by finite differences,
+the tube's sound from both with wall losses, and the rangefinder's burst, ring-down, amplifier,
+noise and ADC. Cycles of a case differ by noise, drift and reported temperature; the seed is {seed}.
+Parameters of the rangefinder are in the files, the settings of each case in the sweep.
+
+## Ranges
+
+| label | from | to | unit |
+|---|---|---|---|
+{ranges}
+
+## How to use it
+
+`acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds counts of
+the ADC (cycle, time). Split by `tube` or `session`, not by cycle: those of one case are alike but
+for noise. Labels are exact; `temperature` is what the board reports, `air_temperature` the truth.
+
+## What it is not
+
+Simulated: no fabric, no bends, no scatter between specimens but that of `clutter`{clutter}.
+"""
+
+
+def run_dataset(
+    sweep: Sequence[Path],
+    out: Path,
+    recipe: Recipe,
+    console: Console,
+    *,
+    workers: int | Workers | None = None,
+    executor: Executor | None = None,
+) -> Path:
+    """Record cycles of all cases of a sweep, with their labels, and describe them on a card.
+
+    Parameters
+    ----------
+    sweep : sequence of Path
+        Folders of sweeps.
+    out : Path
+        The folder to write, or to go on with.
+    recipe : Recipe
+    console : rich.console.Console
+        Where to print.
+    workers : int or Workers, optional
+        Processes; as many as there are cores by default. Or those of a run before.
+    executor : concurrent.futures.Executor, optional
+        In place of processes of this machine.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    ConfigError
+        If there is no sweep, or the folder holds something else.
+    SimulationError
+        If a case cannot be recorded.
+    """
+    started = time.perf_counter()
+    parts = _parts(sweep, recipe)
+    _check_band(parts, recipe)
+    folder = _prepared(out, set(parts), recipe)
+    there = {name for name in parts if store.intact(folder / name) is not None}
+    n_cases = sum(map(len, parts.values()))
+    console.print(f"[bold]acoustube {__version__}[/]: a dataset", highlight=False)
+    _print_plan(n_cases, recipe.per_case, len(parts), len(there), count_of(workers), console)
+    todo = {name: cases for name, cases in parts.items() if name not in there}
+    if todo:
+        _record(todo, folder, recipe, workers, console, executor)
+    data = open_dataset(folder)
+    with partial_file(folder / CARD) as part:
+        part.write_text(card(data, recipe), encoding="utf-8")
+    elapsed = in_words(time.perf_counter() - started)
+    console.print(
+        f"{data.sizes['cycle']} cycles written to [bold]{folder}[/] in {elapsed}.", soft_wrap=True
+    )
+    return folder
+
+
+def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, Path]]]:
+    """Return the cases of each file of the dataset, with the sweep's file that holds each.
+
+    The order is that of :func:`acoustube.open_dataset`, whatever files a sweep has.
+    """
+    found: dict[str, Path] = {}
+    for folder in sweep:
+        if not (folder / store.PLAN).is_file():
+            raise ConfigError(f"{folder} holds no sweep; make one with acoustube sweep")
+        contents = store.contents(folder)
+        if contents.damaged:
+            raise ConfigError(
+                f"{contents.damaged[0]} is damaged; repeat the command acoustube sweep to mend it"
+            )
+        found |= contents.finished
+    if not found:
+        raise ConfigError(f"{sweep[0]} holds no finished case; let acoustube sweep finish some")
+    cases = [(str(name), found[str(name)]) for name in open_dataset(sweep)["press"].values]
+    size = max(1, CYCLES_PER_FILE // recipe.per_case)
+    parts = {}
+    for i in range(0, len(cases), size):
+        some = cases[i : i + size]
+        hashed = digest([recipe.name, *(name for name, _ in some)])[:16]
+        parts[f"cycles-{i // size:05d}-{hashed}.nc"] = some
+    return parts
+
+
+def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
+    """Return the folder of the dataset, which holds nothing else."""
+    folder = out.expanduser().resolve()
+    if (folder / RECIPE).is_file():
+        others = sorted(path.name for path in folder.glob("cycles-*.nc") if path.name not in names)
+        if others:
+            raise ConfigError(
+                f"out = {out} holds cycles of another sweep, recipe or version ({others[0]}); name "
+                "a new folder"
+            )
+    else:
+        folder = check_out(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    with partial_file(folder / RECIPE) as part:
+        words = dataclasses.asdict(recipe) | {"rangefinder": None}
+        if recipe.rangefinder is not None:
+            words["rangefinder"] = json.loads(recipe.rangefinder.to_json())
+        words |= {"acoustube_version": __version__}
+        part.write_text(json.dumps(words, indent=1) + "\n", encoding="utf-8")
+    return folder
+
+
+def _print_plan(
+    n_cases: int, per_case: int, n_files: int, n_there: int, workers: int, console: Console
+) -> None:
+    n_cycles = n_cases * per_case
+    left = 1 - n_there / n_files
+    seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) * left / workers
+    console.print(
+        f"{n_cases} cases, {per_case} cycles of each, {n_cycles} in all; {n_there} of {n_files} "
+        f"files are there; about {in_words(seconds)} on {workers} workers, "
+        f"{n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB",
+        soft_wrap=True,
+    )
+
+
+def _record(
+    todo: dict[str, list[tuple[str, Path]]],
+    folder: Path,
+    recipe: Recipe,
+    workers: int | Workers | None,
+    console: Console,
+    executor: Executor | None,
+) -> None:
+    """Write the files that are missing."""
+    costs = {
+        name: len(cases) * (SECONDS_PER_CASE + recipe.per_case * SECONDS_PER_CYCLE)
+        for name, cases in todo.items()
+    }
+    totals = {"files": (len(todo), sum(costs.values()))}
+    with progress_board(totals, count_of(workers), console) as board:
+        tasks = [
+            _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
+        ]
+        try:
+            run_in_sight(tasks, board, workers=workers, executor=executor)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                "interrupted; complete files are kept, run the same command again to go on"
+            ) from None
+
+
+def _task(
+    name: str,
+    cases: Sequence[tuple[str, Path]],
+    folder: Path,
+    recipe: Recipe,
+    cost: float,
+    board: Board,
+) -> Task:
+    def then(_: int) -> list[Task]:
+        board.count("files", cost)
+        return []
+
+    def failed(reason: str) -> None:
+        raise SimulationError(f"{name}: {reason}")
+
+    return Task("files", record_cases, (cases, folder / name, recipe), then, failed, cost)
+
+
+def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
+    """Refuse a rangefinder that hears sound of which a press's scattering is not known."""
+    first = {path: name for cases in parts.values() for name, path in cases}
+    for path, name in first.items():
+        try:
+            record_one(name, path, recipe)
+        except ValueError as error:
+            raise ConfigError(
+                f"case {name} cannot be recorded: {error}; choose a rangefinder near the carrier "
+                "of the sweep, or sweep with another --frequency"
+            ) from error
+
+
+def read_rangefinder(path: Path) -> Rangefinder:
+    """Return the rangefinder that a TOML file describes.
+
+    Parameters
+    ----------
+    path : Path
+        With the parameters of :class:`acoustube.ranging.Rangefinder`; those of its drive in a table
+        ``[drive]``.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a name or a value is wrong.
+    """
+    given = read_document(path)
+    drive = given.pop("drive", None)
+    if not isinstance(drive, dict | None):
+        raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
+    kind = "Burst" if drive is None else drive.pop("kind", "Burst")
+    if kind != "Burst":
+        raise ConfigError(f"{path}: kind = {kind!r} cannot be given by a file; use 'Burst'")
+    for names, of in ((given, Rangefinder), (drive or {}, Burst)):
+        known = [field.name for field in dataclasses.fields(of)]
+        for name in names:
+            if name not in known:
+                raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")
+    try:
+        parts: dict[str, Any] = {} if drive is None else {"drive": Burst(**drive)}
+        return Rangefinder(**given, **parts)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def card(data: xr.Dataset, recipe: Recipe) -> str:
+    """Return what a dataset is, how it was made and what it covers, in Markdown.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`acoustube.open_dataset`.
+    recipe : Recipe
+
+    Returns
+    -------
+    str
+    """
+    n_presses, n_tubes, n_sessions = (
+        len(np.unique(data[name].values)) for name in ("press", "tube", "session")
+    )
+    rangefinder: dict[str, Any] = json.loads(data.attrs.get("rangefinder", "{}"))
+    return CARD_TEXT.format(
+        n_cycles=data.sizes["cycle"], n_samples=data.sizes["time"],
+        rate=1e-3 * data.attrs["sampling_rate"], shapes=", ".join(np.unique(data["shape"].values)),
+        n_presses=n_presses, n_tubes=n_tubes, n_sessions=n_sessions,
+        n_untouched=int((data["depth"].values == 0).sum()), version=__version__, seed=recipe.seed,
+        ranges="\n".join(_range_row(data, name) for name in RANGES),
+        clutter=f" ({rangefinder['clutter']:g} 1/m)" if "clutter" in rangefinder else "",
+    )  # fmt: skip
+
+
+def _range_row(data: xr.Dataset, name: str) -> str:
+    words, scale, unit = RANGES[name]
+    values = scale * data[name].values
+    if not np.isfinite(values).any():
+        return f"| {words} | none | none | {unit} |"
+    return f"| {words} | {np.nanmin(values):.4g} | {np.nanmax(values):.4g} | {unit} |"

@@ -1,0 +1,429 @@
+"""The plan of a sweep: which settings take which values, and the cases that follow.
+
+Nothing heavy is imported, and a case is made only when it is asked for, so that a plan of a million
+cases can be looked at in seconds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import toml_array
+from acoustube.base.rules import Choice, Number, short
+from acoustube.base.version import __version__
+from acoustube.runs.config import (
+    Config,
+    Given,
+    configured,
+    given_in,
+    is_whole,
+    read_document,
+    section_of,
+)
+
+DEFAULTS: Given = {
+    "waves": {"method": "scattering", "losses": "on", "resolution": 16},
+}
+"""Where a sweep departs from the settings' own defaults: each press is computed once, with losses,
+on a grid that gives reflections to 0.005."""
+
+MOST_CASES = 10_000_000
+SAMPLERS = ("sobol", "latin")
+COUNT = Number(1, MOST_CASES, "", "cases of a random plan", whole=True)
+SEED = Number(0, 2**63 - 1, "", "seed of a random plan", whole=True)
+SAMPLER = Choice(SAMPLERS, "how a random plan fills the ranges")
+RANDOM: dict[str, Number | Choice] = {"count": COUNT, "sampler": SAMPLER, "seed": SEED}
+"""Settings of a random plan, with their rules."""
+
+Values = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A range of which a random plan takes values.
+
+    Attributes
+    ----------
+    low, high : float
+    """
+
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{short(self.low)}:{short(self.high)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The cases of a sweep.
+
+    Attributes
+    ----------
+    given : dict
+        Settings that all cases have, by section.
+    over : dict of str
+        The settings that vary, each with its values, or of a random plan its `Interval`: the last
+        runs fastest.
+    cases : tuple of dict
+        In place of `over`: the settings of each case.
+    count : int
+        Cases of a random plan; 0 for a grid.
+    sampler : {"sobol", "latin"}
+    seed : int
+    """
+
+    given: Given = field(default_factory=dict)
+    over: Mapping[str, Values | Interval] = field(default_factory=dict)
+    cases: tuple[Mapping[str, Any], ...] = ()
+    count: int = 0
+    sampler: str = "sobol"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.over and self.cases:
+            raise ConfigError("a plan has [sweep.over] or a list of [[sweep.case]]; give one")
+        COUNT.check("count", self.count or 1)
+        SEED.check("seed", self.seed)
+        SAMPLER.check("sampler", self.sampler)
+        for name, values in self.over.items():
+            section_of(name)
+            _check_axis(name, values, random=self.count > 0)
+        for case in self.cases:
+            for name in case:
+                section_of(name)
+        if len(self) > MOST_CASES:
+            raise ConfigError(f"the plan has {len(self):.3g} cases; use at most {MOST_CASES:.0e}")
+
+    def __len__(self) -> int:
+        if self.cases:
+            return len(self.cases)
+        return self.count or math.prod(len(values) for values in self._axes.values())
+
+    def distinct(self, names: Sequence[str]) -> int:
+        """Return how many combinations of values some of the settings take."""
+        import numpy as np
+
+        if not (self.cases or self.count):
+            return math.prod(len(v) for n, v in self._axes.items() if n in names)
+        columns = [np.array(v, str) for n, v in self.columns().items() if n in names]
+        codes = [np.unique(column, return_inverse=True)[1] for column in columns]
+        return np.unique(np.stack(codes), axis=1).shape[1] if codes else 1
+
+    @property
+    def _axes(self) -> dict[str, Values]:
+        return {n: v for n, v in self.over.items() if not isinstance(v, Interval)}
+
+    def columns(self) -> dict[str, Any]:
+        """Return what varies, a value for each case, by name of the setting."""
+        import numpy as np
+
+        if self.cases:
+            names = {name: None for case in self.cases for name in case}
+            return {name: [case.get(name) for case in self.cases] for name in names}
+        if self.count:
+            return _sampled(self)
+        sizes = [len(values) for values in self._axes.values()]
+        if not sizes:
+            return {}
+        places = np.unravel_index(np.arange(math.prod(sizes)), sizes)
+        return {
+            name: np.array(values)[place]
+            for (name, values), place in zip(self._axes.items(), places, strict=True)
+        }
+
+    def configs(self, numbers: Sequence[int] | None = None) -> Iterator[Config]:
+        """Yield the settings of each case, or of those of the given numbers.
+
+        Raises
+        ------
+        ConfigError
+            If a case cannot be; it is named by what varies.
+        """
+        columns = self.columns()
+        for i in range(len(self)) if numbers is None else numbers:
+            varied = {name: _plain(values[i]) for name, values in columns.items()}
+            try:
+                yield configured(self.given, **varied)
+            except ConfigError as error:
+                words = ", ".join(f"{name} = {value}" for name, value in varied.items())
+                where = f"case {i + 1} of the sweep ({words}): " if words else ""
+                raise ConfigError(f"{where}{error}") from error
+
+
+def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
+    if isinstance(values, Interval):
+        if not random:
+            raise ConfigError(
+                f"{name} = {values} is a range without a step; give {values}:STEP, or --random and "
+                "a number of cases"
+            )
+        if not -math.inf < values.low < values.high < math.inf:
+            raise ConfigError(f"{name} = {values} must rise")
+    elif not values:
+        raise ConfigError(f"{name} has no values and so the plan no cases; give one or more")
+    elif not all(isinstance(value, int | float | str) for value in values):
+        raise ConfigError(f"{name} = {list(values)} must be numbers or words")
+    elif len(set(values)) < len(values):
+        raise ConfigError(f"{name} has the same value twice; give each once")
+
+
+def _sampled(plan: Plan) -> dict[str, Any]:
+    """Return the values of a random plan; those of a list are taken equally often."""
+    import warnings
+
+    import numpy as np
+    from scipy.stats import qmc
+
+    engine = {"sobol": qmc.Sobol, "latin": qmc.LatinHypercube}[plan.sampler]
+    drawn = engine(len(plan.over) or 1, seed=np.random.default_rng(plan.seed))
+    with warnings.catch_warnings():
+        # That a number of cases other than a power of two is less even is for the user to choose.
+        warnings.simplefilter("ignore", UserWarning)
+        points = drawn.random(plan.count)
+    found = {}
+    for (name, values), share in zip(plan.over.items(), points.T, strict=False):
+        if isinstance(values, Interval):
+            drawn_values = np.round(values.low + share * (values.high - values.low), 6)
+            found[name] = np.rint(drawn_values).astype(int) if is_whole(name) else drawn_values
+        else:
+            place = np.minimum((share * len(values)).astype(int), len(values) - 1)
+            found[name] = np.array(values)[place]
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Return a number or a word of NumPy as Python's own."""
+    return value.item() if hasattr(value, "item") else value
+
+
+def parsed(name: str, words: Sequence[str]) -> Values | Interval:
+    """Return the values of a setting as they are written on the command line.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting.
+    words : sequence of str
+        Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
+
+    Returns
+    -------
+    tuple or Interval
+
+    Raises
+    ------
+    ConfigError
+        If a range is none.
+    """
+    if len(words) == 1 and words[0].count(":") == 1:
+        low, high = (_number(name, words[0], part) for part in words[0].split(":"))
+        return Interval(float(low), float(high))
+    values: list[Any] = []
+    for word in words:
+        if ":" in word:
+            values += _range(name, word)
+        else:
+            values.append(_literal(word))
+    return tuple(values)
+
+
+def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[str, list[str]]:
+    """Return settings written as name=value,value, by name, unless they are taken already.
+
+    Raises
+    ------
+    ConfigError
+        If one is not written so, is not a setting, or is given twice.
+    """
+    found: dict[str, list[str]] = {}
+    for word in words:
+        name, equals, values = word.partition("=")
+        if not equals:
+            raise ConfigError(f"vary = {word} gives no values; write NAME=VALUE,VALUE")
+        section_of(name)
+        if name in found or name in taken:
+            raise ConfigError(f"{name} is given twice; give it once")
+        found[name] = values.split(",")
+    return found
+
+
+def _range(name: str, word: str) -> list[float]:
+    """Return the values of first:last:step, computed exactly from the digits that are written."""
+    parts = word.split(":")
+    if len(parts) != 3:
+        raise ConfigError(f"{name} = {word} is no range; write first:last:step")
+    first, last, step = (_number(name, word, part) for part in parts)
+    if step <= 0 or last < first:
+        raise ConfigError(f"{name} = {word} has no values; let it rise, with a step over 0")
+    if (last - first) / step > MOST_CASES:
+        raise ConfigError(f"{name} = {word} has over {MOST_CASES:.0e} values; use a larger step")
+    return [float(first + i * step) for i in range(int((last - first) / step) + 1)]
+
+
+def _number(name: str, word: str, part: str) -> Fraction:
+    """Return a number exactly, if it is within the range of a float."""
+    try:
+        if re.search(r"e[+-]?\d{4}", part, re.IGNORECASE):  # as a fraction it may fill the memory
+            raise OverflowError
+        number = Fraction(part.strip())
+        float(number)
+        return number
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        raise ConfigError(
+            f"{name} = {word} is no range of numbers; write first:last:step, such as 0:8:0.5"
+        ) from error
+
+
+def _literal(word: str) -> Any:
+    """Return a number where the word is one."""
+    try:
+        return int(word)
+    except ValueError:
+        pass
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def load_plan(
+    path: str | Path | None = None,
+    over: Mapping[str, Sequence[str]] | None = None,
+    **given: Any,
+) -> Plan:
+    """Build a plan from the defaults, then a file, then what the command line gives.
+
+    Parameters
+    ----------
+    path : str or path, optional
+        A TOML file with the sections of :func:`acoustube.load_config`, which all cases share, and
+        ``[sweep.over]`` with settings that vary, or a list of ``[[sweep.case]]``; ``[sweep]`` may
+        have ``count``, ``sampler`` and ``seed``.
+    over : mapping of str to sequence of str, optional
+        Settings that vary, as :func:`parsed` reads them; they win over the file. One value alone
+        is shared by all cases.
+    **given
+        ``count``, ``sampler``, ``seed``; None means not given.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or a name or a value is wrong.
+    """
+    document = read_document(Path(path)) if path is not None else {}
+    sweep = _checked_section(path, document.pop("sweep", {}))
+    document.pop("acoustube_version", None)
+    shared = given_in(Path(path), document) if path is not None else {}
+    axes = {name: _axis(path, name, values) for name, values in sweep.get("over", {}).items()}
+    cases = tuple(sweep.get("case", ()))
+    if "case" in sweep and not cases:
+        raise ConfigError(f"{path}: [[sweep.case]] is empty and so the plan has no cases; add some")
+    for name, words in (over or {}).items():
+        if any(name in case for case in cases):
+            raise ConfigError(f"{name} is given by the cases of {path}; leave the option out")
+        values = parsed(name, words)
+        axes.pop(name, None)
+        if isinstance(values, tuple) and len(values) == 1:
+            shared.setdefault(section_of(name), {})[name] = values[0]
+        else:
+            axes[name] = values
+    numbers = {name: sweep[name] for name in RANDOM if name in sweep}
+    numbers |= {name: value for name, value in given.items() if value is not None}
+    numbers = {name: RANDOM[name].check(name, value) for name, value in numbers.items()}
+    for name in ("sampler", "seed"):
+        if name in numbers and "count" not in numbers:
+            raise ConfigError(
+                f"{name} = {numbers[name]} is of a random plan; give --random and a number of "
+                "cases, or leave it out"
+            )
+    for section, defaults in DEFAULTS.items():
+        shared[section] = defaults | shared.get(section, {})
+    for section in shared:
+        shared[section] = {n: v for n, v in shared[section].items() if n not in axes}
+    if numbers.get("count") and not axes:
+        raise ConfigError("a random plan needs a range; give one such as --depth 1:8")
+    return Plan(given=shared, over=axes, cases=cases, **numbers)
+
+
+def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
+    """Return the section [sweep] of a file, once it is what a plan has."""
+    known = ("over", "case", *RANDOM)
+    if not isinstance(sweep, dict):
+        raise ConfigError(f"{path}: sweep must be a section, written [sweep] or [sweep.over]")
+    for name, value in sweep.items():
+        if name not in known:
+            raise ConfigError(f"{path}: [sweep] {name} is not known; it has {', '.join(known)}")
+        if name == "over" and not isinstance(value, dict):
+            raise ConfigError(f"{path}: over must be a section, written [sweep.over]")
+        if name == "case" and not (
+            isinstance(value, list) and all(isinstance(case, dict) for case in value)
+        ):
+            raise ConfigError(f"{path}: case must be a list of sections, written [[sweep.case]]")
+    return sweep
+
+
+def _axis(path: Any, name: str, values: Any) -> Values | Interval:
+    """Return the values of a setting as a file gives them: a list, one value, or a range."""
+    if isinstance(values, str):
+        return parsed(name, [values])
+    if isinstance(values, dict):
+        raise ConfigError(f"{path}: [sweep.over] {name} must be a list or a range, such as [1, 2]")
+    found: list[Any] = []
+    for value in values if isinstance(values, list) else [values]:
+        found += _range(name, value) if isinstance(value, str) and ":" in value else [value]
+    return tuple(found)
+
+
+def to_toml(plan: Plan) -> str:
+    """Return a plan as a TOML document that :func:`load_plan` reads back as it is."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.add("acoustube_version", __version__)
+    document.add(tomlkit.nl())
+    for section, values in plan.given.items():
+        if values:
+            document.add(section, tomlkit.item({n: _toml(v) for n, v in values.items()}))
+            document.add(tomlkit.nl())
+    sweep: dict[str, Any] = {}
+    if plan.count:
+        sweep |= {"count": plan.count, "sampler": plan.sampler, "seed": plan.seed}
+    if plan.over:
+        sweep["over"] = {name: _toml(values) for name, values in plan.over.items()}
+    if plan.cases:
+        sweep["case"] = [{n: _toml(v) for n, v in case.items()} for case in plan.cases]
+    document.add("sweep", tomlkit.item(sweep))
+    return tomlkit.dumps(document)
+
+
+def _toml(value: Any) -> Any:
+    """Return a value, or the values of an axis, for a TOML document."""
+    if isinstance(value, Interval):
+        return str(value)
+    return toml_array(value) if isinstance(value, tuple) else value
+
+
+def case_name(config: Config) -> str:
+    """Return the name of a case: the hash of its settings."""
+    return digest(dataclasses.asdict(config))[:16]
+
+
+def digest(content: Any) -> str:
+    """Return the SHA-256 of what JSON can hold, whatever the order of its names."""
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,293 @@
+"""The command ``acoustube sweep``: a plan, what of it is there, the rest on many workers."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from acoustube.base.console import heard_interrupts, note
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import partial_file
+from acoustube.base.version import __version__
+from acoustube.runs.sweep import store
+from acoustube.runs.sweep.costs import (
+    GIGABYTES,
+    hear_cost,
+    in_words,
+    matrix_cost,
+    path_cost,
+    remembered,
+    size_of,
+)
+from acoustube.runs.sweep.graph import Case, Descent, kept, shard, structured
+from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
+from acoustube.runs.sweep.progress import Board, progress_board, totals_of
+from acoustube.runs.sweep.runner import Runner
+from acoustube.runs.sweep.workers import Task, Workers, count_of, crew, run_tasks
+
+LISTED = 10
+"""Failed cases that are printed."""
+
+
+class Work(NamedTuple):
+    """What a plan asks for, and what of it is there.
+
+    Attributes
+    ----------
+    todo : list of Descent
+        What remains.
+    finished : int
+        Cases.
+    failed : dict of str
+        Why others have failed, by name.
+    n_cases : int
+        Of this share.
+    """
+
+    todo: list[Descent]
+    finished: int
+    failed: dict[str, str]
+    n_cases: int
+
+
+def run_sweep(
+    plan: Plan,
+    out: str | Path,
+    console: Console,
+    *,
+    workers: int | Workers | None = None,
+    executor: Executor | None = None,
+    width: int | None = None,
+    share: tuple[int, int] = (1, 1),
+    retry: bool = False,
+) -> bool:
+    """Compute the cases of a plan that are not there yet.
+
+    Parameters
+    ----------
+    plan : Plan
+    out : str or path
+        A folder, new or of a sweep.
+    console : rich.console.Console
+        Where to print.
+    workers : int or Workers, optional
+        Processes; as many as there are cores by default. Or those of a run before.
+    executor : concurrent.futures.Executor, optional
+        In place of processes of this machine.
+    width : int, optional
+        Tasks that are handed to `executor` at a time; as many as it has workers, if it tells.
+    share : tuple of int
+        Number, from 1, and count of equal shares of the plan, of which one is computed.
+    retry : bool
+        Try cases again that have failed before.
+
+    Returns
+    -------
+    bool
+        Whether no case has failed.
+
+    Raises
+    ------
+    ConfigError
+        If the plan or the folder cannot be used.
+    SimulationError
+        If the disk is full, or the executor is gone.
+    """
+    started = time.perf_counter()
+    cases = cases_of(plan)
+    folder = store.prepared(out)
+    found = store.contents(folder)
+    _note_contents(folder, found, console)
+    work = work_of(cases, folder, found, share, retry)
+    _note_other_plan(plan, folder, found, {case.name for case in cases}, console)
+    store.forget_failures(folder, found.finished.keys() & store.failures(folder).keys())
+    with partial_file(folder / store.PLAN) as part:
+        part.write_text(to_toml(plan), encoding="utf-8")
+    at_once: int = width or getattr(executor, "_max_workers", None) or count_of(workers)
+    print_work(work, at_once, console)
+    done = Counter[str]()
+    failed = dict(work.failed)
+    if work.todo:
+        with progress_board(totals_of(work.todo), at_once, console) as board:
+            runner = Runner(folder, board, failed, done)
+            try:
+                run_in_sight(
+                    runner.first(work.todo), board, workers=workers, executor=executor,
+                    width=at_once,
+                )  # fmt: skip
+            except KeyboardInterrupt:
+                there = work.finished + done["case"]
+                raise KeyboardInterrupt(
+                    f"interrupted; {there} of {work.n_cases} cases are finished, run the same "
+                    "command again to go on"
+                ) from None
+    _print_end(done, failed, folder, time.perf_counter() - started, console)
+    return not failed
+
+
+def run_in_sight(
+    tasks: Iterable[Task],
+    board: Board,
+    *,
+    workers: int | Workers | None,
+    executor: Executor | None = None,
+    width: int | None = None,
+) -> None:
+    """Run tasks, show how far they are, and hear interrupts.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    board : Board
+    workers : int, Workers or None
+        Processes of this machine, unless there is an executor.
+    executor : concurrent.futures.Executor, optional
+    width : int, optional
+        Tasks that are handed over at a time; as many as workers by default.
+
+    Raises
+    ------
+    SimulationError
+        See :func:`acoustube.runs.sweep.workers.run_tasks`.
+    """
+    with heard_interrupts() as check, crew(workers) as processes:
+
+        def tick() -> None:
+            check()
+            board.tick()
+
+        run_tasks(tasks, executor or processes, width or processes.count, tick)
+
+
+def _note_contents(folder: Path, found: store.Contents, console: Console) -> None:
+    """Set damaged files aside, and tell of these and of foreign ones."""
+    for path in found.damaged:
+        aside = store.set_aside(path)
+        note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
+    if found.foreign:
+        names = ", ".join(path.name for path in found.foreign[:3])
+        more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
+        note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
+
+
+class Scale(NamedTuple):
+    """By how much a plan is larger than a sample of it, and its true numbers of pieces."""
+
+    cases: float
+    n_paths: int
+    n_matrices: int
+
+
+def cases_of(plan: Plan) -> list[Case]:
+    """Return the cases of a plan, each once."""
+    if not len(plan):
+        raise ConfigError("the plan has no cases; give values to vary")
+    named = {case_name(config): config for config in plan.configs()}
+    return [Case(name, config) for name, config in named.items()]
+
+
+def work_of(
+    cases: Sequence[Case],
+    folder: Path | None,
+    found: store.Contents,
+    share: tuple[int, int],
+    retry: bool,
+) -> Work:
+    """Return the work that is left of cases, of one share of them."""
+    paths = structured(cases)
+    mine = shard(paths, *share)
+    finished = mine & set(found.finished)
+    known = {} if folder is None or retry else store.failures(folder)
+    failed = {n: reason for n, reason in known.items() if n in mine - finished}
+    return Work(kept(paths, mine - finished - set(failed)), len(finished), failed, len(mine))
+
+
+def _note_other_plan(
+    plan: Plan, folder: Path, found: store.Contents, names: set[str], console: Console
+) -> None:
+    """Say what in a folder is of another plan or version."""
+    path = folder / store.PLAN
+    before = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    if not before or before == to_toml(plan):
+        return
+    if f'acoustube_version = "{__version__}"' not in before:
+        note(console, f"{folder.name} was begun by another version of acoustube, or its plan is "
+              "damaged; what is finished there is kept")  # fmt: skip
+    there, others = names & set(found.finished), set(found.finished) - names
+    if others or _names_of(path) != names:
+        kept_too = f", and {len(others)} that it no longer asks for are kept" * bool(others)
+        note(
+            console,
+            f"the plan has changed since {folder.name} was begun; {len(there)} of its "
+            f"{len(names)} cases are there already{kept_too}",
+        )
+
+
+def _names_of(path: Path) -> set[str]:
+    """Return the names of the cases of a plan in a file; none if it is no plan."""
+    try:
+        return {case_name(config) for config in load_plan(path).configs()}
+    except ConfigError:
+        return set()
+
+
+def print_work(work: Work, workers: int, console: Console, scale: Scale | None = None) -> None:
+    """Print the cases, what they share, and what they cost."""
+    groups = [group for path in work.todo for group in path.groups]
+    n_paths = sum(path.presses for path in work.todo)
+    n_matrices = sum(1 for group in groups if group.band is not None)
+    known_paths, known_matrices, cost = remembered(work.todo) if scale is None else (0, 0, 0.0)
+    size = sum(size_of(group) for group in groups)
+    if scale is not None:
+        costs = [path_cost(path) for path in work.todo], [matrix_cost(g) for g in groups]
+        cost = scale.n_paths * float(np.mean(costs[0] or [0.0]))
+        cost += scale.n_matrices * float(np.mean(costs[1] or [0.0]))
+        cost += scale.cases * sum(hear_cost(group.cases) for group in groups)
+        n_paths, n_matrices, size = scale.n_paths, scale.n_matrices, scale.cases * size
+    table = Table(show_header=False, box=None, pad_edge=False)
+    state = f"{work.finished} finished" + f", {len(work.failed)} failed" * bool(work.failed)
+    table.add_row("cases", f"{work.n_cases}, {state}")
+    table.add_row("paths of presses", f"{n_paths}, {known_paths} remembered")
+    table.add_row("scattering matrices", f"{n_matrices}, {known_matrices} remembered")
+    needed = f"{in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"
+    table.add_row("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk")
+    console.print(f"[bold]acoustube {__version__}[/]: a sweep", highlight=False)
+    console.print(table)
+
+
+def _print_end(
+    done: Counter[str], failed: dict[str, str], folder: Path, seconds: float, console: Console
+) -> None:
+    """Print what was computed and what failed."""
+    if done:
+        console.print(
+            f"paths: {done['path computed']} computed, {done['path reused']} reused; scattering: "
+            f"{done['scattering computed']} computed, {done['scattering reused']} reused; cases: "
+            f"{done['case']} computed",
+            soft_wrap=True,
+        )
+    else:
+        console.print("nothing to compute")
+    _print_failures(failed)
+    console.print(f"Written to [bold]{folder}[/] in {in_words(seconds)}.", soft_wrap=True)
+
+
+def _print_failures(failed: dict[str, str]) -> None:
+    """Print failed cases, also where all else is silent."""
+    console = Console(stderr=True)
+    for name, reason in list(failed.items())[:LISTED]:
+        console.print(f"[red]failed:[/] {escape(f'{name}: {reason}')}", soft_wrap=True)
+    if failed:
+        more = f", {len(failed) - LISTED} more in {store.FAILURES}/" * (len(failed) > LISTED)
+        console.print(
+            f"{len(failed)} failed{more}; try them again with --retry failed", soft_wrap=True
+        )

@@ -1,0 +1,74 @@
+"""Selection of a sweep's cases for figures and pages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from acoustube import signals
+from acoustube.runs import sound
+from acoustube.runs.config import Config, configured
+from acoustube.waves import Recording
+
+
+def chosen(cases: xr.Dataset) -> xr.Dataset:
+    """Return the cases with amplitude, distance and its error at the source end asked for."""
+    ends = xr.DataArray(cases["chosen_source_end"].values, dims="press")
+    there = cases.sel(source_end=ends)
+    error = (there["estimated_distance"] - there["true_distance"]).where(there["depth"] > 0)
+    return there.assign(amplitude=there["echo_amplitude"], error=error)
+
+
+def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
+    """Yield the cases of each tool, with its name."""
+    tools = list(zip(cases["shape"].values, cases["diameter"].values, strict=True))
+    for shape, diameter in sorted(set(tools)):
+        mine = [i for i, tool in enumerate(tools) if tool == (shape, diameter)]
+        yield f"{1e3 * diameter:g} mm {shape}", cases.isel(press=mine)
+
+
+def usual(cases: xr.Dataset) -> xr.Dataset:
+    """Return the cases of that combination of other settings which has most depths."""
+    keys = []
+    for text in cases["configuration"].values:
+        settings = json.loads(str(text))
+        del settings["indentation"]["depth_mm"]
+        keys.append(json.dumps(settings))
+    most = max(dict.fromkeys(keys), key=keys.count)
+    return cases.isel(press=[i for i, key in enumerate(keys) if key == most])
+
+
+def ranged(case: xr.Dataset) -> tuple[Config, Recording, signals.Ranging]:
+    """Process what was heard in a case once more.
+
+    Parameters
+    ----------
+    case : xarray.Dataset
+        At one source end.
+
+    Returns
+    -------
+    config : Config
+    recording : Recording
+        Its time and pressure; the grid is not known.
+    ranging : Ranging
+    """
+    config = configured(json.loads(str(case["configuration"].values)))
+    there = np.isfinite(case["pressure"].values)
+    time, pressure = case["time"].values[there], case["pressure"].values[there].astype(float)
+    recording = Recording(
+        time=time, pressure=pressure[None], time_step=sound.TIME_STEP,
+        probes=(1e-2 * config.waves.probe_cm,), spacing=(np.nan,) * 3, shape=(0, 0, 0),
+    )  # fmt: skip
+    return config, recording, sound.locate(config, recording)
+
+
+def envelope_of(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances in m and the envelope there."""
+    config, recording, ranging = ranged(case)
+    delay = recording.time - float(ranging.send_time)
+    away = signals.distance(delay, config.waves.temperature_c) + 1e-2 * config.waves.probe_cm
+    return np.asarray(away), np.asarray(ranging.envelope)

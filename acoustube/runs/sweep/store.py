@@ -1,0 +1,298 @@
+"""The folder of a sweep: results in files that are complete or not there, failures, the plan.
+
+A file of results is named by the hash of its cases' names and holds the hash of its own content.
+Nothing is written twice, so that any number of sweeps may write to one folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import re
+import tempfile
+import time
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.files import check_out, partial_file
+from acoustube.base.netcdf import to_netcdf
+from acoustube.base.version import __version__
+from acoustube.runs.sweep.plan import digest
+
+PLAN = "sweep.toml"
+FAILURES = "failed"
+SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
+SCATTERING = "scattering"
+"""Group of a file with the scattering matrix of its press."""
+WALLS = "walls"
+"""Group of a file with the walls of its pressed tube; earlier files have none."""
+PARTIAL = ".acoustube-partial-"
+ABANDONED = 3600.0
+"""Seconds after which a file that is half written is nobody's."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What a full disk, or a used-up share of it, is reported as."""
+
+
+class Contents(NamedTuple):
+    """What there is in a sweep's folder.
+
+    Attributes
+    ----------
+    finished : dict of Path
+        File of each finished case, by name.
+    damaged : list of Path
+        Files of results whose content is not what was written.
+    foreign : list of Path
+        Files that no sweep wrote.
+    """
+
+    finished: dict[str, Path]
+    damaged: list[Path]
+    foreign: list[Path]
+
+
+def prepared(path: str | Path) -> Path:
+    """Return a folder that a sweep can be written to, made if it is not there.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written to, or holds something else.
+    """
+    folder = Path(path).expanduser().resolve()
+    if not _begun(folder):
+        try:
+            folder = check_out(path)
+        except ConfigError:
+            if not _begun(folder):  # by another sweep, just now
+                raise
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder):
+            pass
+        _sweep_up(folder)
+    except OSError as error:
+        raise ConfigError(
+            f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+        ) from error
+    return folder
+
+
+def _begun(folder: Path) -> bool:
+    """Tell whether a folder is a sweep's: it has a plan, or nothing but what will be one."""
+    if not folder.is_dir() or (folder / PLAN).is_file():
+        return folder.is_dir()
+    names = [path.name for path in folder.iterdir()]
+    return bool(names) and all(name.startswith(PARTIAL) for name in names)
+
+
+def _sweep_up(folder: Path) -> None:
+    """Remove what a killed run has left half written, once nobody can be writing it."""
+    for path in folder.glob(f"{PARTIAL}*"):
+        with contextlib.suppress(OSError):
+            if path.is_file() and time.time() - path.stat().st_mtime > ABANDONED:
+                path.unlink()
+
+
+def contents(folder: Path) -> Contents:
+    """Return what there is in a sweep's folder, once its results have been checked."""
+    finished: dict[str, Path] = {}
+    damaged: list[Path] = []
+    foreign: list[Path] = []
+    for path in sorted(folder.iterdir()):
+        if SHARD.fullmatch(path.name):
+            names = _names(path)
+            finished |= dict.fromkeys(names or (), path)
+            damaged += [path] * (names is None)
+        elif not (path.name in (PLAN, FAILURES) or path.name.startswith(PARTIAL)):
+            foreign += [path] * (path.suffix != ".damaged")
+    return Contents(finished, damaged, foreign)
+
+
+def _names(path: Path) -> list[str] | None:
+    """Return the cases of a file of results, or None if it is not what was written."""
+    data = intact(path)
+    return None if data is None else [str(name) for name in data["press"].values]
+
+
+def intact(path: Path) -> xr.Dataset | None:
+    """Return what is in a file, or None if that is not what was written."""
+    try:
+        data, matrix = read(path)
+        return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
+    except Exception:  # a damaged file fails in many ways, and all mean the same
+        return None
+
+
+def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
+    """Return the cases of a file of results, and the scattering matrix that they share."""
+    with xr.open_dataset(path, engine="h5netcdf") as file:
+        data = file.load()
+    matrix = None
+    if data.attrs["scattering"] == "yes":
+        with xr.open_dataset(path, engine="h5netcdf", group=SCATTERING) as file:
+            matrix = file.load()
+    return data, matrix
+
+
+def walls(path: Path) -> xr.Dataset | None:
+    """Return the walls of the tube that the cases of a file of results share, where it has them."""
+    import h5py
+
+    with h5py.File(path) as content:
+        if WALLS not in content:
+            return None
+    with xr.open_dataset(path, engine="h5netcdf", group=WALLS) as file:
+        return file.load()
+
+
+def write(
+    folder: Path,
+    data: xr.Dataset,
+    matrix: xr.Dataset | None,
+    walls: xr.Dataset | None = None,
+) -> Path:
+    """Write the results of some cases in one step.
+
+    Parameters
+    ----------
+    folder : Path
+    data : xarray.Dataset
+        Along ``press``.
+    matrix : xarray.Dataset or None
+        The scattering that they share.
+    walls : xarray.Dataset or None
+        The walls of the tube that they share, from :func:`acoustube.runs.walls.walls`.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    SimulationError
+        If the disk is full.
+    """
+    path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
+    write_file(path, data, matrix, walls)
+    return path
+
+
+def write_file(
+    path: Path,
+    data: xr.Dataset,
+    matrix: xr.Dataset | None = None,
+    walls: xr.Dataset | None = None,
+    *,
+    chunks: Mapping[str, int] | None = None,
+) -> None:
+    """Write a dataset, compressed and with the hash of its content, in one step.
+
+    Parameters
+    ----------
+    path : Path
+    data : xarray.Dataset
+    matrix, walls : xarray.Dataset or None
+        A scattering and walls that go with it.
+    chunks : mapping of str to int, optional
+        How many entries of the first dimension are kept together, by variable.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be written, as on a full disk.
+    """
+    groups = {SCATTERING: matrix, WALLS: walls}
+    data = data.assign_attrs({name: "no" if g is None else "yes" for name, g in groups.items()})
+    data.attrs["content"] = _content(data, matrix, walls)
+    parts, encoding = {"/": data}, {"/": _packed(data, chunks)}
+    for name, group in groups.items():
+        if group is not None:
+            parts[f"/{name}"], encoding[f"/{name}"] = group, _packed(group)
+    content = to_netcdf(xr.DataTree.from_dict(parts), encoding)
+    try:
+        with partial_file(path) as partial:
+            partial.write_bytes(content)
+    except OSError as error:
+        raise unwritable(path.parent, error) from error
+
+
+def unwritable(folder: Path, error: OSError) -> SimulationError:
+    """Return what is to be raised where a file cannot be written."""
+    if error.errno in FULL:
+        return SimulationError(
+            f"{folder} cannot hold more: the disk is full; everything in it is intact, so make "
+            "room and run the same command again"
+        )
+    return SimulationError(f"{folder} cannot be written ({error.strerror})")
+
+
+def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
+    """Return how each variable is compressed and cut into chunks."""
+    large = [name for name, v in data.variables.items() if v.size > 1000 and v.dtype.kind in "fiu"]
+    packed: dict[Any, dict[str, Any]] = {
+        name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large
+    }
+    for name, first in (chunks or {}).items():
+        shape = data[name].shape
+        packed.setdefault(name, {})["chunksizes"] = (min(first, shape[0]), *shape[1:])
+    return packed
+
+
+def _content(*parts: xr.Dataset | None) -> str:
+    """Return the hash of all values, by name."""
+    found = hashlib.sha256()
+    for part in parts:
+        for name, values in sorted((part.variables if part is not None else {}).items()):
+            array = np.asarray(values.values)
+            array = array.astype("U") if array.dtype.kind in "OUS" else array
+            text = array.dtype.kind == "U"
+            found.update(f"{name} {array.shape}".encode())
+            found.update("\0".join(array.ravel()).encode() if text else array.tobytes())
+    return found.hexdigest()
+
+
+def set_aside(path: Path) -> Path:
+    """Give a damaged file a name that is not read, and return it."""
+    return path.replace(path.with_name(f"{path.name}.damaged"))
+
+
+def failures(folder: Path) -> dict[str, str]:
+    """Return why cases have failed, by name."""
+    found = {}
+    for path in sorted((folder / FAILURES).glob("*.json")):
+        try:
+            found[path.stem] = str(json.loads(path.read_text(encoding="utf-8"))["reason"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not a record of a failure: the case is tried again
+    return found
+
+
+def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[str, Any]) -> None:
+    """Record that a case has failed, and why."""
+    content = {
+        "reason": reason,
+        "configuration": configuration,
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "acoustube_version": __version__,
+    }
+    try:
+        (folder / FAILURES).mkdir(exist_ok=True)
+        with partial_file(folder / FAILURES / f"{name}.json") as partial:
+            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise unwritable(folder, error) from error
+
+
+def forget_failures(folder: Path, names: Iterable[str]) -> None:
+    """Remove the records of failed cases."""
+    for name in names:
+        (folder / FAILURES / f"{name}.json").unlink(missing_ok=True)

@@ -1,0 +1,315 @@
+"""Tasks on many workers: whatever happens to one of them, the others go on."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+
+from acoustube.base.errors import ConfigError, SimulationError
+
+
+def dask_executor(address: str) -> tuple[Executor, int]:
+    """Return the executor of a running Dask cluster, and how many tasks to hand it at a time.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, such as ``tcp://127.0.0.1:8786``.
+
+    Raises
+    ------
+    ConfigError
+        If the package is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
+    try:
+        _reach(address)
+        client = Client(address, timeout=10, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigError(
+            f"dask = {address}: no scheduler answers there; start one with `dask scheduler` and "
+            "workers with `dask worker`"
+        ) from error
+    threads = sum(client.nthreads().values())
+    if not threads:
+        raise ConfigError(f"dask = {address} has no workers; start some with `dask worker`")
+    return client.get_executor(), 2 * threads
+
+
+def _reach(address: str) -> None:
+    """Connect to a scheduler for a moment: a client that cannot tells so twice, and late."""
+    place = urlsplit(address if "//" in address else f"//{address}")
+    if place.scheme in ("", "tcp", "tls"):
+        socket.create_connection((place.hostname, place.port or 8786), timeout=10).close()
+
+
+ATTEMPTS = 3
+"""How often a task may lose its worker before it is given up."""
+GLANCE = 0.2
+"""Seconds between two looks at the workers."""
+GONE = "the workers or their scheduler are gone; start them and run the same command again"
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A piece of work.
+
+    Attributes
+    ----------
+    stage : str
+        What kind it is.
+    work : callable
+        A function of a module, which a worker can import.
+    arguments : tuple
+    then : callable
+        Called here with what `work` returned; it returns the tasks that can follow.
+    failed : callable
+        Called here with why it failed.
+    cost : float
+        Seconds that it is expected to take.
+    """
+
+    stage: str
+    work: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    then: Callable[[Any], Iterable[Task]]
+    failed: Callable[[str], None]
+    cost: float
+
+
+class Workers:
+    """Processes of this machine, started when there is work, and anew where one was lost.
+
+    They stay until they are ended: what one has imported and compiled serves the next run too.
+
+    Parameters
+    ----------
+    count : int
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: Executor | None = None
+
+    def pool(self) -> Executor:
+        """Return an executor whose workers could start.
+
+        Raises
+        ------
+        SimulationError
+            If none can.
+        """
+        if self._pool is None:
+            self._pool = process_pool(self.count)
+            try:
+                self._pool.submit(int).result()
+            except BrokenExecutor as error:
+                self.end()
+                raise SimulationError(
+                    "no worker can start: a script that runs a sweep must do so under "
+                    'if __name__ == "__main__":, since workers import it too'
+                ) from error
+        return self._pool
+
+    def end(self) -> None:
+        """End them without waiting for what they are doing."""
+        if self._pool is None:
+            return
+        processes = list((getattr(self._pool, "_processes", None) or {}).values())
+        self._pool.shutdown(wait=False)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join(timeout=5)
+        self._pool = None
+
+
+@contextmanager
+def crew(workers: int | Workers | None) -> Iterator[Workers]:
+    """Yield the workers that are given, or new ones, which are ended afterwards.
+
+    Parameters
+    ----------
+    workers : int, Workers or None
+        How many, as many as there are cores with None; or those of a run before.
+    """
+    if isinstance(workers, Workers):
+        yield workers
+        return
+    new = Workers(count_of(workers))
+    try:
+        yield new
+    finally:
+        new.end()
+
+
+def count_of(workers: int | Workers | None) -> int:
+    """Return how many workers :func:`crew` yields."""
+    return workers.count if isinstance(workers, Workers) else workers or cores()
+
+
+def run_tasks(
+    tasks: Iterable[Task], workers: Workers | Executor, width: int, tick: Callable[[], None]
+) -> None:
+    """Run tasks and those that follow from them.
+
+    Parameters
+    ----------
+    tasks : iterable of Task
+    workers : Workers or concurrent.futures.Executor
+        They are left running, but for Workers when the run is ended by an error or an interrupt.
+    width : int
+        Tasks that are handed over at a time.
+    tick : callable
+        Called several times a second; what it raises ends the run.
+
+    Raises
+    ------
+    SimulationError
+        If the executor itself is gone, or its workers cannot start.
+
+    Notes
+    -----
+    A task whose worker is lost is tried again, and the last time alone, so that one which kills
+    its worker takes no other with it. What follows from a task goes before what waits: results are
+    written as soon as they can be.
+    """
+    waiting: deque[Task] = deque(tasks)
+    running: dict[Future[Any], Task] = {}
+    lost: Counter[Task] = Counter()
+    own, pool = (workers, workers.pool()) if isinstance(workers, Workers) else (None, workers)
+    try:
+        while waiting or running:
+            broken = not _hand_over(pool, waiting, running, width, lost)
+            finished, _ = wait(running, timeout=GLANCE, return_when=FIRST_COMPLETED)
+            tick()
+            for future in finished:
+                broken |= _settle(future, running.pop(future), waiting, lost)
+            if broken:
+                if own is None:
+                    raise SimulationError(GONE)
+                for task in running.values():
+                    _again(task, waiting, lost)
+                running.clear()
+                own.end()
+                pool = own.pool()
+    except BaseException:
+        for future in running:
+            future.cancel()
+        if own is not None:
+            own.end()
+        raise
+
+
+def _settle(future: Future[Any], task: Task, waiting: deque[Task], lost: Counter[Task]) -> bool:
+    """Do what follows from a finished task; return whether its worker was lost."""
+    try:
+        result = future.result()
+    except CancelledError as error:
+        raise SimulationError(GONE) from error
+    except BrokenExecutor:
+        _again(task, waiting, lost)
+        return True
+    except Exception as error:
+        task.failed(" ".join(f"{error}".split()) or type(error).__name__)
+    else:
+        waiting.extendleft(reversed(list(task.then(result))))
+    return False
+
+
+def _hand_over(
+    pool: Executor,
+    waiting: deque[Task],
+    running: dict[Future[Any], Task],
+    width: int,
+    lost: Counter[Task],
+) -> bool:
+    """Hand tasks over while there is room; return False if the workers are gone."""
+    while waiting and len(running) < width:
+        last_try = lost[waiting[0]] == ATTEMPTS - 1 or any(
+            lost[task] == ATTEMPTS - 1 for task in running.values()
+        )
+        if last_try and running:
+            break
+        task = waiting.popleft()
+        try:
+            running[pool.submit(task.work, *task.arguments)] = task
+        except BrokenExecutor:
+            waiting.appendleft(task)
+            return False
+        except RuntimeError as error:  # it was shut down
+            raise SimulationError(GONE) from error
+    return True
+
+
+def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
+    """Let a task wait once more that has lost its worker, unless it always does."""
+    lost[task] += 1
+    if lost[task] < ATTEMPTS:
+        waiting.appendleft(task)
+    else:
+        task.failed(
+            f"its worker was killed {ATTEMPTS} times, as for want of memory; use fewer --workers"
+        )
+
+
+def process_pool(workers: int) -> Executor:
+    """Return a pool of fresh processes, which share the cores.
+
+    Parameters
+    ----------
+    workers : int
+    """
+    import multiprocessing
+
+    return ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),  # JAX deadlocks in forked processes
+        initializer=_start,
+        initargs=(max(1, cores() // workers),),
+    )
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _start(threads: int) -> None:
+    """Prepare a worker: bound its threads, leave interrupts to its parent, and end with it."""
+    import multiprocessing
+    import signal
+    import threading
+
+    for name in THREADS:  # a bound that the user has set stays
+        os.environ.setdefault(name, str(threads))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

@@ -1,0 +1,136 @@
+"""Tables of features and of errors, from labelled cycles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube import estimation, recordings
+from acoustube.base.errors import ConfigError
+from acoustube.estimation import Describing, Model
+from acoustube.estimation.features import LABELS
+from acoustube.estimation.model import TARGETS
+
+HUMAN = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
+"""Units of the tables, and how many make one of SI."""
+BINS = {"depth": 0.5e-3, "true_distance": 0.05}
+"""Widths in m of the bins of the table: the paper's steps of depth, and of its error map."""
+# Target, by what its cycles are chosen, from where to where in SI, how many, and their errors.
+Row = tuple[str, str, float, float, int, estimation.Errors]
+
+
+def read_cycles(paths: Sequence[Path]) -> Iterator[tuple[Path, xr.Dataset]]:
+    """Yield the cycles of files and folders.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be read: labels without their cycles would train something else.
+    """
+    for path, data in recordings.read_all(paths):
+        if isinstance(data, ConfigError):
+            raise data
+        yield path, data
+
+
+def table_of(
+    paths: Sequence[Path],
+    describing: Describing,
+    report: Callable[[str, float], None],
+    check: Callable[[Path, float], None] | None = None,
+) -> xr.Dataset:
+    """Describe the cycles of files, one file after another, and join what is said of them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    describing : Describing
+    report : callable
+        Called with a stage and the fraction of it that is done.
+    check : callable, optional
+        Called with each file and its sampling rate in Hz.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of :func:`acoustube.estimation.described`. A file that does not tell its session is one.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or their sampling rates differ.
+    """
+    parts: list[xr.Dataset] = []
+    for path, data in read_cycles(paths):
+        if check is not None:
+            check(path, float(data.attrs["sampling_rate"]))
+        try:
+            part = estimation.described(data, describing, lambda share: report("echoes", share))
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        if "session" not in part:
+            part["session"] = "cycle", np.full(part.sizes["cycle"], str(path))
+        parts.append(part)
+    rates = {float(part.attrs["sampling_rate"]) for part in parts}
+    if max(rates) > 1.001 * min(rates):
+        raise ConfigError(
+            f"the recordings have {min(rates):g} to {max(rates):g} samples per second; use alike"
+        )
+    return _joined(parts)
+
+
+def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
+    """Join descriptions; a label that only some know is nan, or empty, for the others."""
+    variables: dict[str, Any] = {
+        "features": (("cycle", "feature"), np.concatenate([p["features"].values for p in parts]))
+    }
+    for name in LABELS:
+        known = [p[name].values for p in parts if name in p]
+        if not known:
+            continue
+        numbers = all(values.dtype.kind in "biuf" for values in known)
+        blank: Any = np.nan if numbers else ""
+        columns = [p[name].values if name in p else np.full(p.sizes["cycle"], blank) for p in parts]
+        variables[name] = (
+            "cycle",
+            np.concatenate(columns if numbers else [column.astype(str) for column in columns]),
+        )
+    return xr.Dataset(variables, {"feature": parts[0]["feature"].values}, parts[0].attrs)
+
+
+def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterator[Row]:
+    """Yield the errors of each target: of all cycles, then by depth and by distance.
+
+    Parameters
+    ----------
+    model : Model
+    table, estimates : xarray.Dataset
+        From :func:`acoustube.estimation.described` and :func:`acoustube.estimation.estimate`.
+
+    Yields
+    ------
+    tuple
+        The target; by what its cycles are chosen, and from where to where; how many they are; and
+        their errors, in SI units.
+    """
+    for target in model.targets:
+        if target not in table or not np.isfinite(table[target]).any():
+            continue
+        name = TARGETS[target]
+        columns = [table[target].values.astype(float)]
+        columns += [estimates[name + s].values for s in ("", "_deviation", "_half_width")]
+        known = np.isfinite(columns[0])
+        yield target, "all", np.nan, np.nan, int(known.sum()), estimation.errors(*columns)
+        for label, width in BINS.items():
+            if label not in table:
+                continue
+            edges, index = estimation.bins(table[label].values, width)
+            for i, (low, high) in enumerate(edges):
+                inside = index == i
+                some = [column[inside] for column in columns]
+                count = int((known & inside).sum())
+                yield target, TARGETS[label], low, high, count, estimation.errors(*some)

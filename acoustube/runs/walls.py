@@ -1,0 +1,50 @@
+"""The deformed walls of a pressed tube, thinned out for files and pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube.base.netcdf import variable
+from acoustube.lumen import Lumen, profile, ring_faces
+from acoustube.lumen.thinning import thinned
+
+MANTISSA = 12
+"""Bits of a coordinate's mantissa that are kept: 1e-4 of it, which packs twice as small."""
+
+
+def walls(part: Lumen) -> xr.Dataset:
+    """Gather the walls of a pressed part and its lumen's area along the tube.
+
+    Parameters
+    ----------
+    part : Lumen
+        From :func:`acoustube.lumen.pressed_part`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``inner_wall`` and ``outer_wall`` (ring, around, xyz), `RINGS` by `AROUND` points in m, and
+        ``area_profile`` (z) in m2; the press at z = 0.
+    """
+    here = np.array([0.0, 0.0, part.position])
+    inner, outer = thinned(part.rings - here, part.outer_rings - here)
+    surface = (part.rings - here).reshape(-1, 3), ring_faces(*part.rings.shape[:2])
+    z = part.rings[1:-1, 0, 2] - part.position
+    along = profile(*surface, z)
+    table = {
+        "inner_wall": variable("ring around xyz", _rounded(inner), "m", "rings of the inner wall"),
+        "outer_wall": variable("ring around xyz", _rounded(outer), "m", "rings of the outer wall"),
+        "area_profile": variable("z", _rounded(along.area), "m2", "cross-section of the lumen"),
+        "z": variable("z", z, "m", "distance from the press"),
+        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+    }
+    return xr.Dataset(table, attrs={"title": "Walls of a pressed tube, the press at z = 0"})
+
+
+def _rounded(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return values whose last bits are zero."""
+    last = 23 - MANTISSA
+    bits = np.asarray(values, np.float32).view(np.uint32) + np.uint32(1 << (last - 1))
+    return (bits & ~np.uint32((1 << last) - 1)).view(np.float32)

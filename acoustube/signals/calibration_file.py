@@ -1,0 +1,103 @@
+"""Calibrations in TOML files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from tomlkit.items import Item
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import toml_array
+from acoustube.signals.calibration import Calibration, Estimate
+from acoustube.signals.filters import TimeGain
+from acoustube.signals.processing import Processing
+
+# ---------------------------------------------------------------------------------------------
+# The file
+
+_NUMBERS = ("sampling_rate", "amplitude_rmse", "distance_rmse", "false_alarms")
+_FITS = ("c1", "c2", "c3", "c4", "slope", "intercept")
+_LISTS = ("true_distance", "estimated_distance", "amplitude")
+_UNITS = {
+    "frequency": "Hz", "pulse_cycles": "carrier cycles sent", "offset_cutoff": "Hz",
+    "template_cycles": "carrier cycles of the matched filter", "cutoff": "Hz, of the envelope",
+    "prominence": "share of the send pulse", "nearest": "m", "farthest": "m", "send_shift": "s",
+    "gain": "c1 tanh(c2 (l - c3)) + c4", "sampling_rate": "Hz", "c1": "1", "c2": "1/m", "c3": "m",
+    "c4": "1", "slope": "m/m", "intercept": "m, before the shift", "amplitude_rmse": "1",
+    "distance_rmse": "m", "false_alarms": "share of the untouched cycles",
+    "true_distance": "m", "estimated_distance": "m", "amplitude": "share of the send pulse",
+}  # fmt: skip
+
+
+def save(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration to a new TOML file that a person can read.
+
+    Raises
+    ------
+    ConfigError
+        If the file exists or cannot be written.
+    """
+    document = tomlkit.document()
+    document.add(tomlkit.comment("A calibration of acoustube; every value with its unit."))
+    processing, fitted = tomlkit.table(), tomlkit.table()
+    for name in calibration.processing.__dataclass_fields__:
+        value = getattr(calibration.processing, name)
+        processing.add(name, False if value is None else _toml(value, _UNITS[name]))
+    for name in (*_NUMBERS, *_FITS, *_LISTS):
+        unit = f"{_UNITS[name]}; its deviation" if name in _FITS else _UNITS[name]
+        fitted.add(name, _toml(getattr(calibration, name), unit))
+    document.add("processing", processing)
+    document.add(tomlkit.nl())
+    document.add("calibration", fitted)
+    try:
+        with Path(path).open("x", encoding="utf-8") as file:
+            file.write(tomlkit.dumps(document))
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
+
+
+def _toml(value: Any, unit: str) -> Item:
+    """Return a number, or several, with the unit as a comment."""
+    several = np.ndim(value) > 0
+    item = toml_array(float(one) for one in value) if several else tomlkit.item(float(value))
+    return item.comment(unit)
+
+
+def load(path: str | Path) -> Calibration:
+    """Read what :func:`save` wrote.
+
+    Raises
+    ------
+    ConfigError
+        If it is no such file.
+    """
+    try:
+        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        found, fits = document["calibration"], dict[str, Any]()
+        for name in _FITS:
+            value, deviation = found[name]
+            fits[name] = Estimate(float(value), float(deviation))
+        fits |= {name: np.asarray(found[name], float) for name in _LISTS}
+        fits |= {name: float(found[name]) for name in _NUMBERS}
+        processing = _processing(document["processing"])
+        if not fits["sampling_rate"] > 2 * processing.cutoff:
+            raise ValueError("sampling_rate must be over twice the cutoff")
+        return Calibration(processing=processing, **fits)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        lacks = isinstance(error, KeyError)
+        reason = f"it has no {error.args[0]}" if lacks else " ".join(str(error).split())
+        raise ConfigError(
+            f"{path} is not a calibration ({reason}); acoustube calibrate writes one"
+        ) from error
+
+
+def _processing(given: Mapping[str, Any]) -> Processing:
+    values: dict[str, Any] = {n: None if v is False else v for n, v in given.items()}
+    if values.get("gain") is not None:
+        values["gain"] = TimeGain(*(float(c) for c in values["gain"]))
+    return Processing(**values)

@@ -1,0 +1,376 @@
+"""The axis of an arm and the line of its radius, from two columns of markers.
+
+A column is a row of markers along the arm. Outliers are found first, column by column, by the line
+in space with the least median of squared distances (up to almost half of the markers may be wrong);
+what is kept is then fitted by ordinary least squares, whose confidence intervals are exact for
+normal errors.
+
+References
+----------
+Rousseeuw, P. J. (1984). Least median of squares regression. Journal of the American Statistical
+Association 79, 871-880. doi:10.1080/01621459.1984.10477105
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import log
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.sleeve.helix import Frame
+
+Kept = NDArray[np.bool_]
+
+MOST_PAIRS = 3000
+"""Pairs of markers tried as lines; of more, evenly drawn ones."""
+OUTLYING = 4.5
+"""Deviations from its column's line beyond which a marker counts as wrong; chance: 1 in 25 000."""
+SMALLEST_DEVIATION = 0.2e-3
+"""What markers are placed or seen to in m at best: nothing nearer to its line is called wrong."""
+RADII = 0.01, 0.3
+"""Radii in m between which an arm's may lie."""
+LENGTHS = 0.03, 1.5
+"""Lengths of a column in m between which that on an arm may lie."""
+FEWEST = 3
+"""Markers of a column: a line goes through any two."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """The radius r(z) = a0 + a1 z, as fitted.
+
+    Attributes
+    ----------
+    radius, taper : float
+        a0 in m and a1.
+    covariance : ndarray
+        Of the two, (2, 2).
+    freedom : int
+        Degrees of freedom of the fit.
+    deviation : float
+        Of a marker from the line in m.
+    """
+
+    radius: float
+    taper: float
+    covariance: Array
+    freedom: int
+    deviation: float
+
+    def interval(self, confidence: float = 0.95) -> Array:
+        """Return the confidence intervals of a0 and a1, (2, 2): low and high of each."""
+        half = student.ppf(0.5 + confidence / 2, self.freedom) * np.sqrt(np.diag(self.covariance))
+        return np.array([self.radius, self.taper])[:, None] + half[:, None] * [-1.0, 1.0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Arm:
+    """What two columns of markers tell of an arm.
+
+    Attributes
+    ----------
+    frame : Frame
+        Its z runs from the first marker of the first column to the last.
+    lines : tuple of Line
+        The radius at each column; the same one twice where the axis was fitted too.
+    angles : tuple of float
+        psi of each column in rad.
+    length : float
+        Extent of the markers along the axis in m, from z = 0.
+    kept : tuple of ndarray of bool
+        Which markers of each column were used.
+    """
+
+    frame: Frame
+    lines: tuple[Line, Line]
+    angles: tuple[float, float]
+    length: float
+    kept: tuple[Kept, Kept]
+
+
+def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm:
+    """Fit an arm to two columns of markers.
+
+    Parameters
+    ----------
+    first, second : array_like
+        Coordinates in m, (n, 3) each, in order along the arm; gaps are nan.
+    axis : str
+        ``fitted``: the columns lie on opposite sides of the arm, and the axis is midway between
+        them; one line of the radius holds for both. ``z``: the axis is that of the coordinates, as
+        in the paper, and each column has a line of its own.
+
+    Returns
+    -------
+    Arm
+
+    Raises
+    ------
+    ConfigError
+        If a column has fewer than three markers, does not run along the arm, lies on the other, is
+        mixed up with it, or has the size of no arm.
+
+    Notes
+    -----
+    Two straight lines do not tell the axis of a cone on which they lie at an unknown angle from
+    each other: hence the two ways. With the axis, seven numbers are fitted to two deviations per
+    marker, those across the axis.
+    """
+    columns = [_column(points, name) for points, name in ((first, "first"), (second, "second"))]
+    _check_units(columns)
+    lines = [_robust_line(points) for points in columns]
+    _check_mixed(columns, lines)
+    for (_, _, _, kept), name in zip(lines, ("first", "second"), strict=True):
+        if kept.sum() < FEWEST:
+            raise ConfigError(
+                f"only {kept.sum()} markers of the {name} column lie on a line; check the column"
+            )
+    used = [points[line[3]] for points, line in zip(columns, lines, strict=True)]
+    if axis == "z":
+        frame = Frame()
+        found = tuple(_radius_line(points) for points in used)
+    elif axis == "fitted":
+        frame, line = _fit_axis(used, _common_direction(lines))
+        found = (line, line)
+    else:
+        raise ConfigError(f'axis = {axis!r} is not a choice; use "fitted" or "z"')
+    return _arm(first, second, used, frame, found)
+
+
+def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -> Arm:
+    """Move z = 0 to the first marker, and put the result together."""
+    own = [frame.inwards(points) for points in used]
+    heights = np.concatenate([points[:, 2] for points in own])
+    start, end = float(heights.min()), float(heights.max())
+    _check_along(own, end - start)
+    shift = np.array([[1.0, start], [0.0, 1.0]])
+    moved = tuple(
+        Line(
+            radius=line.radius + line.taper * start,
+            taper=line.taper,
+            covariance=shift @ line.covariance @ shift.T,
+            freedom=line.freedom,
+            deviation=line.deviation,
+        )
+        for line in lines
+    )
+    _check_radii(moved, end - start)
+    angles = [float(np.arctan2(*points[:, 1::-1].mean(axis=0))) for points in own]
+    kept = [_flags(points, part) for points, part in zip((first, second), used, strict=True)]
+    return Arm(
+        frame=Frame(origin=frame.outwards([0.0, 0.0, start]), rotation=frame.rotation),
+        lines=(moved[0], moved[1]),
+        angles=(angles[0], angles[1]),
+        length=end - start,
+        kept=(kept[0], kept[1]),
+    )
+
+
+def _flags(points: Any, used: Array) -> Kept:
+    """Return which of the given markers were used."""
+    points = np.asarray(points, float)
+    return np.array([bool(np.any(np.all(used == point, axis=1))) for point in points])
+
+
+def _column(points: ArrayLike, name: str) -> Array:
+    """Return a column without its gaps."""
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ConfigError(f"the {name} column has shape {points.shape} and must have (n, 3)")
+    seen = points[np.all(np.isfinite(points), axis=1)]
+    if len(seen) < FEWEST:
+        gaps = f", and {len(points) - len(seen)} gaps" if len(seen) < len(points) else ""
+        raise ConfigError(
+            f"the {name} column has {len(seen)} marker{'s' * (len(seen) != 1)}{gaps}; a line needs "
+            f"{FEWEST} or more of them"
+        )
+    return seen
+
+
+def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
+    """Return a line through most points: middle, direction, deviation, and which lie on it."""
+    pairs = np.array(list(combinations(range(len(points)), 2)))
+    if len(pairs) > MOST_PAIRS:
+        pairs = pairs[np.linspace(0, len(pairs) - 1, MOST_PAIRS).astype(int)]
+    start, step = points[pairs[:, 0]], points[pairs[:, 1]] - points[pairs[:, 0]]
+    size = np.linalg.norm(step, axis=1)
+    if not size.max() > 0:
+        raise ConfigError("the markers of a column all lie at one place; check the column")
+    # Neighbours make poor lines: their errors tip them.
+    far = size > 0.3 * size.max()
+    start, step = start[far], step[far] / size[far, None]
+    away = points[:, None, :] - start
+    squares = np.sum(away**2, axis=-1) - np.einsum("npi,pi->np", away, step) ** 2
+    best = int(np.argmin(np.median(squares, axis=0)))
+    middle, direction = start[best], step[best]
+    kept = np.ones(len(points), bool)
+    for _ in range(3):
+        away = points - middle
+        across = np.linalg.norm(away - np.outer(away @ direction, direction), axis=1)
+        # The median of the square of two normal errors is 2 log 2; small samples lie below it.
+        spread = np.sqrt(np.median(across**2) / (2 * log(2))) * (1 + 5 / max(len(points) - 2, 1))
+        deviation = max(float(spread), SMALLEST_DEVIATION)
+        kept = across <= OUTLYING * deviation
+        middle = points[kept].mean(axis=0)
+        direction = np.linalg.svd(points[kept] - middle)[2][0]
+    along = (points[kept] - middle) @ direction
+    return middle, direction * (1 if along[-1] >= along[0] else -1), deviation, kept
+
+
+def _common_direction(lines: list[tuple[Array, Array, float, Kept]]) -> Array:
+    """Return the direction midway between two columns, that of the first."""
+    (_, u, _, _), (_, v, _, _) = lines
+    if abs(u @ v) < 0.7:
+        between = np.degrees(np.arccos(float(abs(u @ v))))
+        raise ConfigError(
+            f"the columns lie at {between:.0f} degrees to each other and must both run along the "
+            "arm; check which marker belongs to which column"
+        )
+    sum_ = u + v * np.sign(u @ v)
+    return np.asarray(sum_ / np.linalg.norm(sum_))
+
+
+def _radius_line(points: Array) -> Line:
+    """Fit r = a0 + a1 z about the axis of the coordinates."""
+    z, r = points[:, 2], np.hypot(points[:, 0], points[:, 1])
+    design = np.stack([np.ones_like(z), z], axis=1)
+    if np.ptp(z) < LENGTHS[0]:
+        raise ConfigError(
+            f"a column extends {100 * np.ptp(z):.2g} cm along z; the arm must lie along z, or else "
+            'use axis = "fitted"'
+        )
+    values = np.asarray(np.linalg.lstsq(design, r, rcond=None)[0], float)
+    return _line(values, design, r - design @ values)
+
+
+def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
+    """Return the last two of fitted values as a line, with their covariance."""
+    freedom = len(residuals) - len(values)
+    variance = float(residuals @ residuals) / freedom
+    covariance = np.asarray(variance * np.linalg.inv(jacobian.T @ jacobian), float)
+    return Line(
+        radius=float(values[-2]),
+        taper=float(values[-1]),
+        covariance=covariance[-2:, -2:],
+        freedom=freedom,
+        deviation=variance**0.5,
+    )
+
+
+def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
+    """Fit axis and radius together; the frame's x points to the first column."""
+    first, second = columns
+    middles = [points.mean(axis=0) for points in columns]
+    # Both middles at one height, for the columns need not begin side by side.
+    across = middles[0] - middles[1]
+    across = across - (across @ direction) * direction
+    size = float(np.linalg.norm(across))
+    if size < 2 * RADII[0]:
+        raise ConfigError(
+            f"the two columns are {1e3 * size:.2g} mm apart and must lie on opposite sides of the "
+            'arm; if they do not, put the arm along z and use axis = "z"'
+        )
+    x = across / size
+    start = np.stack([x, np.cross(direction, x), direction], axis=1)
+    # Middle of both, as heights along the axis of the whole.
+    origin = 0.5 * (middles[0] + middles[1])
+    scale = np.concatenate([np.full(2, size), np.ones(3), [size, 1.0]])
+    sides = np.concatenate([np.ones(len(first)), -np.ones(len(second))])
+    points = np.concatenate(columns)
+
+    def frame_of(values: Array) -> Frame:
+        shift_x, shift_y, tilt_x, tilt_y, turn = (scale * values)[:5]
+        axis = direction + tilt_x * start[:, 0] + tilt_y * start[:, 1]
+        axis = axis / np.linalg.norm(axis)
+        out = np.cos(turn) * start[:, 0] + np.sin(turn) * start[:, 1]
+        out = out - (out @ axis) * axis
+        out = out / np.linalg.norm(out)
+        rotation = np.stack([out, np.cross(axis, out), axis], axis=1)
+        return Frame(origin=origin + start[:, :2] @ [shift_x, shift_y], rotation=rotation)
+
+    def deviations(values: Array) -> Array:
+        own = frame_of(values).inwards(points)
+        radius = (scale * values)[5] + (scale * values)[6] * own[:, 2]
+        return np.concatenate([sides * own[:, 0] - radius, own[:, 1]])
+
+    guess = np.array([0, 0, 0, 0, 0, 0.5, 0.0])
+    found = least_squares(deviations, guess, jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    line = _line(scale * found.x, found.jac / scale, found.fun)
+    return frame_of(found.x), line
+
+
+def _check_units(columns: list[Array]) -> None:
+    """Refuse columns of the size of no arm."""
+    for points in columns:
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if steps.max() > max(300 * np.median(steps), 2 * LENGTHS[1]):
+            raise ConfigError(
+                "some markers of a column are a thousand times farther out than others: m and mm "
+                "are mixed; use one unit"
+            )
+    sizes = [float(np.linalg.norm(np.ptp(points, axis=0))) for points in columns]
+    low, high = sorted(sizes)
+    if high > 100 * low:
+        raise ConfigError(
+            f"the columns are {sizes[0]:.3g} m and {sizes[1]:.3g} m long: one is in m and the "
+            "other in mm, or they are of different things; use one unit"
+        )
+    for size in sizes:
+        if not LENGTHS[0] <= size <= 2 * LENGTHS[1]:
+            factor = "mm read as m" if size > 2 * LENGTHS[1] else "m read as mm"
+            raise ConfigError(
+                f"a column of markers is {size:.3g} m long, and {LENGTHS[0]:g} to {LENGTHS[1]:g} m "
+                f"fit an arm: is it {factor}? say so by --unit m, cm or mm"
+            )
+
+
+def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Kept]]) -> None:
+    """Refuse columns with markers that lie on the other column's line."""
+    (p, u, _, _), (q, v, _, _) = lines
+    between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
+    if between < 2 * RADII[0] and abs(u @ v) > 0.95:
+        raise ConfigError(
+            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which tells no "
+            "radius; give columns on opposite sides of the arm"
+        )
+    for i, (points, (_, _, _, kept)) in enumerate(zip(columns, lines, strict=True)):
+        middle, direction, deviation, _ = lines[1 - i]
+        away = points - middle
+        across = np.linalg.norm(away - np.outer(away @ direction, direction), axis=1)
+        strangers = np.flatnonzero(~kept & (across < OUTLYING * deviation))
+        if len(strangers):
+            numbers = ", ".join(str(k + 1) for k in strangers)
+            raise ConfigError(
+                f"of the {('first', 'second')[i]} column, marker {numbers} lies on the line of the "
+                "other: columns are swapped there; check which marker belongs to which column"
+            )
+
+
+def _check_along(own: list[Array], length: float) -> None:
+    """Refuse columns that do not run along the axis, or beside different parts of it."""
+    for points, name in zip(own, ("first", "second"), strict=True):
+        if np.ptp(points[:, 2]) < 0.5 * length:
+            raise ConfigError(
+                f"the {name} column extends {100 * np.ptp(points[:, 2]):.3g} cm along the axis and "
+                f"both together {100 * length:.3g} cm; both must run along the sleeve: are x, y "
+                "and z in this order?"
+            )
+
+
+def _check_radii(lines: tuple[Line, ...], length: float) -> None:
+    """Refuse the radius of no arm."""
+    ends = [line.radius + line.taper * z for line in lines for z in (0.0, length)]
+    if not (RADII[0] <= min(ends) and max(ends) <= RADII[1]):
+        raise ConfigError(
+            f"the radius comes out as {100 * min(ends):.3g} to {100 * max(ends):.3g} cm, and "
+            f"{100 * RADII[0]:g} to {100 * RADII[1]:g} cm fit an arm; check the unit, the order of "
+            "x, y and z, and whether the columns lie on opposite sides"
+        )

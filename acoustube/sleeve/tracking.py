@@ -1,0 +1,221 @@
+"""Several contacts followed from cycle to cycle, from the candidate echoes of one or both ends.
+
+Each contact has a place and a speed along one coordinate, the tube's, or the arm's where a hand
+swipes across loops. Candidates are given to contacts by the assignment of least total distance, in
+standard deviations, within a gate (global nearest neighbour); what is left over begins a contact,
+which counts once it has been heard often enough, and ends when it has been missed for a while.
+
+References
+----------
+Bar-Shalom, Y., Li, X. R. and Kirubarajan, T. (2001). Estimation with Applications to Tracking and
+Navigation. Wiley. doi:10.1002/0471221279 (sections 6.2.2 and 6.3.2: white noise acceleration)
+
+Blackman, S. and Popoli, R. (1999). Design and Analysis of Modern Tracking Systems. Artech House
+(chapter 6: global nearest neighbour, gates, M of N).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linear_sum_assignment
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Following:
+    """How contacts are followed.
+
+    Parameters
+    ----------
+    deviation : float
+        Standard deviation of a candidate's place in m.
+    acceleration : float
+        Standard deviation of a contact's acceleration over a cycle, in m/s2.
+    speed : float
+        Standard deviation of the speed with which a contact begins, in m/s.
+    gate : float
+        Deviations beyond which a candidate is none of a contact's.
+    hits : int
+        Cycles with a candidate after which a contact counts.
+    misses : int
+        Cycles in a row without one after which a contact ends; one that does not count yet ends
+        after its first two.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is not positive.
+    """
+
+    deviation: float = 0.01
+    acceleration: float = 0.5
+    speed: float = 0.1
+    gate: float = 4.0
+    hits: int = 4
+    misses: int = 8
+
+    def __post_init__(self) -> None:
+        for name in ("deviation", "acceleration", "speed", "gate", "hits", "misses"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"{name} = {getattr(self, name)} must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """The contacts of one cycle, in order of their numbers.
+
+    Attributes
+    ----------
+    number : ndarray of int
+        (n,), from 0, in the order in which they began; a number is given once.
+    place, speed : ndarray
+        In m and m/s, (n,).
+    deviation : ndarray
+        Standard deviation of the places in m, (n,).
+    """
+
+    number: NDArray[np.int64]
+    place: Array
+    speed: Array
+    deviation: Array
+
+
+class ContactTracker:
+    """Follow contacts through a stream of cycles.
+
+    Parameters
+    ----------
+    how : Following, optional
+    length : float, optional
+        Distance in m between the sensors at both ends, which turns what the far one hears into
+        places from the near one; needed for candidates of a far end.
+
+    Notes
+    -----
+    A Kalman filter for each contact, all of them in arrays. The two ends are taken in one after the
+    other, so that a contact that one end does not hear, behind another, is kept by the other end.
+    A candidate within the gate of a contact that has a nearer one is taken for a ripple of the same
+    echo: two presses are told apart from the gate's width on, 4 cm for a deviation of 1 cm.
+    """
+
+    def __init__(self, how: Following | None = None, *, length: float | None = None):
+        self.how = how or Following()
+        self.length = length
+        self._time: float | None = None
+        self._begun = 0
+        self._number = np.empty(0, np.int64)
+        self._state = np.empty((0, 2))
+        self._covariance = np.empty((0, 2, 2))
+        self._hits = np.empty(0, np.int64)
+        self._misses = np.empty(0, np.int64)
+
+    def update(self, time: float, near: ArrayLike, far: ArrayLike = ()) -> Contacts:
+        """Take in a cycle.
+
+        Parameters
+        ----------
+        time : float
+            Of the cycle in s, after that of the one before.
+        near : array_like
+            Places of the candidates of the near sensor in m, any number of them; nan is none.
+        far : array_like
+            Distances of the candidates of a sensor at the far end, from that end, in m.
+
+        Returns
+        -------
+        Contacts
+            Those that count.
+
+        Raises
+        ------
+        ConfigError
+            If the time does not rise, or the far end has candidates and the length is not known.
+        """
+        near, far = (_candidates(values) for values in (near, far))
+        if len(far) and self.length is None:
+            raise ConfigError("candidates of a far end need the length between the sensors")
+        self._predict(time)
+        heard = self._take_in(near)
+        if len(far):
+            assert self.length is not None
+            # What began with this end's candidates may be heard by the other end at once.
+            both = self._take_in(self.length - far)
+            both[: len(heard)] |= heard
+            heard = both
+        self._hits += heard
+        self._misses = np.where(heard, 0, self._misses + 1)
+        counts = self._hits >= self.how.hits
+        self._keep(self._misses < np.where(counts, self.how.misses, 2))
+        return self._counting()
+
+    def _predict(self, time: float) -> None:
+        """Move the contacts on to a time."""
+        if self._time is not None and not time > self._time:
+            raise ConfigError(
+                f"time = {time:g} s does not follow {self._time:g} s; times must rise"
+            )
+        step = 0.0 if self._time is None else time - self._time
+        self._time = time
+        move = np.array([[1.0, step], [0.0, 1.0]])
+        push = np.array([0.5 * step**2, step]) * self.how.acceleration
+        self._state = self._state @ move.T
+        self._covariance = move @ self._covariance @ move.T + np.outer(push, push)
+
+    def _take_in(self, places: Array) -> NDArray[np.bool_]:
+        """Update contacts by candidates, begin new ones, and tell which were heard."""
+        variance = self._covariance[:, 0, 0] + self.how.deviation**2
+        away = places - self._state[:, :1]
+        squares = away**2 / variance[:, None]
+        # Beyond the gate all are equally bad, so that no good pair is given up for them.
+        outside = self.how.gate**2
+        rows, columns = linear_sum_assignment(np.minimum(squares, outside))
+        inside = squares[rows, columns] < outside
+        rows, columns = rows[inside], columns[inside]
+        gain = self._covariance[rows, :, 0] / variance[rows, None]
+        self._state[rows] += gain * away[rows, columns, None]
+        self._covariance[rows] -= gain[:, :, None] * self._covariance[rows, :1, :]
+        heard = np.zeros(len(self._state), bool)
+        heard[rows] = True
+        # Beside a contact that has its candidate, another one is a ripple of the same echo.
+        beside = np.any(squares < outside, axis=0)
+        new = places[~beside]
+        self._begin(new)
+        return np.concatenate([heard, np.ones(len(new), bool)])
+
+    def _begin(self, places: Array) -> None:
+        n = len(places)
+        start = np.diag([self.how.deviation**2, self.how.speed**2])
+        self._number = np.concatenate([self._number, np.full(n, -1)])
+        self._state = np.concatenate([self._state, np.stack([places, 0 * places], axis=1)])
+        self._covariance = np.concatenate([self._covariance, np.tile(start, (n, 1, 1))])
+        self._hits = np.concatenate([self._hits, np.zeros(n, np.int64)])
+        self._misses = np.concatenate([self._misses, np.zeros(n, np.int64)])
+
+    def _keep(self, kept: NDArray[np.bool_]) -> None:
+        for name in ("_number", "_state", "_covariance", "_hits", "_misses"):
+            setattr(self, name, getattr(self, name)[kept])
+
+    def _counting(self) -> Contacts:
+        """Return the contacts that count, and number those that do so for the first time."""
+        counts = self._hits >= self.how.hits
+        fresh = np.flatnonzero(counts & (self._number < 0))
+        self._number[fresh] = self._begun + np.arange(len(fresh))
+        self._begun += len(fresh)
+        order = np.flatnonzero(counts)[np.argsort(self._number[counts])]
+        return Contacts(
+            number=self._number[order],
+            place=self._state[order, 0],
+            speed=self._state[order, 1],
+            deviation=np.sqrt(self._covariance[order, 0, 0]),
+        )
+
+
+def _candidates(values: ArrayLike) -> Array:
+    """Return candidates as one row without nan."""
+    row = np.asarray(values, float).ravel()
+    return row[np.isfinite(row)]

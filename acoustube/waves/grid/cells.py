@@ -1,0 +1,165 @@
+"""A tube's lumen on a Cartesian grid whose wall cells are cut exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+
+from acoustube.waves.grid.polyhedron import SNAP, Array, Fractions, cut_polyhedron
+
+Spacing = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CutCells:
+    """A lumen on a Cartesian grid.
+
+    Attributes
+    ----------
+    spacing : tuple of float
+        Cell size (dx, dy, dz) in m.
+    origin : tuple of float
+        Lower corner of the first cell in m.
+    length : float
+        Axial length L of the lumen in m; the lumen ends there, on a grid plane or not.
+    volume_fraction : ndarray
+        Open share of each cell, (nx, ny, nz).
+    open_x, open_y, open_z : ndarray
+        Open share of the faces normal to x, y, z, shapes (nx+1, ny, nz), (nx, ny+1, nz) and
+        (nx, ny, nz+1). A zero is a rigid wall or a symmetry plane.
+    """
+
+    spacing: Spacing
+    origin: Spacing
+    length: float
+    volume_fraction: Array
+    open_x: Array
+    open_y: Array
+    open_z: Array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of cells (nx, ny, nz)."""
+        nx, ny, nz = self.volume_fraction.shape
+        return nx, ny, nz
+
+    def centres(self, axis: int) -> Array:
+        """Return the coordinates of the cell centres along an axis in m."""
+        steps = np.arange(self.shape[axis]) + 0.5
+        return self.origin[axis] + steps * self.spacing[axis]
+
+    def area(self) -> Array:
+        """Return the lumen's mean cross-section in each cell layer in m2, (nz,)."""
+        dx, dy, _ = self.spacing
+        open_cells: Array = self.volume_fraction.sum(axis=(0, 1))
+        return open_cells * dx * dy
+
+
+def cut_cells(
+    surface: trimesh.Trimesh, spacing: float | ArrayLike, *, half: bool = False
+) -> CutCells:
+    """Cut a tube's lumen into Cartesian cells.
+
+    Parameters
+    ----------
+    surface : trimesh.Trimesh
+        Watertight lumen, outward normals, in m, bore axis x = y = 0, from a flat cap at z = 0 to
+        one at z = L.
+    spacing : float or (3,) array_like
+        Cell size in m, the same in all directions or (dx, dy, dz).
+    half : bool
+        Keep x > 0 only; the face x = 0 is then a rigid symmetry plane.
+
+    Returns
+    -------
+    CutCells
+        Exact fractions. x = 0 and y = 0 are grid planes; cell centres lie at z = k dz. The first
+        layer reaches from -dz/2 to dz/2; its outer half mirrors the inner one. The number of
+        cells across is even (in the half model along x, too), so that few array shapes occur.
+
+    Raises
+    ------
+    ValueError
+        If the surface is open, turned inside out, does not start at z = 0, folds through itself,
+        or the spacing is not positive.
+    """
+    steps = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
+    _check(surface, steps)
+    length = float(surface.bounds[1, 2])
+    reach = np.ceil(np.abs(surface.bounds).max(axis=0)[:2] / steps[:2] - SNAP)
+    half_x, half_y = 2 * int(np.ceil(reach[0] / 2)), int(np.ceil(reach[1]))
+    shape = (half_x * (1 if half else 2), 2 * half_y, int(np.ceil(length / steps[2] + 0.5 - SNAP)))
+    origin = steps * (0.0 if half else -half_x, -half_y, -0.5)
+    parts = cut_polyhedron(np.asarray(surface.triangles), origin, steps, shape)
+    if half:
+        parts.open_x[0] = 0.0
+    _complete_first_layer(parts)
+    return CutCells(
+        spacing=_triple(steps), origin=_triple(origin), length=length,
+        volume_fraction=parts.volume, open_x=parts.open_x, open_y=parts.open_y,
+        open_z=parts.open_z,
+    )  # fmt: skip
+
+
+def _check(surface: trimesh.Trimesh, steps: Array) -> None:
+    """Refuse surfaces and spacings for which the fractions would mean nothing."""
+    if not np.all(steps > 0.0):
+        raise ValueError(f"spacing = {steps} m must be positive")
+    if not surface.is_watertight or surface.volume <= 0.0:
+        raise ValueError(
+            "surface is not closed with outward normals; repair it with "
+            "trimesh.repair.fix_normals and fill_holes"
+        )
+    start = surface.bounds[0, 2]
+    if abs(start) > 1e-3 * steps[2]:
+        raise ValueError(f"surface starts at z = {start} m; move its source end to z = 0")
+
+
+def _complete_first_layer(parts: Fractions) -> None:
+    """Fill the half of the first layer that lies before z = 0 with the inner half's image."""
+    for part in (parts.volume, parts.open_x, parts.open_y):
+        part[..., 0] = np.minimum(2.0 * part[..., 0], 1.0)
+    parts.open_z[..., 0] = parts.open_z[..., 1]
+
+
+def _triple(values: Array) -> Spacing:
+    """Return three plain floats."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCells:
+    """Continue the lumen straight beyond its ends.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The lumen.
+    before : int
+        Number of layers added before z = 0, each with the first layer's cross-section.
+    after : int or None
+        Number of layers added behind the last layer that lies wholly in the lumen; the rest of
+        the lumen is replaced. None keeps the rigid cap at z = L.
+
+    Returns
+    -------
+    CutCells
+        The longer lumen; its outermost faces are those of an endless continuation.
+    """
+    dz = cells.spacing[2]
+    last = cells.shape[2] - 1
+    if after is not None:
+        last = int(np.floor(cells.length / dz - 0.5 + 1e-6))
+    section = np.arange(-before, last + 1 + (after or 0)).clip(0, last)
+    take = {n: getattr(cells, n)[..., section] for n in ("volume_fraction", "open_x", "open_y")}
+    # A face between two copies opens the copy's whole section, which keeps the plane wave plane.
+    volume = take["volume_fraction"]
+    open_z = np.concatenate([volume, volume[..., -1:]], axis=2)
+    open_z[..., before + 1 : before + last + 1] = cells.open_z[..., 1 : last + 1]
+    if after is None:
+        open_z[..., -1] = cells.open_z[..., last + 1]
+    origin = (*cells.origin[:2], cells.origin[2] - before * dz)
+    return replace(cells, origin=origin, open_z=open_z, **take)

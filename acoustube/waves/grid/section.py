@@ -1,0 +1,89 @@
+"""The cross-section of a grid: how its cells are joined, and its cut-on frequencies."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import eigsh
+
+from acoustube.waves.grid.cells import CutCells
+
+
+def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp.csr_matrix:
+    """Return the matrix of minus the flow across a layer, ``sum A (p - p')`` of its open cells.
+
+    Parameters
+    ----------
+    area_x, area_y : ndarray
+        Open faces with the weight that a flow through them has, (nx+1, ny) and (nx, ny+1). Beyond
+        an open face at the rim of the grid the pressure is zero.
+    inside : ndarray of bool
+        The open cells, (nx, ny).
+
+    Returns
+    -------
+    sparse matrix of shape (n, n)
+        Over the open cells in the order of ``inside.ravel()``.
+    """
+    n = int(inside.sum())
+    number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
+    matrix = sp.csr_matrix((n, n))
+    for axis, area in enumerate((area_x, area_y)):
+        flow = np.moveaxis(np.asarray(area, float), axis, 0)
+        at = np.pad(np.moveaxis(number, axis, 0), ((1, 1), (0, 0)), constant_values=-1)
+        low, high = at[:-1], at[1:]
+        pairs = (low, low, 1), (high, high, 1), (low, high, -1), (high, low, -1)
+        for row, column, sign in pairs:
+            there = (row >= 0) & (column >= 0) & (flow > 0)
+            places = row[there], column[there]
+            matrix = matrix + sp.csr_matrix((sign * flow[there], places), (n, n))
+    return matrix
+
+
+def section_cut_ons(
+    cells: CutCells, layer: int, sound_speed: float, n_modes: int = 4
+) -> NDArray[np.float64]:
+    """Return the cut-on frequencies of the cross-section at one layer of cells.
+
+    Where the section changes slowly, a mode travels where its local cut-on is below its frequency
+    and decays elsewhere.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The lumen. Of a half model only the modes symmetric about x = 0 are found.
+    layer : int
+        Index of the layer along z.
+    sound_speed : float
+        In m/s.
+    n_modes : int
+        How many.
+
+    Returns
+    -------
+    ndarray
+        Frequencies in Hz, (n_modes,), ascending; the first is the plane mode's zero.
+
+    Notes
+    -----
+    The eigenvalue problem ``sum A (p - p') = (2 pi f h / c)^2 V p`` of the wave stage's own cut
+    cells across the tube, by shift-inverted Lanczos iteration.
+    """
+    dx, dy, _ = cells.spacing
+    volume = cells.volume_fraction[:, :, layer]
+    inside = volume > 0.0
+    faces = cells.open_x[:, :, layer] / dx**2, cells.open_y[:, :, layer] / dy**2
+    stiffness = section_stiffness(*faces, inside)
+    # Just below zero: the plane mode's eigenvalue is zero and would make the shift singular.
+    squares = eigsh(
+        stiffness.tocsc(),
+        n_modes,
+        sp.diags(volume[inside]).tocsc(),
+        sigma=-1e-6 / dx**2,
+        return_eigenvectors=False,
+    )
+    return np.sqrt(np.sort(np.abs(squares))) * sound_speed / (2.0 * pi)

@@ -1,0 +1,146 @@
+"""Sharing volume with the smallest cut cells, so that they do not dictate the time step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.waves.grid.cells import CutCells
+from acoustube.waves.grid.polyhedron import Array
+
+DEAD = 1e-6  # a cell this empty is wall: its volume is nothing, its stiffness anything
+LEND = 1.25  # open faces over volume (full cell: 1) above which a cell borrows
+FLOOR = 1.5  # the same ratio above which the few hopeless cells are padded
+ROUNDS = 2
+
+
+class _Side(NamedTuple):
+    """One of a cell's six faces: axis, direction and open area."""
+
+    axis: int
+    step: int
+    area: Array
+
+
+def share_small_volumes(cells: CutCells) -> CutCells:
+    """Let small cells borrow volume from the neighbour behind their largest open face.
+
+    Parameters
+    ----------
+    cells : CutCells
+        Exact fractions.
+
+    Returns
+    -------
+    CutCells
+        The same faces across; volumes and axial faces moved between neighbours. Their sums are
+        kept but for cells emptier than 1e-6 and, where a lumen is narrower than a cell, padding.
+
+    Notes
+    -----
+    A cell limits the time step by its open faces over its volume. A cell of more than 1.25 times
+    the full cell's ratio borrows what it lacks. Its donor lies across the largest open face, that
+    is along the wall's normal, where the pressure gradient vanishes: the move changes the energy
+    by O(h^2), whereas a floor adds volume and a cap on the faces takes mobility, both O(h).
+    Axial faces move with the volumes: in a straight tube they stay equal, and the plane wave
+    stays plane.
+
+    Tried on the circle's cross-section, worst of five (borrow: six) positions within a cell, at
+    16, 32 and 64 cells per diameter; the step is the smallest, relative to an uncut grid's:
+
+    ==================== ===================== ===================== ===== ==========
+    rule                 (1,1) error %         (2,1) error %         order step
+    ==================== ===================== ===================== ===== ==========
+    none                 0.198, 0.049, 0.012   0.619, 0.152, 0.038   2.0   0.10
+    volume >= 0.1        0.768, 0.239, 0.107   1.439, 0.375, 0.177   1.4   0.77
+    faces <= 2 volumes   0.403, 0.117, 0.047   1.138, 0.294, 0.128   1.6   0.89
+    borrow above 1.25    0.222, 0.050, 0.013   0.704, 0.175, 0.043   2.0   0.95
+    ==================== ===================== ===================== ===== ==========
+
+    Borrowing as done here, on the three-dimensional ratio, errs by 0.205, 0.048, 0.011 % and
+    0.635, 0.157, 0.038 %; at 32 cells per diameter the step of a half model, straight or pinched
+    by up to 90 %, is 0.93 to 0.94 of the uncut grid's, of which 0.98 is the safety factor and
+    0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
+    """
+    cells = _without_dead_cells(cells)
+    for _ in range(ROUNDS):
+        cells = _borrow(cells)
+    floor = _crowding(cells) / FLOOR
+    volume = np.where(cells.volume_fraction > 0.0, np.maximum(cells.volume_fraction, floor), 0.0)
+    return replace(cells, volume_fraction=volume)
+
+
+def _sides(cells: CutCells) -> list[_Side]:
+    """List the faces of every cell, low side before high side."""
+    x, y, z = cells.open_x, cells.open_y, cells.open_z
+    return [
+        _Side(0, -1, x[:-1]), _Side(0, 1, x[1:]),
+        _Side(1, -1, y[:, :-1]), _Side(1, 1, y[:, 1:]),
+        _Side(2, -1, z[..., :-1]), _Side(2, 1, z[..., 1:]),
+    ]  # fmt: skip
+
+
+def _neighbour(values: Array, side: _Side) -> Array:
+    """Return what lies beyond a side of each cell; nothing beyond the grid."""
+    shifted = np.roll(values, -side.step, axis=side.axis)
+    edge = [slice(None)] * values.ndim
+    edge[side.axis] = slice(-1, None) if side.step > 0 else slice(0, 1)
+    shifted[tuple(edge)] = 0
+    return shifted
+
+
+def _crowding(cells: CutCells) -> Array:
+    """Return the volume at which a cell would limit the step like a full cell does."""
+    weights = 1.0 / np.asarray(cells.spacing) ** 2
+    total = sum(side.area * weights[side.axis] for side in _sides(cells))
+    return np.asarray(total / (2.0 * weights.sum()))
+
+
+def _without_dead_cells(cells: CutCells) -> CutCells:
+    """Close the faces of cells that are all but empty."""
+    alive = cells.volume_fraction > DEAD
+    faces = []
+    for axis, area in enumerate((cells.open_x, cells.open_y, cells.open_z)):
+        padding = [(1, 1) if i == axis else (0, 0) for i in range(3)]
+        padded = np.moveaxis(np.pad(alive, padding, mode="edge"), axis, 0)
+        both = np.moveaxis(padded[1:] & padded[:-1], 0, axis)
+        faces.append(np.where(both, area, 0.0))
+    volume = np.where(alive, cells.volume_fraction, 0.0)
+    x, y, z = faces
+    return replace(cells, volume_fraction=volume, open_x=x, open_y=y, open_z=z)
+
+
+def _borrow(cells: CutCells) -> CutCells:
+    """Move volume once, and axial face area in the same proportion."""
+    volume, sides = cells.volume_fraction, _sides(cells)
+    need = np.where(volume > 0.0, np.maximum(_crowding(cells) / LEND - volume, 0.0), 0.0)
+    # Rounded, because equal faces must give the same choice in every layer of a straight tube.
+    choice = np.argmax([np.round(side.area, 9) for side in sides], axis=0)
+    asked = [np.where(choice == i, need, 0.0) for i in range(len(sides))]
+    demand = sum(_neighbour(a, _opposite(s)) for a, s in zip(asked, sides, strict=True))
+    # A donor keeps at least half of its volume, whoever asks.
+    granted = np.minimum(1.0, 0.5 * volume / np.maximum(demand, 1e-300))
+    share = granted / np.maximum(volume, 1e-300)
+    open_z = cells.open_z.copy()
+    for side, ask in zip(sides, asked, strict=True):
+        ratio = ask * _neighbour(share, side)  # of the donor's volume
+        moved = ratio * _neighbour(cells.volume_fraction, side)
+        volume = volume + moved - _neighbour(moved, _opposite(side))
+        if side.axis != 2:
+            open_z += _axial_move(cells.open_z, ratio, side)
+    return replace(cells, volume_fraction=volume, open_z=open_z)
+
+
+def _opposite(side: _Side) -> _Side:
+    """Look the other way."""
+    return side._replace(step=-side.step)
+
+
+def _axial_move(open_z: Array, ratio: Array, side: _Side) -> Array:
+    """Return the change of the axial faces for volumes moved across one side."""
+    padded = np.pad(ratio, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    mean = 0.5 * (padded[..., 1:] + padded[..., :-1])
+    moved = np.where(open_z > 0.0, mean * _neighbour(open_z, side), 0.0)
+    return moved - _neighbour(moved, _opposite(side))

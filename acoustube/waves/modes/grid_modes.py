@@ -1,0 +1,274 @@
+"""Modes of a straight duct on the grid: their shapes, and how they travel along it.
+
+A straight part of the grid repeats one layer of cells, whose axial faces are as open as its cells
+are full. A field that is a mode of the layer then stays one: its amplitude obeys the scheme of a
+single line of cells, with Omega = omega dt, theta the phase per layer, nu = c dt / dz, k^2 the
+layer's eigenvalue times (c dt)^2 and s = 4 sin^2(Omega/2), X = 4 sin^2(theta/2),
+
+    s (1 + kappa h) = b (k^2 (1 - d h) + nu^2 X (1 + beta X) (1 - d_z h)).
+
+h takes the pressure to its half-integral; kappa, d and d_z are the wall's losses, to first order in
+the boundary layers, and b those of the air. Without losses all of this is exact on the grid: waves
+can be separated from their echoes, or moved to another plane, without an error of discretisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.grid.section import section_stiffness
+from acoustube.waves.modes.round_duct import Mode, cut_on_frequency, modes_below
+from acoustube.waves.scheme.losses import Losses
+from acoustube.waves.scheme.operator import Operator
+from acoustube.waves.scheme.problem import Scheme
+
+MIRROR = 1e-6
+"""Trace of the mirror image that sets symmetric and antisymmetric modes apart."""
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DuctModes:
+    """The modes of one layer of a grid.
+
+    Attributes
+    ----------
+    squares : ndarray
+        Eigenvalues in 1/s2, (n_modes,): in continuous time, the cut-ons' angular frequencies
+        squared.
+    cut_ons : ndarray
+        Cut-on frequencies on the grid, its time steps included, in Hz, (n_modes,).
+    shapes : ndarray
+        Pressures with a mean square of one over the section, (n_modes, nx, ny).
+    weights : ndarray
+        What projects a layer of pressures onto the modes, (n_modes, nx, ny).
+    odd : ndarray of bool
+        Whether antisymmetric about x = 0, (n_modes,).
+    losses : dict of ndarray
+        kappa, d k^2 and d_z of each mode, (n_modes,); empty without losses.
+    """
+
+    squares: Array
+    cut_ons: Array
+    shapes: Array
+    weights: Array
+    odd: NDArray[np.bool_]
+    losses: dict[str, Array]
+
+
+def duct_modes(
+    scheme: Scheme, volume: Array, layer: int, highest: float, *, whole: bool, odd: bool = False
+) -> DuctModes:
+    """Return the modes of one layer of a grid.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        Coefficients of the grid.
+    volume : ndarray
+        Its volume fractions, (nx, ny, nz).
+    layer : int
+        In a straight part.
+    highest : float
+        Frequency in Hz up to which cut-ons are returned.
+    whole : bool
+        Whether the grid is that of the whole tube, rather than of the half x > 0.
+    odd : bool
+        Whether the half is antisymmetric about x = 0.
+
+    Returns
+    -------
+    DuctModes
+        In the order of their cut-ons.
+    """
+    filled = volume[:, :, layer]
+    operator = scheme.operator
+    mass = filled[filled > 0]
+    root = np.sqrt(mass)
+    matrix = _across(operator, layer, filled > 0) / root[:, None] / root
+    parity = np.full(len(mass), -1.0 if odd else 1.0)
+    if whole:
+        # A pair of modes of a round bore mixes at will; a trace of the mirror sets the two apart.
+        number = np.cumsum(filled > 0).reshape(filled.shape) - 1
+        image, here = number[::-1][filled > 0], np.arange(len(mass))
+        trace = MIRROR * (2 * np.pi * highest) ** 2
+        matrix[here, image] += trace
+        matrix[image, here] += trace
+    squares, vectors = eigh(matrix)
+    if whole:
+        parity = np.sign(np.sum(vectors * vectors[image], axis=0))
+        squares = squares - 2 * trace * parity
+    order = np.argsort(squares)
+    order = order[squares[order] < (2 * np.pi * highest) ** 2]
+    squares, parity = squares[order], parity[order]
+    vectors = (vectors[:, order] / root[:, None]).T * np.sqrt(mass.sum())
+    # The plane mode's eigenvalue is zero but for rounding.
+    squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
+    shapes = np.zeros((len(vectors), *filled.shape))
+    # Of either sign; the first cell that is loud shall be positive.
+    loud = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
+    vectors = vectors * np.sign(vectors[np.arange(len(vectors)), loud])[:, None]
+    shapes[:, filled > 0] = vectors
+    found: dict[str, Array] = {}
+    if scheme.losses is not None:
+        found = _lossy(scheme.losses, layer, filled, vectors)
+    dt = float(np.sqrt(scheme.step_squared))
+    half_turns = np.arcsin(np.sqrt(np.maximum(squares, 0.0)) * dt / 2)
+    return DuctModes(
+        squares=squares,
+        cut_ons=half_turns / (np.pi * dt),
+        shapes=shapes,
+        weights=shapes * filled / mass.sum(),
+        odd=parity < 0,
+        losses=found,
+    )
+
+
+def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> Array:
+    """Return the matrix of an operator across one layer, over its open cells."""
+    faces = operator.area_x[:, :, layer], operator.area_y[:, :, layer]
+    return np.asarray(section_stiffness(*faces, inside).toarray())
+
+
+def _lossy(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[str, Array]:
+    """Return the wall's losses of each mode, from its own shape."""
+    inside = filled > 0
+    mass = filled[inside]
+    across = _across(losses.drag, layer, inside)
+    compliance = np.asarray(losses.compliance[:, :, layer], float)[inside]
+    # The axial faces of a straight part are as open as the cells, times (c / dz)^2.
+    along = np.asarray(losses.drag.area_z[:, :, layer + 1], float)[inside]
+    return {
+        "compliance": vectors**2 @ (mass * compliance) / mass.sum(),
+        "across": np.einsum("mi,ij,mj->m", vectors, across, vectors) / mass.sum(),
+        "along": vectors**2 @ along / mass.sum(),
+    }
+
+
+def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c: float) -> Phases:
+    """Return how the modes travel along a straight part.
+
+    Parameters
+    ----------
+    modes : DuctModes
+    scheme : Scheme
+    spacing : float
+        Axial cell size in m.
+    frequency : ndarray
+        In Hz, (n,).
+    c : float
+        Sound speed in m/s.
+
+    Returns
+    -------
+    Phases
+    """
+    dt2 = float(scheme.step_squared)
+    beta = float(scheme.operator.beta)
+    turn = np.exp(2j * np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None]
+    nu2 = dt2 * (c / spacing) ** 2
+    # Real, so that what neither grows nor decays is not taken for the one or the other.
+    inertia = 4 * np.sin(np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None] ** 2
+    lossless = (inertia - dt2 * modes.squares) / nu2
+    stiffness, axial, inertia_share = dt2 * modes.squares, np.ones(1), np.ones(1)
+    if scheme.losses is not None:
+        lost = scheme.losses
+        decay, gain, wall, bulk = (
+            np.array([float(value) for value in values])
+            for values in (lost.decay, lost.gain, lost.wall, lost.bulk)
+        )
+        response = gain * (1 + 1 / turn) / 2 / (1 - decay / turn)
+        h = response @ wall[:, None]
+        air = 1 + float(lost.rate) * (1 - 1 / turn) - response @ bulk[:, None]
+        inertia_share = 1 + modes.losses["compliance"] * h
+        stiffness = air * dt2 * (modes.squares - h * modes.losses["across"])
+        axial = air * (1 - h * modes.losses["along"] * (spacing / c) ** 2)
+    bent = (inertia * inertia_share - stiffness) / (nu2 * axial)
+    return Phases(
+        theta=_phase(bent, beta),
+        slope=nu2 * axial * _slope(bent, beta),
+        power=_slope(lossless, beta),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Phases:
+    """How modes travel, at frequencies (n_frequencies, n_modes).
+
+    Attributes
+    ----------
+    theta : ndarray
+        Complex phase per layer: a wave goes as exp(-j theta m), time as exp(+j omega t).
+    slope : ndarray
+        Derivative of the axial term by theta, which a source meets.
+    power : ndarray
+        The same without losses: what the power carried is proportional to; real where the mode
+        propagates, imaginary where it does not.
+    """
+
+    theta: Complex
+    slope: Complex
+    power: Complex
+
+
+def _bend(bent: Complex, beta: float) -> Complex:
+    """Return X from X (1 + beta X)."""
+    return np.asarray(2 * bent / (1 + np.sqrt(1 + 4 * beta * bent + 0j)))
+
+
+def _phase(bent: Complex, beta: float) -> Complex:
+    """Return theta with a wave that decays, or else travels, towards positive z."""
+    theta = 2 * np.arcsin(np.sqrt(_bend(bent, beta) + 0j) / 2)
+    theta = np.where(theta.imag > 0, -theta, theta)
+    return np.asarray(np.where((theta.imag == 0) & (theta.real < 0), -theta, theta))
+
+
+def _slope(bent: Complex, beta: float) -> Complex:
+    theta = _phase(bent, beta)
+    return np.asarray(2 * np.sin(theta) * (1 + 2 * beta * _bend(bent, beta)))
+
+
+def labels(modes: DuctModes, radius: float, c: float) -> tuple[str, ...]:
+    """Name modes after those of a round bore of the same symmetry, in the order of their cut-ons.
+
+    Parameters
+    ----------
+    modes : DuctModes
+    radius : float
+        Of the round bore, in m.
+    c : float
+        Sound speed in m/s.
+
+    Returns
+    -------
+    tuple of str
+        As ``00``, ``11c``, ``21s``: nodal diameters, nodal circles, and the symmetry of those with
+        nodal diameters.
+    """
+    highest, names = cut_on_frequency(1, 1, radius, c), {False: list[str](), True: list[str]()}
+    while any(len(names[odd]) < np.sum(modes.odd == odd) for odd in names):
+        highest *= 1.5
+        known = modes_below(highest, radius, c)
+        names = {
+            odd: [_label(mode, odd) for mode in known if mode.m > 0 or not odd] for odd in names
+        }
+    found = {odd: iter(names[odd]) for odd in names}
+    return tuple(next(found[bool(odd)]) for odd in modes.odd)
+
+
+def _label(mode: Mode, odd: bool) -> str:
+    symmetry = "" if mode.m == 0 else "s" if odd else "c"
+    return f"{mode.m}{mode.n}{symmetry}"
+
+
+def mode_numbers(label: str) -> tuple[int, int]:
+    """Return the nodal diameters and circles that a label tells."""
+    digits = label.rstrip("cs")
+    return int(digits[:-1]), int(digits[-1])

@@ -1,0 +1,172 @@
+"""What is heard in a layer of cells, its mean, a mode or a point; and how a mode is launched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi, sqrt
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from acoustube.air import Air
+from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phases
+from acoustube.waves.scheme.problem import Setup
+
+CELLS_PER_RADIAN = 1.5
+"""Least resolution of the modes that have a name on a grid, at their cut-on."""
+
+
+class ModalProbe(NamedTuple):
+    """The amplitude of a mode of the section at a height, where the tube should be straight.
+
+    Attributes
+    ----------
+    position : float
+        Distance from the source end in m.
+    mode : str
+        As ``11c``: nodal diameters, nodal circles, and c for symmetric about x = 0, s for
+        antisymmetric. The mode's pressure has a mean square of one over the section.
+    """
+
+    position: float
+    mode: str
+
+
+class PointProbe(NamedTuple):
+    """The pressure at a point, interpolated across the tube.
+
+    Attributes
+    ----------
+    position, x, y : float
+        Distance from the source end, and place across, in m.
+    """
+
+    position: float
+    x: float
+    y: float
+
+
+Probe = float | ModalProbe | PointProbe
+"""A height in m stands for the mean over its plane, which is the plane mode's amplitude."""
+
+
+def height_of(probe: Probe) -> float:
+    """Return the distance of a probe from the source end in m."""
+    return probe.position if isinstance(probe, ModalProbe | PointProbe) else probe
+
+
+def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
+    """Return a setup that hears what each probe does, at the heights that it has already.
+
+    Parameters
+    ----------
+    setup : Setup
+        Prepared with a plane at the height of each probe.
+    probes : tuple of Probe
+    air : Air
+
+    Raises
+    ------
+    ValueError
+        If there is no such mode, or the point is not in the air.
+    """
+    scheme = setup.scheme
+    weights = [
+        _weights(probe, setup, int(layer), air)
+        for probe, layer in zip(probes, scheme.probe_layers, strict=True)
+    ]
+    heard = jnp.asarray(np.stack(weights, axis=-1), scheme.probe_weights.dtype)
+    return replace(setup, scheme=scheme._replace(probe_weights=heard))
+
+
+def _weights(probe: Probe, setup: Setup, layer: int, air: Air) -> Array:
+    volume = setup.cells.volume_fraction[:, :, layer]
+    if isinstance(probe, ModalProbe):
+        modes, which = named_mode(setup, layer, probe.mode, air)
+        return modes.weights[which]
+    if isinstance(probe, PointProbe):
+        return _at_point(probe, setup, volume)
+    return np.asarray(volume / volume.sum())
+
+
+def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes, int]:
+    """Return the modes of a layer that the grid carries, and the number of one among them.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    dx, dy, _ = setup.cells.spacing
+    half = setup.cells.origin[0] == 0.0
+    volume = setup.cells.volume_fraction
+    highest = air.sound_speed / (2 * pi * CELLS_PER_RADIAN * dx)
+    modes = duct_modes(setup.scheme, volume, layer, highest, whole=not half)
+    radius = sqrt(volume[:, :, layer].sum() * dx * dy * (2 if half else 1) / pi)
+    names = labels(modes, radius, air.sound_speed)
+    if name not in names:
+        raise ValueError(
+            f'mode = "{name}" is not one of {", ".join(names)}, which this grid carries'
+        )
+    return modes, names.index(name)
+
+
+def _at_point(probe: PointProbe, setup: Setup, volume: Array) -> Array:
+    """Return bilinear weights of the cell centres around a point; those in the wall have none."""
+    # The half x > 0 stands for both.
+    x = abs(probe.x) if setup.cells.origin[0] == 0.0 else probe.x
+    shares = [
+        np.clip(1 - np.abs(setup.cells.centres(axis) - value) / setup.cells.spacing[axis], 0, 1)
+        for axis, value in enumerate((x, probe.y))
+    ]
+    weights = np.where(volume > 0, np.outer(*shares), 0.0)
+    if not weights.sum() > 0:
+        raise ValueError(
+            f"the point at x = {probe.x:.4g} m, y = {probe.y:.4g} m is not in the air; move it"
+        )
+    return np.asarray(weights / weights.sum())
+
+
+def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Array]:
+    """Return a setup and a source that launch a mode into the tube.
+
+    Parameters
+    ----------
+    setup : Setup
+        With an absorber before z = 0.
+    wave : ndarray
+        Wanted amplitude at z = 0 at the ends of the steps, (n+1,).
+    mode : str
+        See `ModalProbe`.
+    air : Air
+
+    Returns
+    -------
+    setup : Setup
+    source : ndarray
+        Pressure increments, (n,).
+
+    Notes
+    -----
+    A unit source in a layer sends exp(-i theta n) / (i slope) over n layers both ways, `slope` the
+    derivative of the axial term by theta; what it is driven with is the wave divided by that, for
+    each frequency. At the cut-on the slope vanishes, and little is driven. The source layer and its
+    neighbours also hold a near field of a few per cent.
+    """
+    modes, which = named_mode(setup, setup.source_layer, mode, air)
+    # The filter's response fades slowly at a cut-on; what comes round the cycle is too late.
+    n = 4 * len(wave)
+    omega = 2 * pi * np.fft.rfftfreq(n)[1:]
+    slope = phases(
+        modes, setup.scheme, setup.cells.spacing[2], omega / (2 * pi * setup.time_step),
+        air.sound_speed,
+    ).slope[:, which]  # fmt: skip
+    # The second difference of the pressure is driven by the first of the increments.
+    gain = 1j * slope / (1 - np.exp(-1j * omega))
+    spectrum = np.fft.rfft(wave, n)
+    spectrum[0], spectrum[1:] = 0.0, spectrum[1:] * gain
+    shape = jnp.asarray(modes.shapes[which], setup.scheme.source.dtype)
+    driven = replace(setup, scheme=setup.scheme._replace(source=shape))
+    return driven, np.fft.irfft(spectrum, n)[: len(wave) - 1]

@@ -1,0 +1,194 @@
+"""Propagation of a pulse through a lumen by finite differences in the time domain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from acoustube.air import Air
+from acoustube.waves.grid.cells import CutCells
+from acoustube.waves.modes.probes import Probe, height_of, launching, with_probes
+from acoustube.waves.scheme.leapfrog import CHUNK, Array, Progress, march
+from acoustube.waves.scheme.problem import FarEnd, Setup, SourceEnd, prepare
+from acoustube.waves.scheme.pulse import check_duration
+
+Signal = Callable[[Array], ArrayLike]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """Pressure at probes over time.
+
+    Attributes
+    ----------
+    time : ndarray
+        (n,) in s, from 0 in steps of `time_step`.
+    pressure : ndarray
+        (n_probes, n) in units of the pulse.
+    time_step : float
+        In s.
+    probes : tuple of float
+        Actual axial positions of the probes in m.
+    spacing : tuple of float
+        Cell size in m.
+    shape : tuple of int
+        Number of grid cells, absorbers included.
+    """
+
+    time: Array
+    pressure: Array
+    time_step: float
+    probes: tuple[float, ...]
+    spacing: tuple[float, float, float]
+    shape: tuple[int, int, int]
+
+
+def grid_spacing(
+    inner_diameter: float, resolution: int, probe: float = 0.02
+) -> tuple[float, float, float]:
+    """Return cells that fit the bore across and put a layer of cell centres on the probe plane.
+
+    Parameters
+    ----------
+    inner_diameter : float
+        Bore in m.
+    resolution : int
+        Cells across the bore.
+    probe : float
+        Distance of the probe plane from the source end in m.
+
+    Returns
+    -------
+    tuple of float
+        (dx, dy, dz) in m with dx = dy, and dz at most that and as near to it as the probe allows.
+
+    Raises
+    ------
+    ValueError
+        If the probe lies within the first cell layer.
+    """
+    across = inner_diameter / resolution
+    if probe < across:
+        raise ValueError(
+            f"probe = {probe} m lies within the first cell layer; use at least {across:.3g} m"
+        )
+    # A little tolerance, so that a probe a whole number of cells away keeps that number.
+    return across, across, probe / ceil(probe / across - 1e-9)
+
+
+def propagate(
+    cells: CutCells,
+    air: Air,
+    pulse: Signal,
+    *,
+    duration: float,
+    probes: tuple[Probe, ...] = (0.02,),
+    source_end: SourceEnd = "release",
+    source_mode: str = "00",
+    far_end: FarEnd = "absorbing",
+    absorber_thickness: float = 0.02,
+    time_step: float | None = None,
+    lossy_band: tuple[float, float] | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Send a pulse into a lumen and record what passes the probes.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The lumen.
+    air : Air
+        Gas in the lumen.
+    pulse : callable
+        Pressure over time in s, such as a `Pulse` or a `SampledPulse`; zero before t = 0.
+    duration : float
+        Recorded time in s.
+    probes : tuple of Probe
+        Distances in m of planes over which the pressure is averaged; or `ModalProbe`, `PointProbe`.
+    source_mode : str
+        The mode that the absorbing end launches, as ``11c``; see `ModalProbe`.
+    source_end, far_end, absorber_thickness, time_step, lossy_band
+        See `prepare`. With the release end the pressure at z = 0 is the pulse, afterwards 0; with
+        the absorbing end the plane wave launched at z = 0 has the pulse's pressure.
+    progress : callable, optional
+        Called with the finished fraction after each chunk of 250 steps.
+
+    Returns
+    -------
+    Recording
+        What each probe heard.
+
+    Raises
+    ------
+    SimulationError
+        If the pressure stops being finite.
+    ValueError
+        If the pulse is longer than the run, or another end is to launch a higher mode; see also
+        `prepare` and `with_probes`.
+
+    Notes
+    -----
+    The volume-weighted mean over a layer of a straight section is the projection on the plane
+    mode: every other discrete mode is orthogonal to it.
+    """
+    check_duration(pulse, duration)
+    if source_mode != "00" and source_end != "absorbing":
+        raise ValueError(f'source_mode = "{source_mode}" needs source_end = "absorbing"')
+    setup = prepare(
+        cells, air, probes=tuple(height_of(probe) for probe in probes), source_end=source_end,
+        far_end=far_end, absorber_thickness=absorber_thickness, time_step=time_step,
+        lossy_band=lossy_band,
+    )  # fmt: skip
+    setup = with_probes(setup, probes, air)
+    n_samples = ceil(duration / setup.time_step) + 1
+    # Whole chunks only: a shorter last one would be compiled anew for every duration.
+    n_steps = CHUNK * ceil((n_samples - 1) / CHUNK)
+    time = np.arange(n_steps + 1) * setup.time_step
+    samples = np.asarray(pulse(time), dtype=float)
+    if source_mode != "00":
+        setup, source = launching(setup, samples, source_mode, air)
+    elif source_end == "absorbing":
+        source = launching_source(samples, setup, air)
+    else:
+        source = samples[1:]
+    _, pressure = march(setup, setup.state, source, progress=progress)
+    silence = np.zeros((len(setup.probes), 1))
+    return Recording(
+        time=time[:n_samples],
+        pressure=np.concatenate([silence, pressure], axis=1)[:, :n_samples],
+        time_step=setup.time_step, probes=setup.probes, spacing=cells.spacing,
+        shape=setup.cells.shape,
+    )  # fmt: skip
+
+
+def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
+    """Return the pressure to add at z = 0 in each step to launch a given plane wave.
+
+    Parameters
+    ----------
+    wave : ndarray
+        Wanted pressure at z = 0 at the ends of the steps, (n+1,).
+    setup : Setup
+        The discrete problem.
+    air : Air
+        Gas in the lumen.
+
+    Returns
+    -------
+    ndarray
+        Pressure increments, (n,).
+
+    Notes
+    -----
+    The residue of the axial Green's function gives, for increments g in the middle of the steps,
+    p/g = sqrt(1 + 4 b s^2) / (2 nu cos(theta/2) (1 + 8 b s^2)) with s = sin(theta/2), b = beta.
+    With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order: the mean of
+    the wave's two neighbouring samples, whose response is cos(Omega/2), cancels the rest. The
+    source layer itself and its neighbours also hold a near field of a few percent.
+    """
+    courant = air.sound_speed * setup.time_step / setup.cells.spacing[2]
+    return courant * (wave[1:] + wave[:-1])

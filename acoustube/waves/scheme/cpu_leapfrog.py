@@ -1,0 +1,387 @@
+"""Leapfrog marching on the CPU, over columns of cells that are open.
+
+The same scheme as that of `marching`, in the same numbers but for rounding. One pass over the grid
+advances a column of cells by all that acts in it, and writes the next pressure into a second
+array, so that threads meet once a step. Cells that are full, with full faces all around and
+without losses at the wall, need no coefficients and no memory of the wall.
+
+What is stored is not the pressure but what its Laplacian is taken of: the pressure and what the
+air's absorption adds to it, which depends on the cell alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import ArrayLike, NDArray
+
+from acoustube.base.errors import SimulationError
+from acoustube.base.types import Mask
+from acoustube.waves.scheme.cpu_kernel import (
+    CORE,
+    CUT,
+    Columns,
+    Ends,
+    Fields,
+    Layer,
+    Lossy,
+    Stencil,
+    advance,
+)
+from acoustube.waves.scheme.losses import Losses, Memory
+from acoustube.waves.scheme.operator import INTERIOR, Operator
+from acoustube.waves.scheme.pml import Absorber
+from acoustube.waves.scheme.problem import Scheme, Setup, State
+
+Array = NDArray[np.floating[Any]]
+
+WALL, ABSORBING = -1, 2
+"""Kinds of cells that are in no span."""
+SHORTEST = 32
+"""Cells of a span below which it is not worth a loop of its own."""
+COSTS = 1.0, 4.0, 4.0
+"""Time of a cell in a core span, a cut span and an absorber, by which threads share the columns."""
+MOST_THREADS = 4
+"""More were not measured."""
+
+
+class CompiledMarcher:
+    """A state that is advanced in place.
+
+    Parameters
+    ----------
+    setup : Setup
+        The discrete problem.
+    state : State
+        Where to start; it stays as it is.
+    n_threads : int, optional
+        See `default_threads`.
+    """
+
+    def __init__(self, setup: Setup, state: State, n_threads: int | None = None) -> None:
+        scheme, dtype = setup.scheme, state.change.dtype
+        self._losses, self._state, self._now = scheme.losses, state, 0
+        self._order = np.argsort(np.asarray(scheme.probe_layers), kind="stable")
+        lossy = _lossy(scheme, state, dtype)
+        self._problem = (
+            _columns(setup, state, n_threads or default_threads()),
+            _stencil(scheme.operator, scheme, dtype),
+            lossy,
+            _fields(scheme, state, lossy, dtype),
+            _layer(state.before, dtype),
+            _layer(state.behind, dtype),
+            _ends(setup, self._order, dtype),
+        )
+
+    @property
+    def _fields(self) -> Fields:
+        return self._problem[3]
+
+    def advance(self, source: ArrayLike) -> Array:
+        """Advance by as many steps as the source has samples.
+
+        Parameters
+        ----------
+        source : array_like
+            (n,).
+
+        Returns
+        -------
+        ndarray
+            What the probes hear after each step, (n, n_probes).
+
+        Raises
+        ------
+        SimulationError
+            If a thread cannot be started; the state is as it was.
+        """
+        change, columns = self._fields.change, self._problem[0]
+        n_threads = len(columns.shares) - 1
+        samples = _copy(source, change.dtype)
+        work = np.empty((n_threads, 2, change.shape[2]), change.dtype)
+        heard = np.zeros((n_threads, len(samples), len(self._order)), change.dtype)
+        counter = np.zeros(1, np.int64)
+
+        def run(thread: int) -> None:
+            advance(self._problem, thread, self._now, samples, work, heard, counter)
+
+        if n_threads == 1:
+            run(0)
+        else:
+            _run_together(run, n_threads)
+        self._now = (self._now + len(samples)) % 2
+        record = np.empty(heard.shape[1:], float)
+        record[:, self._order] = heard.sum(axis=0)
+        return record
+
+    def is_finite(self) -> bool:
+        """Return whether all pressures are numbers."""
+        return bool(np.isfinite(np.abs(self._fields.change).sum()))
+
+    def state(self) -> State:
+        """Return a copy of the state.
+
+        What is remembered where it acts on nothing - of the air within an absorber, of the wall
+        away from it - is not kept up.
+        """
+        _, _, lossy, fields, before, behind, _ = self._problem
+        return State(
+            pressure=jnp.array(_pressure(lossy, fields, self._now)),
+            change=jnp.array(fields.change),
+            before=_absorber(self._state.before, before),
+            behind=_absorber(self._state.behind, behind),
+            memory=_memory(self._state.memory, self._losses, fields, self._now),
+        )
+
+
+def _run_together(run: Callable[[int], None], n_threads: int) -> None:
+    """Run a function on several threads, none of which begins before all have started.
+
+    Raises
+    ------
+    SimulationError
+        If a thread cannot be started; the function has not run then.
+    """
+    gate = Barrier(n_threads)
+
+    def begin(thread: int) -> None:
+        gate.wait()
+        run(thread)
+
+    with ThreadPoolExecutor(n_threads) as pool:
+        try:
+            jobs = [pool.submit(begin, thread) for thread in range(n_threads)]
+        except BaseException as error:
+            gate.abort()  # or those that have started would wait for the others for ever
+            if not isinstance(error, RuntimeError):
+                raise
+            raise SimulationError(
+                f"the waves could not start {n_threads} threads ({error}); set the environment "
+                "variable NUMBA_NUM_THREADS to 1"
+            ) from error
+        for job in jobs:
+            job.result()
+
+
+def default_threads() -> int:
+    """Return how many threads march: numba's own number, up to a few.
+
+    That is ``NUMBA_NUM_THREADS`` or one a core, unless ``numba.set_num_threads`` lowered it.
+    """
+    return min(get_num_threads(), MOST_THREADS)
+
+
+def _copy(values: ArrayLike, dtype: Any) -> Array:
+    return np.array(values, dtype, order="C")
+
+
+def _scalar(*values: ArrayLike, dtype: Any) -> Array:
+    return np.array([float(np.asarray(value)) for value in values], dtype)
+
+
+def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
+    """Return an operator's coefficients."""
+    step_squared = float(scheme.step_squared)
+    area_x, area_y, area_z = (_copy(area, dtype) for area in operator[1:4])
+    return Stencil(
+        _copy(operator.inverse_volume, dtype) * np.asarray(step_squared, dtype),
+        area_x,
+        area_y,
+        area_z,
+        _scalar(*_full_faces(operator), dtype=dtype) * np.asarray(step_squared, dtype),
+        _scalar(operator.beta, dtype=dtype),
+    )
+
+
+def _full(operator: Operator) -> Mask:
+    """Return which cells are full, with full faces, along the tube one beyond their own."""
+    x, y, z = (np.asarray(area) for area in operator[1:4])
+    x, y, z = (area == face for area, face in zip((x, y, z), _full_faces(operator), strict=True))
+    across = x[1:] & x[:-1] & y[:, 1:] & y[:, :-1]
+    along = z[:, :, :-3] & z[:, :, 1:-2] & z[:, :, 2:-1] & z[:, :, 3:]
+    return (np.asarray(operator.inverse_volume) == 1) & across & along
+
+
+def _full_faces(operator: Operator) -> tuple[Any, ...]:
+    """Return the areas of full faces.
+
+    More than half of the open faces of a resolved lumen are full. The plane x = 0 of a half may be
+    twice as open.
+    """
+    areas = (np.asarray(area) for area in (operator.area_x[1:], operator.area_y, operator.area_z))
+    return tuple(
+        np.median(area[area > 0]) if np.any(area > 0) else area.dtype.type(0) for area in areas
+    )
+
+
+def _acts_at_wall(losses: Losses | None, shape: tuple[int, ...]) -> Mask:
+    """Return in which cells the wall's losses act."""
+    if losses is None:
+        return np.zeros(shape, bool)
+    x, y, z = (np.asarray(area) != 0 for area in losses.drag[1:4])
+    across = x[1:] | x[:-1] | y[:, 1:] | y[:, :-1]
+    return across | z[:, :, 1:-2] | z[:, :, 2:-1] | (np.asarray(losses.compliance) != 0)
+
+
+def _kinds(setup: Setup, state: State) -> NDArray[np.integer[Any]]:
+    """Return of which kind each cell is: of a core or a cut span, in an absorber, or wall."""
+    scheme = setup.scheme
+    wall = _acts_at_wall(scheme.losses, state.change.shape)
+    open_cells = (np.asarray(scheme.operator.inverse_volume) > 0) | wall
+    open_cells[:, :, setup.source_layer] |= np.asarray(scheme.source) != 0
+    kinds = np.where(_full(scheme.operator) & ~wall, CORE, CUT)
+    kinds[:, :, : _n_layers(state.before)] = ABSORBING
+    kinds[:, :, kinds.shape[2] - _n_layers(state.behind) :] = ABSORBING
+    kinds[~open_cells] = WALL
+    return kinds
+
+
+def _columns(setup: Setup, state: State, n_threads: int) -> Columns:
+    """List the columns that hold open cells, and their spans that are not in an absorber."""
+    kinds = _kinds(setup, state)
+    _, ny, nz = kinds.shape
+    kinds = kinds.reshape(-1, nz)
+    rows, begins, ends = _runs(kinds)
+    short = (kinds[rows, begins] == CORE) & (ends - begins < SHORTEST)
+    for row, begin, end in zip(rows[short], begins[short], ends[short], strict=True):
+        kinds[row, begin:end] = CUT
+    rows, begins, ends = _runs(kinds)
+    kind = kinds[rows, begins]
+    marched = (kind == CORE) | (kind == CUT)
+    listed = np.flatnonzero((kinds != WALL).any(axis=1))
+    total = np.cumsum(np.array([0.0, *COSTS])[kinds[listed] - WALL].sum(axis=1))
+    shares = np.searchsorted(total, np.linspace(0.0, total[-1], n_threads + 1)[1:-1])
+    return Columns(
+        place=np.stack(np.divmod(listed, ny), axis=1).astype(np.uint64),
+        first=np.searchsorted(rows[marched], [*listed, len(kinds)]),
+        spans=np.stack([begins, ends, kind], axis=1)[marched].astype(np.uint64),
+        shares=np.array([0, *shares, len(listed)]),
+    )
+
+
+def _n_layers(absorber: Absorber | None) -> int:
+    return 0 if absorber is None else absorber.transverse.shape[2]
+
+
+def _runs(values: NDArray[np.integer[Any]]) -> tuple[NDArray[np.integer[Any]], ...]:
+    """Return row, begin and end of all runs of equal values in the rows of a table."""
+    starts = np.pad(values[:, 1:] != values[:, :-1], ((0, 0), (1, 1)), constant_values=True)
+    rows, places = np.nonzero(starts)
+    within = rows[1:] == rows[:-1]
+    return rows[:-1][within], places[:-1][within], places[1:][within]
+
+
+def _air_first(losses: Losses) -> tuple[NDArray[np.integer[Any]], int]:
+    """Return the order in which the relaxations of the air come first, and their number."""
+    of_air = np.array([float(lag) != 0 for lag in losses.bulk])
+    return np.argsort(~of_air, kind="stable"), int(of_air.sum())
+
+
+def _lossy(scheme: Scheme, state: State, dtype: Any) -> Lossy:
+    """Return the coefficients of the losses, or empty ones."""
+    losses, shape = scheme.losses, state.change.shape
+    if losses is None:
+        none, nowhere = np.zeros(0, dtype), np.zeros((0, 0, 0), dtype)
+        still = Stencil(nowhere, nowhere, nowhere, nowhere, none, none)
+        share = np.zeros(shape[2], dtype)
+        return Lossy(still, nowhere, nowhere, share, none, none, none, none, np.zeros(2, dtype))
+    order, n_air = _air_first(losses)
+    decay, gain, wall, bulk = (
+        _scalar(*values, dtype=dtype)[order]
+        for values in (losses.decay, losses.gain, losses.wall, losses.bulk)
+    )
+    return Lossy(
+        drag=_stencil(losses.drag, scheme, dtype),
+        compliance=_copy(losses.compliance, dtype),
+        yielding=_copy(losses.yielding, dtype),
+        share=_copy(losses.share, dtype).ravel(),
+        decay=decay, gain=gain, wall=wall * (decay - 1), bulk=bulk[:n_air].copy(),
+        scalars=_scalar(losses.response, losses.rate, dtype=dtype),
+    )  # fmt: skip
+
+
+def _fields(scheme: Scheme, state: State, lossy: Lossy, dtype: Any) -> Fields:
+    """Return the fields of a state."""
+    memory, nowhere = state.memory, np.zeros((0, 0, 0), dtype)
+    ahead, change = _twice(state.pressure), _copy(state.change, dtype)
+    if scheme.losses is None or memory is None:
+        nothing = np.zeros((0, 0, 0, 0), dtype)
+        return Fields(
+            ahead, change, nowhere, nothing, nowhere, np.zeros((2, 0, 0, 0), dtype), nowhere
+        )
+    order, n_air = _air_first(scheme.losses)
+    relaxed = np.stack([np.asarray(memory.relaxed[i]) for i in order], axis=2)
+    lagging = np.einsum("j,xyjz->xyz", lossy.bulk, relaxed[:, :, :n_air])
+    ahead[(0, *INTERIOR)] += lossy.share * (lossy.scalars[1] * change - lagging)
+    return Fields(
+        ahead, change,
+        pressure=_copy(state.pressure, dtype),
+        relaxed=relaxed,
+        relaxing=np.einsum("j,xyjz->xyz", lossy.wall, relaxed),
+        integral=_twice(memory.integral),
+        increment=_copy(memory.increment, dtype),
+    )  # fmt: skip
+
+
+def _twice(field: ArrayLike) -> Array:
+    """Return a field at two times, of which the second is still to come."""
+    field = np.asarray(field)
+    both = np.zeros((2, *field.shape), field.dtype)
+    both[0] = field
+    return both
+
+
+def _pressure(lossy: Lossy, fields: Fields, now: int) -> Array:
+    """Return the pressure, which is kept up only where something is added to it."""
+    ahead = fields.ahead[now]
+    if fields.pressure.size == 0:
+        return ahead
+    absorbs = np.pad(lossy.share != 0, 2)
+    return np.where(absorbs, fields.pressure, ahead)
+
+
+def _memory(
+    memory: Memory | None, losses: Losses | None, fields: Fields, now: int
+) -> Memory | None:
+    """Return what the losses remember."""
+    if memory is None or losses is None:
+        return memory
+    place = np.argsort(_air_first(losses)[0])
+    relaxed = tuple(jnp.array(fields.relaxed[:, :, i]) for i in place)
+    return Memory(relaxed, jnp.array(fields.integral[now]), jnp.array(fields.increment))
+
+
+def _layer(layer: Absorber | None, dtype: Any) -> Layer:
+    """Return a copy of an absorber, or one without layers."""
+    if layer is None:
+        nothing = np.zeros((0, 0, 0), dtype)
+        return Layer(*(np.zeros((3, 0), dtype),) * 2, *(nothing,) * 4)
+    stretches = (np.stack([np.asarray(c).ravel() for c in stretch]) for stretch in layer[:2])
+    return Layer(*stretches, *(_copy(part, dtype) for part in layer[2:]))
+
+
+def _absorber(before: Absorber | None, layer: Layer) -> Absorber | None:
+    """Return an absorber with its new state."""
+    if before is None:
+        return None
+    return Absorber(before.cells, before.faces, *(jnp.array(part) for part in layer[2:]))
+
+
+def _ends(setup: Setup, order: NDArray[np.integer[Any]], dtype: Any) -> Ends:
+    """Return source and probes."""
+    scheme = setup.scheme
+    planes, counts = np.unique(np.asarray(scheme.probe_layers, np.uint64), return_counts=True)
+    return Ends(
+        shape=_copy(scheme.source, dtype),
+        keep=_scalar(scheme.keep, dtype=dtype),
+        layer=setup.source_layer,
+        planes=planes,
+        plane_of=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        weights=_copy(np.asarray(scheme.probe_weights)[:, :, order], dtype),
+    )

@@ -1,0 +1,183 @@
+"""A convolutional perfectly matched layer along the tube's axis.
+
+The layer stretches the axial coordinate, d/dz -> (1/s) d/dz, with the complex-frequency-shifted
+s = kappa + sigma / (alpha + i omega). Its inverse transform is d/dz / kappa plus a convolution
+with a decaying exponential, updated recursively (Roden and Gedney 2000):
+
+    psi <- b psi + a d/dz,  b = exp(-(sigma/kappa + alpha) dt),
+    a = sigma (b - 1) / (kappa (sigma + kappa alpha)).
+
+Only the layers hold velocities and memories; the bulk is marched without them.
+
+Measured with a 20 mm layer in float32 on 20 cells across a 7.9 mm bore, by difference to a longer
+tube: (1,1) -91 dB at 27 kHz, -130 at 30 and -139 at 42 kHz; (2,1), cut-on 42.24 kHz, -76 dB at
+43 kHz, -83 at 44 and -106 at 46 kHz. Still closer to a cut-on a wave is too slow to be judged.
+
+References
+----------
+Roden, J. A. and Gedney, S. D. (2000). Convolution PML (CPML): an efficient FDTD implementation of
+the CFS-PML for arbitrary media. Microwave and Optical Technology Letters 27, 334-339.
+doi:10.1002/1098-2760(20001205)27:5<334::AID-MOP14>3.0.CO;2-A
+"""
+
+from __future__ import annotations
+
+from math import ceil, log, pi
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.scheme.operator import (
+    Operator,
+    axial_difference,
+    axial_divergence,
+    transverse_divergence,
+)
+
+LEAD = 3  # undamped layers, so that layer and bulk see the same velocities at their seam
+GRADING = 3  # power of the depth; a jump would reflect
+REFLECTION = 1e-12  # of a plane wave, in the continuum; a mode near its cut-on keeps a power of it
+STRETCH = 4.0  # kappa at the back, which shortens evanescent modes
+SHIFT = 2.0 * pi * 2e3  # alpha at the front in 1/s, well below the carrier
+
+
+class Stretch(NamedTuple):
+    """Recursion coefficients b, a and 1 / kappa of an axial layer, each (1, 1, n)."""
+
+    decay: jax.Array
+    gain: jax.Array
+    inverse: jax.Array
+
+
+class Absorber(NamedTuple):
+    """Coefficients and state of one layer of n cells at one end of the grid.
+
+    Attributes
+    ----------
+    cells, faces : Stretch
+        Coefficients at cell centres (1, 1, n) and axial faces (1, 1, n+3).
+    transverse : Array
+        Pressure change per step by flow across the tube, (nx, ny, n).
+    velocity : Array
+        Sum of the stretched axial pressure differences over the steps, (nx, ny, n+3).
+    face_memory, cell_memory : Array
+        Convolution memories of the pressure's and the velocity's derivative.
+    """
+
+    cells: Stretch
+    faces: Stretch
+    transverse: jax.Array
+    velocity: jax.Array
+    face_memory: jax.Array
+    cell_memory: jax.Array
+
+
+def absorber_layers(thickness: float, axial_spacing: float) -> int:
+    """Return how many cell layers an absorber takes."""
+    return LEAD + ceil(thickness / axial_spacing - 1e-9)
+
+
+def absorber(
+    across: tuple[int, int],
+    n_layers: int,
+    axial_spacing: float,
+    time_step: float,
+    sound_speed: float,
+    *,
+    at_source: bool,
+    dtype: DTypeLike = jnp.float32,
+) -> Absorber:
+    """Return a layer at rest.
+
+    Parameters
+    ----------
+    across : tuple of int
+        Cells across the tube (nx, ny).
+    n_layers : int
+        Cell layers including the undamped lead, see `absorber_layers`.
+    axial_spacing, time_step, sound_speed : float
+        In m, s and m/s.
+    at_source : bool
+        The layer lies before z = 0 and deepens towards smaller z.
+    dtype : dtype
+        Precision of the state.
+
+    Returns
+    -------
+    Absorber
+        Coefficients and vanishing memories.
+    """
+    thickness = (n_layers - LEAD) * axial_spacing
+    centres = (np.arange(n_layers) + 0.5 - LEAD) * axial_spacing
+    faces = (np.arange(-1, n_layers + 2) - float(LEAD)) * axial_spacing
+    if at_source:
+        centres, faces = centres[::-1], faces[::-1]
+    stretches = [
+        Stretch(*(jnp.asarray(c[None, None], dtype) for c in coefficients))
+        for coefficients in (
+            _recursion(depth, thickness, time_step, sound_speed) for depth in (centres, faces)
+        )
+    ]
+    at_cells, at_faces = (jnp.zeros((*across, n), dtype) for n in (n_layers, n_layers + 3))
+    in_cells, in_faces = stretches
+    return Absorber(in_cells, in_faces, at_cells, at_faces, at_faces, at_cells)
+
+
+def _recursion(
+    depth: Array, thickness: float, time_step: float, sound_speed: float
+) -> tuple[Array, Array, Array]:
+    """Return b, a and 1 / kappa at depths behind the layer's front."""
+    share = np.clip(depth / thickness, 0.0, 1.0)
+    # The two-way attenuation exp(-2/c int sigma dz) of a plane wave shall be REFLECTION.
+    strongest = -(GRADING + 1) * sound_speed * log(REFLECTION) / (2.0 * thickness)
+    sigma = strongest * share**GRADING
+    kappa = 1.0 + (STRETCH - 1.0) * share**GRADING
+    alpha = SHIFT * (1.0 - share)
+    decay = np.exp(-(sigma / kappa + alpha) * time_step)
+    gain = sigma * (decay - 1.0) / (kappa * np.maximum(sigma + kappa * alpha, 1e-300))
+    return decay, gain, 1.0 / kappa
+
+
+def absorb(
+    state: Absorber, pressure: jax.Array, operator: Operator, step_squared: jax.Array
+) -> tuple[Absorber, jax.Array]:
+    """Advance a layer by one step.
+
+    Parameters
+    ----------
+    state : Absorber
+        The layer.
+    pressure : Array
+        Pressure in and around the layer, with halo, (nx+2, ny+2, n+4).
+    operator : Operator
+        Coefficients of the layer's cells.
+    step_squared : Array
+        Time step squared in s2.
+
+    Returns
+    -------
+    state : Absorber
+        The advanced layer.
+    change : Array
+        Change of the pressure over this step, (nx, ny, n).
+    """
+    weight = step_squared * operator.inverse_volume
+    across = transverse_divergence(pressure, operator.area_x, operator.area_y)
+    transverse = state.transverse + weight * across
+    difference = axial_difference(pressure)
+    face_memory = state.faces.decay * state.face_memory + state.faces.gain * difference
+    velocity = state.velocity + state.faces.inverse * difference + face_memory
+    balance = axial_divergence(velocity, operator.area_z, operator.beta)
+    cell_memory = state.cells.decay * state.cell_memory + state.cells.gain * balance
+    change = transverse + weight * (state.cells.inverse * balance + cell_memory)
+    advanced = state._replace(
+        transverse=transverse,
+        velocity=velocity,
+        face_memory=face_memory,
+        cell_memory=cell_memory,
+    )
+    return advanced, change

@@ -1,0 +1,242 @@
+"""The discrete problem: grid with its ends, coefficients and state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import DTypeLike
+
+from acoustube.air import Air
+from acoustube.waves.grid.cells import CutCells, with_straight_ends
+from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.grid.small_cells import share_small_volumes
+from acoustube.waves.scheme.losses import Losses, Memory, losses
+from acoustube.waves.scheme.operator import Operator, assemble, dispersion_coefficient, with_halo
+from acoustube.waves.scheme.pml import Absorber, absorber, absorber_layers
+from acoustube.waves.scheme.time_step import marching_step
+
+SourceEnd = Literal["release", "absorbing", "rigid"]
+FarEnd = Literal["absorbing", "rigid"]
+FADING = 8e-3
+"""Length in m over which losses fade towards an absorber."""
+
+
+class State(NamedTuple):
+    """What changes from step to step.
+
+    Attributes
+    ----------
+    pressure : Array
+        With halo, (nx+2, ny+2, nz+4), in Pa.
+    change : Array
+        Pressure change over the last step, sources excluded, (nx, ny, nz), in Pa.
+    before, behind : Absorber or None
+        Absorbing layers at the source end and at the far end.
+    memory : Memory or None
+        What the losses remember.
+    """
+
+    pressure: jax.Array
+    change: jax.Array
+    before: Absorber | None
+    behind: Absorber | None
+    memory: Memory | None
+
+
+class Scheme(NamedTuple):
+    """What stays during a run.
+
+    Attributes
+    ----------
+    operator : Operator
+        Spatial operator.
+    step_squared : Array
+        Time step squared in s2.
+    keep, source : Array
+        The source layer becomes keep * pressure + source * signal; scalar and (nx, ny).
+    probe_layers : Array
+        Layer indices of the probes, (n_probes,).
+    probe_weights : Array
+        Volume weights of the plane average, (nx, ny, n_probes).
+    losses : Losses or None
+        At the wall and in the air.
+    """
+
+    operator: Operator
+    step_squared: jax.Array
+    keep: jax.Array
+    source: jax.Array
+    probe_layers: jax.Array
+    probe_weights: jax.Array
+    losses: Losses | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Setup:
+    """A lumen with its ends, ready to march.
+
+    Attributes
+    ----------
+    cells : CutCells
+        The grid as marched: small cells relieved, absorbers appended.
+    scheme : Scheme
+        Coefficients.
+    state : State
+        Silence, with the absorbers' coefficients.
+    time_step : float
+        In s.
+    source_layer : int
+        Index of the layer at z = 0.
+    probes : tuple of float
+        Positions of the probed layers in m.
+    """
+
+    cells: CutCells
+    scheme: Scheme
+    state: State
+    time_step: float
+    source_layer: int
+    probes: tuple[float, ...]
+
+
+def prepare(
+    cells: CutCells,
+    air: Air,
+    *,
+    probes: tuple[float, ...],
+    source_end: SourceEnd = "release",
+    far_end: FarEnd = "absorbing",
+    absorber_thickness: float = 0.02,
+    time_step: float | None = None,
+    lossy_band: tuple[float, float] | None = None,
+    dtype: DTypeLike = jnp.float32,
+) -> Setup:
+    """Build the discrete problem.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The lumen, exact fractions.
+    air : Air
+        Gas in the lumen.
+    probes : tuple of float
+        Probe positions in m; each is moved to the nearest cell layer.
+    source_end : {"release", "absorbing", "rigid"}
+        Prescribed pressure at z = 0; a source at z = 0 that launches one wave into the tube and
+        absorbs what returns; or a rigid cap half a cell before z = 0, for problems that start
+        from an initial pressure.
+    far_end : {"absorbing", "rigid"}
+        Straight continuation into an absorber, or a cap at z = L.
+    absorber_thickness : float
+        In m.
+    time_step : float, optional
+        In s; the default is `stable_step`.
+    lossy_band : tuple of float, optional
+        Frequencies in Hz between which the losses at the wall and in the air shall be right;
+        without it there are none.
+    dtype : dtype
+        Precision of the fields.
+
+    Returns
+    -------
+    Setup
+        Coefficients and silence.
+
+    Raises
+    ------
+    ValueError
+        If an end is unknown or a probe lies outside the tube.
+    """
+    _check_ends(source_end, far_end)
+    layers = absorber_layers(absorber_thickness, cells.spacing[2])
+    ahead = layers if source_end == "absorbing" else 0
+    behind = layers if far_end == "absorbing" else None
+    nodes = [_layer(cells, probe) for probe in probes]
+    exact = with_straight_ends(cells, ahead, behind)
+    whole = share_small_volumes(exact)
+    step = marching_step(whole, air) if time_step is None else time_step
+    across, dz = whole.shape[:2], cells.spacing[2]
+    ends = [
+        absorber(across, layers, dz, step, air.sound_speed, at_source=at_source, dtype=dtype)
+        if present
+        else None
+        for at_source, present in ((True, bool(ahead)), (False, behind is not None))
+    ]
+    silence = jnp.zeros(whole.shape, dtype)
+    scheme = _scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype)
+    lost, memory = None, None
+    if lossy_band is not None:
+        share = _fading(whole.shape[2], ahead, behind or 0, round(FADING / dz))
+        lost, memory = losses(
+            whole, exact, scheme.operator, air, step, lossy_band, share=share, dtype=dtype
+        )
+    return Setup(
+        cells=whole,
+        scheme=scheme._replace(losses=lost),
+        state=State(with_halo(silence), silence, ends[0], ends[1], memory),
+        time_step=step,
+        source_layer=ahead,
+        probes=tuple(k * dz for k in nodes),
+    )
+
+
+def _scheme(
+    cells: CutCells,
+    air: Air,
+    step: float,
+    source_end: SourceEnd,
+    source_layer: int,
+    probe_layers: list[int],
+    dtype: DTypeLike,
+) -> Scheme:
+    """Return the coefficients of a grid whose ends are in place."""
+    operator = assemble(cells, air, dispersion_coefficient(cells, air, step), dtype=dtype)
+    released = source_end == "release"
+    if released:  # the prescribed layer shall not answer to its neighbour
+        inverse = operator.inverse_volume.at[:, :, source_layer].set(0.0)
+        operator = operator._replace(inverse_volume=inverse)
+    volume = cells.volume_fraction
+    lit = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
+    weights = volume[:, :, probe_layers]
+    return Scheme(
+        operator=operator,
+        step_squared=jnp.asarray(step**2, dtype),
+        keep=jnp.asarray(0.0 if released else 1.0, dtype),
+        source=jnp.asarray(lit, dtype),
+        probe_layers=jnp.asarray(probe_layers, jnp.int32),
+        probe_weights=jnp.asarray(weights / weights.sum(axis=(0, 1)), dtype),
+        losses=None,
+    )
+
+
+def _fading(n_layers: int, ahead: int, behind: int, fade: int) -> Array:
+    """Return by how much losses act in each layer: not in absorbers, and fading towards them.
+
+    The absorbers are made for air without losses; at a sudden end of the losses sound is reflected.
+    The two layers beside an absorber, which its stencil reaches, are without losses too.
+    """
+    distance = np.full(n_layers, np.inf)
+    if ahead:
+        distance = np.minimum(distance, np.arange(n_layers) - ahead)
+    if behind:
+        distance = np.minimum(distance, n_layers - 1 - behind - np.arange(n_layers))
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip((distance - 1.0) / max(fade - 1, 1), 0.0, 1.0))
+
+
+def _check_ends(source_end: str, far_end: str) -> None:
+    """Refuse ends that do not exist."""
+    if source_end not in ("release", "absorbing", "rigid"):
+        raise ValueError(f'source_end = "{source_end}"; use "release", "absorbing" or "rigid"')
+    if far_end not in ("absorbing", "rigid"):
+        raise ValueError(f'far_end = "{far_end}"; use "absorbing" or "rigid"')
+
+
+def _layer(cells: CutCells, probe: float) -> int:
+    """Return the cell layer nearest to a probe."""
+    if not 0.0 <= probe <= cells.length:
+        raise ValueError(f"probe = {probe} m lies outside the tube; use 0 to {cells.length:.4g} m")
+    return min(round(probe / cells.spacing[2]), cells.shape[2] - 1)
