@@ -625,3 +625,18 @@ def test_page_fits_phone_tablet_and_desktop(opened, size):
         assert box["width"] > 250
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= size[0]
+
+
+def test_chart_fills_its_figure_where_a_run_has_no_reflection(browser, press, tmp_path):
+    """The figure of the area takes the whole row then, before the chart is drawn in it."""
+    page = write.write_page(press, tmp_path / "press.html")
+    tab = browser.new_page(viewport={"width": 1440, "height": 900})
+    tab.goto(page.as_uri())
+    tab.wait_for_function("() => document.body.dataset.drawn")
+    wide, figure = (
+        tab.evaluate(f"document.querySelector('{name}').getBoundingClientRect().width")
+        for name in ("#area .main-svg", "#area-figure")
+    )
+    tab.close()
+    assert figure > 1000
+    assert wide > 0.9 * figure
