@@ -166,13 +166,13 @@ def test_digest_of_a_module_that_is_gone_fails(package):
 @pytest.mark.parametrize(
     ("kind", "module"),
     [
-        ("press", "surfaces"),
+        ("press", "base.surfaces"),
         ("press", "indentation.tetrahedra"),
         ("press", "indentation.contact"),
         ("scattering", "air"),
-        ("scattering", "lumen"),
-        ("scattering", "waves.scheme"),
-        ("scattering", "waves.column_kernel"),
+        ("scattering", "lumen.surface"),
+        ("scattering", "waves.scheme.problem"),
+        ("scattering", "waves.scheme.cpu_kernel"),
     ],
 )
 def test_every_stage_of_a_result_counts_in_its_key(kind, module, tmp_path):
@@ -189,7 +189,7 @@ def test_every_stage_of_a_result_counts_in_its_key(kind, module, tmp_path):
 
 
 COMPILE = """
-from acoustube.cache import keep_compiled_code
+from acoustube.base.cache import keep_compiled_code
 keep_compiled_code()
 import jax
 print(float(jax.jit(lambda x: x + 1)(1.0)), jax.config.jax_compilation_cache_dir)

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from platformdirs import user_cache_path
 
+import acoustube
 from acoustube.base.errors import ConfigError
 
 if TYPE_CHECKING:  # the command line lists and clears without NumPy
@@ -128,7 +129,7 @@ def _code(kind: str) -> str:
     # Slow to import, and the command line's help needs neither.
     from importlib.metadata import version
 
-    found = code_digest(Path(__file__).parents[1], CODE[kind])
+    found = code_digest(Path(acoustube.__file__).parents[1], CODE[kind])
     return " ".join([found, *(version(library) for library in LIBRARIES)])
 
 
