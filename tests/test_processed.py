@@ -11,8 +11,8 @@ from test_calibration import PLACES, blocked, untouched
 from test_pipeline import RATE, TIME, cycles_at
 
 from acoustube import signals
-from acoustube.cli import process as process_command
 from acoustube.cli._app import main
+from acoustube.runs import recordings
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 DISTANCES = np.linspace(0.3, 1.9, 7)
@@ -239,7 +239,7 @@ def test_recording_that_fails_in_a_later_piece_leaves_no_rows(names, monkeypatch
         return whole(time, cycles, *words, **options)
 
     monkeypatch.setattr(signals, "locate", locate)
-    monkeypatch.setattr(process_command, "CHUNK", 5)
+    monkeypatch.setattr(recordings, "CHUNK", 5)
     save("a.npz", fails)
     save("b.npz", cycles_at(DISTANCES))
     alone = len(names) == 1

@@ -392,13 +392,13 @@ def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
 )
 def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, monkeypatch):
     """Until one in a hundred or fewer are; of three that have more, the best is taken."""
-    shape, drawn = boundary_nodes._quadratic, []
+    shape, drawn = boundary_nodes.quadratic, []
 
     def astray(*piece):
         drawn.append(shape(*piece)[0])
         return drawn[-1], shares[len(drawn) - 1]
 
-    monkeypatch.setattr(tetrahedra, "_quadratic", astray)
+    monkeypatch.setattr(tetrahedra, "quadratic", astray)
     monkeypatch.setattr(tetrahedra, "_qualities", lambda *_: np.ones(1))
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 3)
     size = TetrahedronSize(fine=1.5, coarse=1.5)
@@ -408,9 +408,9 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
 
 
 def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkeypatch):
-    """Such a node would stay unconstrained; `_quadratic` reports it as a share of one."""
-    shape = boundary_nodes._quadratic
-    monkeypatch.setattr(tetrahedra, "_quadratic", lambda *piece: (shape(*piece)[0], 1.0))
+    """Such a node would stay unconstrained; `quadratic` reports it as a share of one."""
+    shape = boundary_nodes.quadratic
+    monkeypatch.setattr(tetrahedra, "quadratic", lambda *piece: (shape(*piece)[0], 1.0))
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 2)
     size = TetrahedronSize(fine=1.5, coarse=1.5)
     with pytest.raises(ConfigError):
