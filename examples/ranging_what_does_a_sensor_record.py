@@ -24,13 +24,13 @@ from acoustube import ranging, recordings, signals
 from acoustube.lumen import pressed_part
 from acoustube.runs.presses import pressed
 from acoustube.runs.sound import air_of, scattering_of
-from acoustube.waves import Placed
+from acoustube.waves import PlacedScatterer
 
 TRUE_DISTANCE, LENGTH, BORE = 0.4, 1.2, 7.9e-3
 config = acoustube.load_config(indenter_mm=10, depth_mm=5, mesh="coarse")
 part = pressed_part(pressed(config, [5e-3]))
 matrix, _ = scattering_of(part, air_of(config), (27e3, 57e3), bore=BORE, resolution=11, lossy=True)
-press = Placed(matrix, TRUE_DISTANCE)
+press = PlacedScatterer(matrix, TRUE_DISTANCE)
 
 # %%
 # The recording, and the clean cycle

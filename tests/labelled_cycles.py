@@ -11,7 +11,7 @@ import xarray as xr
 
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.signals import Processing
-from acoustube.waves import Placed
+from acoustube.waves import PlacedScatterer
 
 BAND = np.arange(28e3, 56.1e3, 500.0)
 SENSOR = Rangefinder(clutter=1e-6)
@@ -25,7 +25,7 @@ def press(depth, position):
     s = np.zeros_like(closed.s)
     s[:, (0, 1), 0, (0, 1), 0] = share[:, None]
     s[:, (0, 1), 0, (1, 0), 0] = 1j * np.sqrt(1 - share**2)[:, None]
-    return Placed(replace(closed, s=s), position)
+    return PlacedScatterer(replace(closed, s=s), position)
 
 
 def cycles(n_presses, *, seed=0, n_cycles=1, tube="a", farthest=1.2, stiffness=600.0):

@@ -11,7 +11,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.sleeve.ovalisation import cut_on_shift
 from acoustube.waves import (
     Bent,
-    Placed,
+    PlacedScatterer,
     axial_wavenumber,
     bend,
     cut_on_frequency,
@@ -151,8 +151,8 @@ def test_two_halves_of_a_bend_make_the_whole_in_a_cascade():
             lossy=False,
         )
         for placed in (
-            [Placed(half, 0.2 - step), Placed(half, 0.2 + step * (1 + 1e-12))],
-            [Placed(whole, 0.2)],
+            [PlacedScatterer(half, 0.2 - step), PlacedScatterer(half, 0.2 + step * (1 + 1e-12))],
+            [PlacedScatterer(whole, 0.2)],
         )
     ]
     assert heard[0] == pytest.approx(heard[1], abs=4e-3)

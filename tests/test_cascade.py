@@ -9,20 +9,20 @@ from wave_lumens import BORE, pinched_tube
 
 from acoustube.air import Air, air_at
 from acoustube.waves import (
-    Placed,
+    PlacedScatterer,
     Pulse,
     Scattering,
     axial_wavenumber,
     cut_cells,
     cut_on_frequency,
     grid_spacing,
-    heard,
+    probe_pressure,
     propagate,
     scatter,
     transfer,
 )
 from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.network import continued
+from acoustube.waves.network import interpolate_scattering
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """That of the table below."""
@@ -65,7 +65,7 @@ def test_group_delay_over_five_metres_is_that_of_the_lossy_plane_mode():
     late = -(off[2] - off[0]) / (2 * np.pi * 2e3)
     assert abs(late) * 342 < 1e-3
     exact = -(wanted[2] - wanted[0]) / (2 * np.pi * 2e3)
-    time, pressure = heard([], AIR, PULSE, duration=16e-3, probes=(0.0, 5.0), **tube())
+    time, pressure = probe_pressure([], AIR, PULSE, duration=16e-3, probes=(0.0, 5.0), **tube())
     first, second = (np.abs(np.fft.ifft(2 * np.fft.fft(p) * (np.arange(p.size) < p.size / 2)))
                      for p in pressure)  # fmt: skip
     centres = [np.sum(time * env**4) / np.sum(env**4) for env in (first, second)]
@@ -77,7 +77,7 @@ def test_two_presses_make_a_resonator(lossy):
     """Airy's sum of all echoes between two mirrors."""
     frequency = np.linspace(30e3, 50e3, 401)
     r, gap = 0.6, 0.2
-    presses = [Placed(mirror(r, frequency), z) for z in (0.5 + gap, 0.5)]
+    presses = [PlacedScatterer(mirror(r, frequency), z) for z in (0.5 + gap, 0.5)]
     answer = transfer(
         presses, AIR, frequency, probes=(0.1, 2.0), source_reflection=0.0, lossy=lossy, **tube()
     )
@@ -113,7 +113,7 @@ def test_modes_that_meet_again_keep_their_power():
     for z in (0.5, 0.8):
         noise = rng.normal(size=(4, 4)) + 1j * rng.normal(size=(4, 4))
         unitary, _ = np.linalg.qr(noise)
-        presses.append(Placed(made(frequency, np.tile(unitary, (21, 1, 1)), modes), z))
+        presses.append(PlacedScatterer(made(frequency, np.tile(unitary, (21, 1, 1)), modes), z))
     far = [[1.0], [0.0]]
     # The far end lets all through: the power there is that of both modes behind the last press.
     from acoustube.waves import network
@@ -124,8 +124,8 @@ def test_modes_that_meet_again_keep_their_power():
     )
     matrices = [press.scattering.s for press in presses]
     lengths = np.array([0.5, 0.3, 0.2])
-    beyond = network._reflections(matrices, waves, lengths, 0.0)
-    forward = network._forward(matrices, waves, lengths, beyond, 0.0, 0)
+    beyond = network._load_reflections(matrices, waves, lengths, 0.0)
+    forward = network._forward_waves(matrices, waves, lengths, beyond, 0.0, 0)
     reflected = np.sum(np.abs(beyond[0].at_start @ np.array(far)) ** 2, axis=(1, 2))
     passed = np.sum(np.abs(forward[2]) ** 2, axis=(1, 2))
     assert reflected + passed == pytest.approx(np.ones(21), rel=1e-9)
@@ -141,9 +141,11 @@ def test_scattering_between_its_frequencies_is_that_of_its_response():
     s = np.zeros((len(frequency), 2, 2), complex)
     s[:, 0, 0] = np.exp(-2j * np.pi * frequency * delay)
     press = made(frequency, s)
-    assert continued(press, frequency)[:, 0, 0, 0, 0] == pytest.approx(s[:, 0, 0], rel=1e-9)
+    assert interpolate_scattering(press, frequency)[:, 0, 0, 0, 0] == pytest.approx(
+        s[:, 0, 0], rel=1e-9
+    )
     for eta in (0.0, 500.0):
-        found = continued(press, between - 1j * eta / (2 * np.pi))[:, 0, 0, 0, 0]
+        found = interpolate_scattering(press, between - 1j * eta / (2 * np.pi))[:, 0, 0, 0, 0]
         wanted = np.exp((-2j * np.pi * between - eta) * delay)
         assert found == pytest.approx(wanted, abs=1e-2)
 
@@ -162,7 +164,7 @@ FREQUENCY = np.arange(25e3, 59.1e3, 200.0)
     ],
 )
 def test_presses_and_probes_that_collide_are_refused(positions, words, part):
-    presses = [Placed(mirror(0.5, FREQUENCY), z) for z in positions]
+    presses = [PlacedScatterer(mirror(0.5, FREQUENCY), z) for z in positions]
     with pytest.raises(ValueError, match=part):
         transfer(presses, AIR, FREQUENCY, **tube(**words))
 
@@ -174,27 +176,32 @@ def test_even_frequencies_by_the_chirp_transform_are_those_one_by_one():
     s = rng.normal(size=(2, len(given), 4)) * [[[1]], [[1j]]]
     press = made(given, s.sum(axis=0))
     wanted = np.arange(32e3, 48e3, 37.5) - 40j
-    together = continued(press, wanted)
+    together = interpolate_scattering(press, wanted)
     assert together == pytest.approx(
-        np.concatenate([continued(press, wanted[i : i + 1]) for i in range(len(wanted))]), abs=1e-9
+        np.concatenate(
+            [interpolate_scattering(press, wanted[i : i + 1]) for i in range(len(wanted))]
+        ),
+        abs=1e-9,
     )
 
 
 def test_frequencies_that_a_press_does_not_know_are_refused():
-    press = Placed(mirror(0.5, FREQUENCY), 0.3)
+    press = PlacedScatterer(mirror(0.5, FREQUENCY), 0.3)
     with pytest.raises(ValueError, match="outside the band of a press, 25000 to 59000 Hz"):
         transfer([press], AIR, np.array([20e3, 30e3]), **tube())
     with pytest.raises(ValueError, match=r"of the energy of the pulse lies outside 25"):
-        heard([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
+        probe_pressure([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
     with pytest.raises(ValueError, match=r"pulse lasts 0.2619 ms, longer than the run"):
-        heard([press], AIR, PULSE, duration=0.2e-3, **tube())
-    other = Placed(made(FREQUENCY, np.zeros((len(FREQUENCY), 4, 4), complex), ("00", "11c")), 0.5)
+        probe_pressure([press], AIR, PULSE, duration=0.2e-3, **tube())
+    other = PlacedScatterer(
+        made(FREQUENCY, np.zeros((len(FREQUENCY), 4, 4), complex), ("00", "11c")), 0.5
+    )
     with pytest.raises(ValueError, match="different modes, 00 and 00, 11c"):
         transfer([press, other], AIR, FREQUENCY, **tube())
 
 
 def test_presses_of_another_tube_or_air_are_refused():
-    press = Placed(mirror(0.5, FREQUENCY), 0.3)
+    press = PlacedScatterer(mirror(0.5, FREQUENCY), 0.3)
     for words, part in (
         ({"radius": 0.0}, "radius = 0.0 m must be positive"),
         ({"air": air_at(50.0)}, "computed for sound at 343.20 m/s"),
@@ -204,20 +211,20 @@ def test_presses_of_another_tube_or_air_are_refused():
             transfer([press], air, FREQUENCY, **tube(**words))
     s = np.zeros((len(FREQUENCY), 4, 4), complex)
     press = replace(made(FREQUENCY, s, ("00", "11c")), cut_ons=np.array([0.0, 25.4e3]))
-    transfer([Placed(press, 0.3)], AIR, FREQUENCY, **tube())
+    transfer([PlacedScatterer(press, 0.3)], AIR, FREQUENCY, **tube())
     with pytest.raises(ValueError, match=r"radius = 0.008 m is not that of the press at 0.3 m"):
-        transfer([Placed(press, 0.3)], AIR, FREQUENCY, **tube(radius=8e-3))
+        transfer([PlacedScatterer(press, 0.3)], AIR, FREQUENCY, **tube(radius=8e-3))
 
 
 def test_frequencies_too_far_apart_or_uneven_are_refused():
     """Apart by 500 Hz only where a mode cuts on among them: (2,1) at 42.2 kHz."""
     coarse, uneven = np.arange(30e3, 51e3, 500.0), np.geomspace(30e3, 51e3, 300)
-    continued(mirror(0.5, coarse), coarse)
+    interpolate_scattering(mirror(0.5, coarse), coarse)
     two_modes = made(coarse, np.zeros((len(coarse), 4, 4), complex), ("00", "21c"))
     with pytest.raises(ValueError, match="steps of 500 Hz are too coarse"):
-        continued(two_modes, coarse)
+        interpolate_scattering(two_modes, coarse)
     with pytest.raises(ValueError, match="must be evenly spaced"):
-        continued(mirror(0.5, uneven), uneven)
+        interpolate_scattering(mirror(0.5, uneven), uneven)
 
 
 def twice_pinched(length, pinches):
@@ -252,8 +259,8 @@ def test_two_presses_echo_as_in_a_run_of_the_whole_tube():
     for centre, depth in pinches:
         part = cut_cells(pinched_tube(0.05, depth=depth), spacing)
         s = scatter(part, air, frequency, reference=(0.025, 0.025), symmetric_only=True)
-        presses.append(Placed(s, centre))
-    _, pressure = heard(
+        presses.append(PlacedScatterer(s, centre))
+    _, pressure = probe_pressure(
         presses, air, pulse, radius=BORE, length=length, duration=run.time[-1],
         time_step=run.time_step, probes=run.probes, source_reflection=0.0,
     )  # fmt: skip

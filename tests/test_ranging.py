@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.netcdf import write_dataset
 from acoustube.ranging import IDEAL, Burst, Rangefinder, blockage, clutter, record, response
 from acoustube.signals.peaks import _refine
-from acoustube.waves import Placed, Pulse, SampledPulse, axial_wavenumber
+from acoustube.waves import PlacedScatterer, Pulse, SampledPulse, axial_wavenumber
 
 BORE = 3.95e-3
 BAND = np.array([10.0, 99.99e3])
@@ -30,7 +30,7 @@ def partial(reflection, position):
     s = np.zeros_like(closed.s)
     s[:, (0, 1), 0, (0, 1), 0] = reflection
     s[:, (0, 1), 0, (1, 0), 0] = 1j * np.sqrt(1 - reflection**2)
-    return Placed(replace(closed, s=s), position)
+    return PlacedScatterer(replace(closed, s=s), position)
 
 
 def echo(presses, rangefinder, **words):

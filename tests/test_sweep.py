@@ -31,8 +31,8 @@ from acoustube.runs.sweep import tasks as sweep_tasks
 from acoustube.runs.sweep.graph import Case, structured
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
-from acoustube.waves import Placed, cut_cells, scatter
-from acoustube.waves.network import rescaled
+from acoustube.waves import PlacedScatterer, cut_cells, scatter
+from acoustube.waves.network import at_sound_speed
 
 # Two shallow presses and the untouched tube, at a low frequency on a coarse grid: seconds each.
 SMALL = ["--depth", "0", "0.3", "0.6", "--position", "15", "25", "--frequency", "20"]
@@ -80,7 +80,7 @@ def test_cases_are_what_simulate_computes(finished):
             bore=7.9e-3, resolution=8, lossy=True,
         )  # fmt: skip
         position = 1e-2 * config.indentation.position_cm
-        same = sound.joined(config, [Placed(matrix, position)])
+        same = sound.joined(config, [PlacedScatterer(matrix, position)])
         alone, _ = sound.listen_by_parts(config, part)
         for end in sound.SOURCE_ENDS:
             found = case["pressure"].sel(source_end=end).values
@@ -366,7 +366,7 @@ def test_scattering_of_another_air_is_that_of_the_same_wavelengths():
     for lossy, tolerance in ((False, 2e-6), (True, 2e-3)):
         found = scatter(cells, cold, frequency, lossy=lossy, symmetric_only=True)
         direct = scatter(cells, warm, ratio * frequency, lossy=lossy, symmetric_only=True)
-        moved = rescaled(found, warm.sound_speed)
+        moved = at_sound_speed(found, warm.sound_speed)
         np.testing.assert_allclose(moved.frequency, direct.frequency)
         assert np.abs(moved.s - direct.s).max() < tolerance
     # And it is not as good to leave the frequencies as they are.

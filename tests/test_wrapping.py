@@ -7,7 +7,7 @@ from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
 from acoustube.sleeve import Helix, winding, wrapped
 from acoustube.tube import Tube
-from acoustube.waves import Bent, Placed, cut_on_frequency, joined_bends, transfer
+from acoustube.waves import Bent, PlacedScatterer, cut_on_frequency, joined_bends, transfer
 from acoustube.waves.scattering import ModalScattering
 
 AIR, BORE, REACH = air_at(20.0), 3.95e-3, 0.03
@@ -24,7 +24,7 @@ def press(position, reflection=0.0):
     s = np.zeros((len(BAND), 2, n, 2, n), complex)
     for i in range(n):
         s[:, :, i, :, i] = [[reflection, through], [through, reflection]]
-    return Placed(
+    return PlacedScatterer(
         ModalScattering(
             frequency=BAND,
             modes=MODES,
@@ -76,8 +76,8 @@ def test_loops_in_a_row_pass_the_plane_wave_as_one_bend_does():
     whole = joined_bends(AIR, BAND, [part], radius=BORE, modes=MODES, highest=8.0)
     assert len(pieces) == n
     at = even.tube_length + 0.01
-    there = passed([Placed(whole, even.tube_length / 2 + 1e-6)], at)
-    here = passed([Placed(p.scattering, p.position + 1e-6) for p in pieces], at)
+    there = passed([PlacedScatterer(whole, even.tube_length / 2 + 1e-6)], at)
+    here = passed([PlacedScatterer(p.scattering, p.position + 1e-6) for p in pieces], at)
     assert np.abs(here - there).max() < 0.02 * np.abs(there).max()
 
 

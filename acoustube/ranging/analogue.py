@@ -12,7 +12,13 @@ from acoustube.air import Air, air_at
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.network import FADED, Placed, continued, in_band, transfer
+from acoustube.waves.network import (
+    WRAPAROUND_ATTENUATION,
+    PlacedScatterer,
+    interpolate_scattering,
+    transfer,
+)
+from acoustube.waves.network_checks import in_band
 from acoustube.waves.scattering import Complex, Scattering
 from acoustube.waves.scheme.pulse import check_duration
 
@@ -26,7 +32,7 @@ CYCLE = 2
 """Computed time, which is cyclic, in records."""
 
 
-def blockage(frequency: Array, position: float) -> Placed:
+def blockage(frequency: Array, position: float) -> PlacedScatterer:
     """Return a rigid closure of the bore, as used for calibration.
 
     Parameters
@@ -38,7 +44,7 @@ def blockage(frequency: Array, position: float) -> Placed:
 
     Returns
     -------
-    Placed
+    PlacedScatterer
         The plane mode is reflected whole, with its sign, and nothing passes. No length.
     """
     frequency = np.asarray(frequency, float)
@@ -50,11 +56,11 @@ def blockage(frequency: Array, position: float) -> Placed:
         cut_ons=np.zeros(1), settled=np.ones(s.shape, bool), sound_speed=np.nan,
         extent=(0.0, 0.0), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0, time_step=np.nan,
     )  # fmt: skip
-    return Placed(closed, position)
+    return PlacedScatterer(closed, position)
 
 
 def clutter(
-    presses: Sequence[Placed],
+    presses: Sequence[PlacedScatterer],
     air: Air,
     frequency: Complex,
     *,
@@ -67,7 +73,7 @@ def clutter(
 
     Parameters
     ----------
-    presses : sequence of Placed
+    presses : sequence of PlacedScatterer
         Behind a press the sound is what it lets pass, both ways.
     air : Air
     frequency : ndarray
@@ -100,7 +106,10 @@ def clutter(
     for press in sorted(presses, key=lambda press: -press.position):
         first = min(int(press.position / GRAIN + 0.5), behind)
         _add_up(total, step, reflectors[first:behind])
-        plane, s = press.scattering.modes.index("00"), continued(press.scattering, frequency)
+        plane, s = (
+            press.scattering.modes.index("00"),
+            interpolate_scattering(press.scattering, frequency),
+        )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
         behind = first
     _add_up(total, step, reflectors[:behind])
@@ -115,7 +124,7 @@ def _add_up(total: Complex, step: Complex, reflectors: Array) -> None:
 
 
 def response(
-    presses: Sequence[Placed],
+    presses: Sequence[PlacedScatterer],
     rangefinder: Rangefinder,
     *,
     radius: float = 3.95e-3,
@@ -127,7 +136,7 @@ def response(
 
     Parameters
     ----------
-    presses : sequence of Placed
+    presses : sequence of PlacedScatterer
         None for an untouched tube.
     rangefinder : Rangefinder
     radius, length : float
@@ -158,7 +167,7 @@ def response(
     rate, n = rangefinder.sampling_rate, rangefinder.n_samples
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
     n_cycle = next_fast_len(CYCLE * n, real=True)
-    damping = log(FADED) * rate / n_cycle
+    damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
     real = np.fft.rfftfreq(n_cycle, 1 / rate)[1:]
     frequency = real - 0.5j * damping / pi
     own = _drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)

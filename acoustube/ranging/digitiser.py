@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.network import Placed
+from acoustube.waves.network import PlacedScatterer
 
 Numbers = NDArray[np.integer[Any]]
 
@@ -95,7 +95,7 @@ def _reported(temperature: float, rangefinder: Rangefinder, cycles: Numbers, see
 
 
 def record(
-    presses: Sequence[Placed],
+    presses: Sequence[PlacedScatterer],
     rangefinder: Rangefinder | None = None,
     *,
     radius: float = 3.95e-3,
@@ -111,7 +111,7 @@ def record(
 
     Parameters
     ----------
-    presses : sequence of Placed
+    presses : sequence of PlacedScatterer
         None for an untouched tube.
     rangefinder : Rangefinder, optional
         Default that of the paper; see :data:`IDEAL`.

@@ -14,7 +14,7 @@ from acoustube.runs.config import Config
 from acoustube.waves import (
     Budget,
     CutCells,
-    Placed,
+    PlacedScatterer,
     Pulse,
     Recording,
     Scattering,
@@ -22,7 +22,7 @@ from acoustube.waves import (
     cut_cells,
     error_budget,
     grid_spacing,
-    heard,
+    probe_pressure,
     propagate,
     scatter,
 )
@@ -132,7 +132,9 @@ def listen_by_parts(
         part, air_of(config), band_of(config), bore=bore, resolution=config.waves.resolution,
         lossy=config.waves.losses == "on", progress=progress,
     )  # fmt: skip
-    recordings = joined(config, [Placed(matrix, 1e-2 * filled(config.indentation.position_cm))])
+    recordings = joined(
+        config, [PlacedScatterer(matrix, 1e-2 * filled(config.indentation.position_cm))]
+    )
     return recordings, _budget(config, cells, None, recordings)
 
 
@@ -189,14 +191,14 @@ def scattering_of(
     return matrix, cells
 
 
-def joined(config: Config, presses: Sequence[Placed]) -> dict[SourceEnd, Recording]:
+def joined(config: Config, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd, Recording]:
     """Return what the probe of a tube hears, from presses of known scattering.
 
     Parameters
     ----------
     config : Config
         The settings of the tube and of the sound.
-    presses : sequence of Placed
+    presses : sequence of PlacedScatterer
         Instead of the settings' press; none for an untouched tube.
 
     Returns
@@ -207,7 +209,7 @@ def joined(config: Config, presses: Sequence[Placed]) -> dict[SourceEnd, Recordi
     probe = probe_of(config)
     recordings: dict[SourceEnd, Recording] = {}
     for source_end in SOURCE_ENDS:
-        time, pressure = heard(
+        time, pressure = probe_pressure(
             presses,
             air_of(config),
             pulse_of(config),

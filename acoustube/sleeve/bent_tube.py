@@ -18,7 +18,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.sleeve.helix import Helix
 from acoustube.sleeve.ovalisation import ovality
 from acoustube.tube import Tube
-from acoustube.waves import Bent, Placed, joined_bends
+from acoustube.waves import Bent, PlacedScatterer, joined_bends
 
 HIGHEST = 6.0
 """Largest j'mn of the modes in a bend: with 10 a loop of the paper's tube changes by 1.4e-3."""
@@ -38,7 +38,7 @@ def winding(
     radius: float,
     modes: Sequence[str],
     tube: Tube | None = None,
-) -> list[Placed]:
+) -> list[PlacedScatterer]:
     """Return the bends that a part of a wrapped tube is, a loop each at the most.
 
     Parameters
@@ -60,7 +60,7 @@ def winding(
 
     Returns
     -------
-    list of Placed
+    list of PlacedScatterer
 
     Raises
     ------
@@ -93,7 +93,7 @@ def winding(
             ovality=flat,
         )
         bent = joined_bends(air, frequency, [part], radius=radius, modes=modes, highest=HIGHEST)
-        found.append(Placed(bent, float(middle)))
+        found.append(PlacedScatterer(bent, float(middle)))
     return found
 
 
@@ -107,7 +107,7 @@ def windings(
     radius: float,
     modes: Sequence[str],
     tube: Tube | None = None,
-) -> list[Placed]:
+) -> list[PlacedScatterer]:
     """Return the bends of a wrapped tube that presses keep straight where they are.
 
     Parameters
@@ -121,7 +121,7 @@ def windings(
 
     Returns
     -------
-    list of Placed
+    list of PlacedScatterer
         The same for all presses at these places.
 
     Raises
@@ -149,19 +149,19 @@ def windings(
 
 def wrapped(
     helix: Helix,
-    presses: Sequence[Placed],
+    presses: Sequence[PlacedScatterer],
     air: Air,
     *,
     radius: float,
     reach: float,
     tube: Tube | None = None,
-) -> list[Placed]:
+) -> list[PlacedScatterer]:
     """Return presses with the bends before, between and behind them.
 
     Parameters
     ----------
     helix : Helix
-    presses : sequence of Placed
+    presses : sequence of PlacedScatterer
         One or more, on the helix, of one band.
     air : Air
     radius : float
@@ -175,8 +175,8 @@ def wrapped(
 
     Returns
     -------
-    list of Placed
-        For :func:`acoustube.waves.heard` or :func:`acoustube.ranging.record`.
+    list of PlacedScatterer
+        For :func:`acoustube.waves.probe_pressure` or :func:`acoustube.ranging.record`.
 
     Raises
     ------
@@ -194,6 +194,6 @@ def wrapped(
     return found + [shortened(press, reach) for press in presses]
 
 
-def shortened(press: Placed, reach: float) -> Placed:
+def shortened(press: PlacedScatterer, reach: float) -> PlacedScatterer:
     """Return a press that leaves the tube beyond its reach, in m, to others."""
     return replace(press, scattering=replace(press.scattering, extent=(-reach, reach)))

@@ -13,7 +13,7 @@ from acoustube.waves.modes import (
     modes_below,
 )
 from acoustube.waves.modes.probes import ModalProbe, PointProbe
-from acoustube.waves.network import Placed, heard, transfer
+from acoustube.waves.network import Placed, PlacedScatterer, heard, probe_pressure, transfer
 from acoustube.waves.propagation import Recording, grid_spacing, propagate
 from acoustube.waves.scattering import Scattering, scatter
 from acoustube.waves.scheme.problem import SourceEnd
@@ -27,6 +27,7 @@ __all__ = [
     "ModalProbe",
     "Mode",
     "Placed",
+    "PlacedScatterer",
     "PointProbe",
     "Pulse",
     "Recording",
@@ -44,6 +45,7 @@ __all__ = [
     "heard",
     "joined_bends",
     "modes_below",
+    "probe_pressure",
     "propagate",
     "scatter",
     "section_cut_ons",

@@ -33,7 +33,7 @@ from acoustube.runs.opening import PATTERNS
 from acoustube.runs.presses import press_from
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import select, store
-from acoustube.waves.network import rescaled
+from acoustube.waves.network import at_sound_speed
 
 MOST_CASES = 400
 """Cases of a page; of more, some places are left out."""
@@ -244,7 +244,7 @@ def _signal(case: xr.Dataset) -> Signal:
 
 def _spectrum(matrix: xr.Dataset, config: Config) -> Spectrum:
     """Return the plane wave's reflection at port 1, in the air of the case."""
-    found = rescaled(from_dataset(matrix), sound.air_of(config).sound_speed)
+    found = at_sound_speed(from_dataset(matrix), sound.air_of(config).sound_speed)
     plane = found.modes.index("00")
     higher = zip(found.modes, found.cut_ons, strict=True)
     return Spectrum(

@@ -21,8 +21,8 @@ from acoustube.runs.sweep.cycles import seed_of
 from acoustube.signals import Processing
 from acoustube.sleeve import Helix, design, shortened, windings
 from acoustube.tube import Tube
-from acoustube.waves import Placed, Scattering
-from acoustube.waves.network import rescaled
+from acoustube.waves import PlacedScatterer, Scattering
+from acoustube.waves.network import at_sound_speed
 
 SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
 """Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
@@ -83,7 +83,7 @@ def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, Scattering]]:
     return {
         round(float(cases["depth"].values[0]), 7): (
             cases.isel(press=0),
-            rescaled(matrix, speed),
+            at_sound_speed(matrix, speed),
         )
         for cases, matrix in matrices(folder)
     }
@@ -91,7 +91,7 @@ def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, Scattering]]:
 
 def bent_around(
     helix: Helix, place: float, like: Scattering, *, flattened: bool = False
-) -> list[Placed]:
+) -> list[PlacedScatterer]:
     """Return the bends of a wrapped tube that is pressed at a place in m.
 
     Parameters
@@ -112,7 +112,7 @@ def bent_around(
 def cycles_of(
     matrix: Scattering,
     place: float,
-    bends: Sequence[Placed],
+    bends: Sequence[PlacedScatterer],
     *,
     tube: int,
     n_cycles: int,
@@ -126,7 +126,7 @@ def cycles_of(
     matrix : Scattering
     place : float
         In m.
-    bends : sequence of Placed
+    bends : sequence of PlacedScatterer
         From :func:`bent_around`; none for a straight tube.
     tube : int
         Of the sleeve.
@@ -141,7 +141,7 @@ def cycles_of(
     xarray.Dataset
         As of :func:`acoustube.ranging.record`, with labels.
     """
-    press = Placed(matrix, place)
+    press = PlacedScatterer(matrix, place)
     found = record(
         [*bends, shortened(press, REACH)] if bends else [press], Rangefinder(), radius=RADIUS,
         length=LENGTH, temperature=TEMPERATURE, n_cycles=n_cycles, seed=seed_of(tube, name),

@@ -18,7 +18,7 @@ from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.reports.figures.run import CM, ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.report import Row, Scale, Study
 from acoustube.signals import Calibration
-from acoustube.waves import Placed
+from acoustube.waves import PlacedScatterer
 
 RADIUS, LENGTH, TEMPERATURE = 3.95e-3, 2.5, 20.0
 """Of the tube in m, and of its air in degC."""
@@ -132,7 +132,9 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     )
 
 
-def _recorded(presses: list[Placed], n_cycles: int, seed: int, tube_seed: int) -> xr.Dataset:
+def _recorded(
+    presses: list[PlacedScatterer], n_cycles: int, seed: int, tube_seed: int
+) -> xr.Dataset:
     return record(
         presses, Rangefinder(), radius=RADIUS, length=LENGTH, temperature=TEMPERATURE,
         n_cycles=n_cycles, seed=seed, tube_seed=tube_seed,

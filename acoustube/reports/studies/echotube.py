@@ -25,7 +25,7 @@ from acoustube.reports.studies.flat import DEPTHS, FEW_DEPTHS
 from acoustube.reports.studies.presses import matrices, swept
 from acoustube.reports.studies.report import Row, Scale, Study
 from acoustube.signals import Processing
-from acoustube.waves import Placed
+from acoustube.waves import PlacedScatterer
 from acoustube.waves.modes import axial_wavenumber
 
 BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
@@ -153,7 +153,8 @@ def two_presses(scale: Scale, work: Path, console: Console) -> list[xr.Dataset]:
     }
     nearer, farther = (by_depth[depth] for depth in (FEW_PRESSED if scale.quick else PRESSED))
     return [
-        record([Placed(nearer, FIRST), Placed(farther, FIRST + gap)], n_cycles=50) for gap in GAPS
+        record([PlacedScatterer(nearer, FIRST), PlacedScatterer(farther, FIRST + gap)], n_cycles=50)
+        for gap in GAPS
     ]
 
 

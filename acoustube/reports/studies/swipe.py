@@ -18,7 +18,7 @@ from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.reports.studies.report import Row
 from acoustube.sleeve import ContactTracker, Following
-from acoustube.waves import Placed, Scattering
+from acoustube.waves import PlacedScatterer, Scattering
 
 RATE = Rangefinder().cycle_rate
 SPEED = 0.05
@@ -125,7 +125,7 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
     following = ContactTracker(HOW)
     known: signals.Tracker | None = None
     for i, (at, places) in enumerate(zip(times, true, strict=True)):
-        presses = [Placed(m, float(z)) for m, z in zip(matrices, places, strict=True)]
+        presses = [PlacedScatterer(m, float(z)) for m, z in zip(matrices, places, strict=True)]
         cycle = record(
             presses, Rangefinder(), radius=RADIUS, length=LENGTH, temperature=TEMPERATURE,
             first_cycle=i, seed=7, tube_seed=TUBE_SEEDS[0],

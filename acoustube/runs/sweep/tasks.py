@@ -31,8 +31,8 @@ from acoustube.runs.scattering_file import from_dataset, to_dataset
 from acoustube.runs.sweep.plan import digest
 from acoustube.runs.walls import walls
 from acoustube.signals import Ranging
-from acoustube.waves import Placed, Recording, Scattering, SourceEnd
-from acoustube.waves.network import rescaled
+from acoustube.waves import PlacedScatterer, Recording, Scattering, SourceEnd
+from acoustube.waves.network import at_sound_speed
 
 Result = TypeVar("Result")
 
@@ -269,12 +269,16 @@ def hear(cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | Non
     return Done(Heard(gathered, failed), False)
 
 
-def placed(config: Config, matrix: Scattering | None) -> list[Placed]:
+def placed(config: Config, matrix: Scattering | None) -> list[PlacedScatterer]:
     """Return the presses of a case: its one press in its air, or none of an untouched tube."""
     if matrix is None:
         return []
     speed = sound.air_of(config).sound_speed
-    return [Placed(rescaled(matrix, speed), 1e-2 * filled(config.indentation.position_cm))]
+    return [
+        PlacedScatterer(
+            at_sound_speed(matrix, speed), 1e-2 * filled(config.indentation.position_cm)
+        )
+    ]
 
 
 Row = tuple[dict[SourceEnd, Recording], dict[SourceEnd, Ranging]]
