@@ -10,15 +10,15 @@ import pytest
 from solids import HEXAHEDRA_AT_4_MM
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.limits import pressed_reach
 from acoustube.indentation import (
     Layer,
     MeshSize,
     Press,
     PressError,
-    assembly,
     indent,
     load_path,
-    press,
+    newton,
     restored,
     wrinkle_penalty,
 )
@@ -252,7 +252,7 @@ def test_default_mesh_is_within_half_a_percent_of_a_finer_one():
 
 def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypatch):
     """Newton fails below 0.3 mm: the increments are halved towards it, to within the smallest."""
-    wall, minimise = 3e-4, press.minimise
+    wall, minimise = 3e-4, load_path.minimise
     lowest = Tube().outer_diameter / 2 - wall
 
     def blocked(model, start, bodies, tolerance):
@@ -261,7 +261,7 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
             return dataclasses.replace(result, converged=False, reason="the wall buckles")
         return result
 
-    monkeypatch.setattr(press, "minimise", blocked)
+    monkeypatch.setattr(load_path, "minimise", blocked)
     message = r"depth of 0\.30 mm of 1\.00 mm: the wall buckles.*less depth"
     with pytest.raises(PressError, match=message) as stopped:
         indent(Tube(), depth=[1e-4, 1e-3], mesh=COARSE)
@@ -275,8 +275,8 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
 
 def test_newton_without_iterations_stops_the_press(monkeypatch):
     """One iteration cannot find a contact; nothing but the first touch is reached."""
-    monkeypatch.setattr(assembly, "MAX_ITERATIONS", 1)
-    monkeypatch.setattr(press, "SMALLEST_INCREMENT", load_path.FIRST_INCREMENT)
+    monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(load_path, "SMALLEST_INCREMENT", load_path.FIRST_INCREMENT)
     with pytest.raises(PressError, match=r"depth of 0\.00 mm of 1\.00 mm") as stopped:
         indent(Tube(), depth=1e-3, mesh=COARSE)
     assert list(stopped.value.indentation.depth) == [0.0]
@@ -387,7 +387,7 @@ def test_remembered_results_make_the_same_indentation():
 def test_mesh_of_ones_own_is_pressed():
     """A mesh made beforehand is the mesh that its sizes would make."""
     tube = Tube()
-    mesh = sweep(tube, press.pressed_reach(tube.outer_diameter, ROD), COARSE)
+    mesh = sweep(tube, pressed_reach(tube.outer_diameter, ROD), COARSE)
     own = indent(tube, depth=3e-4, support="free", mesh=mesh)
     assert own.mesh is mesh
     by_size = indent(tube, depth=3e-4, support="free", mesh=COARSE)

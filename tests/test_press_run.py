@@ -14,7 +14,7 @@ from rich.console import Console
 
 from acoustube import load_config
 from acoustube.cli import indent as indent_command
-from acoustube.indentation import MeshSize, PressError, indent, press, restored
+from acoustube.indentation import MeshSize, PressError, indent, load_path, restored
 from acoustube.indentation.self_contact import triangulated
 from acoustube.reports.figures import run as run_figure
 from acoustube.runs import presses as press_runs
@@ -179,7 +179,7 @@ def test_remembered_press_that_was_cut_short_is_computed_again_and_said(tmp_path
 
 def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch):
     """Newton's method fails beyond 0.35 mm: increments are halved towards it, and then given up."""
-    minimise = press.minimise
+    minimise = load_path.minimise
 
     def blocked(model, start, bodies, tolerance):
         found = minimise(model, start, bodies, tolerance)
@@ -187,7 +187,7 @@ def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch
             return dataclasses.replace(found, converged=False, reason="the wall buckles")
         return found
 
-    monkeypatch.setattr(press, "minimise", blocked)
+    monkeypatch.setattr(load_path, "minimise", blocked)
     monkeypatch.setattr(press_runs, "indent", lambda *a, **o: indent(*a, **(o | {"mesh": COARSE})))
     config = load_config(None, Mechanics, depth_mm=0.6, steps=6)
     with pytest.raises(PressError, match=r"stopped at a depth of 0\.35 mm of 0\.60 mm"):
