@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 import acoustube
 from acoustube import estimation
@@ -39,11 +38,10 @@ ENDS = "", "_deviation", "_half_width"
 
 def recorded(folder):
     """Return the cycles, and the cases that they are of."""
-    console = Console()
     plan, recipe = load_plan(None, OVER), Recipe(n_cycles=2)
-    if not run_sweep(plan, folder / "sweep", console):
+    if not run_sweep(plan, folder / "sweep"):
         raise SystemExit("a case failed")
-    run_dataset([folder / "sweep"], folder / "cycles", recipe, console)
+    run_dataset([folder / "sweep"], folder / "cycles", recipe)
     cases = acoustube.open_dataset(folder / "sweep")
     usual = (cases["inner_diameter"] > 7.8e-3) & (cases["inner_diameter"] < 8e-3)
     how = processing_of(cases.isel(press=np.flatnonzero(usual.values)), recipe)

@@ -14,7 +14,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from scipy.interpolate import CubicSpline
 
 import acoustube
@@ -115,16 +114,14 @@ def main():
     parser.add_argument("folder", type=Path)
     parser.add_argument("--march", type=int, default=0)
     arguments = parser.parse_args()
-    folder, quiet = arguments.folder, Console(quiet=True)
+    folder = arguments.folder
     print(f"{cores()} cores")
     one = load_plan(None, OVER | {"position_cm": ["100"]})
-    timed("pieces, unless remembered", lambda: run_sweep(one, folder / "one", quiet))
+    timed("pieces, unless remembered", lambda: run_sweep(one, folder / "one"))
     plan = load_plan(None, OVER | PLACES)
-    sweep, _ = timed(f"{len(plan)} cases", lambda: run_sweep(plan, folder / "sweep", quiet))
+    sweep, _ = timed(f"{len(plan)} cases", lambda: run_sweep(plan, folder / "sweep"))
     recipe = Recipe(n_cycles=50)
-    cycles, _ = timed(
-        "cycles", lambda: run_dataset([folder / "sweep"], folder / "dataset", recipe, quiet)
-    )
+    cycles, _ = timed("cycles", lambda: run_dataset([folder / "sweep"], folder / "dataset", recipe))
     data = acoustube.open_dataset(folder / "dataset")
     print(f"{data.sizes['cycle']} cycles in {(sweep + cycles) / 60:.1f} min")
     sizes = [size_of(folder / name) / 1e9 for name in ("sweep", "dataset")]

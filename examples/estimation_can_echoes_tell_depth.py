@@ -18,7 +18,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 
 import acoustube
 from acoustube import estimation
@@ -37,11 +36,11 @@ plan = load_plan(
     },
     count=160,
 )  # fmt: skip
-workers, console = ThreadPoolExecutor(2), Console()
+workers = ThreadPoolExecutor(2)
 with tempfile.TemporaryDirectory() as folder:
     sweep, cycles_folder = Path(folder) / "sweep", Path(folder) / "cycles"
-    run_sweep(plan, sweep, console, executor=workers)
-    run_dataset([sweep], cycles_folder, Recipe(n_cycles=3), console, executor=workers)
+    run_sweep(plan, sweep, executor=workers)
+    run_dataset([sweep], cycles_folder, Recipe(n_cycles=3), executor=workers)
     cycles = acoustube.open_dataset(cycles_folder).load()
 
 # %%

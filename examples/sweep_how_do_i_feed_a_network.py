@@ -20,7 +20,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 
 import acoustube
 from acoustube.runs.sweep.cycles import Recipe
@@ -35,11 +34,11 @@ plan = load_plan(
         "frequency_khz": ["20"], "length_cm": ["200"], "mesh": ["coarse"], "resolution": ["8"],
     },
 )  # fmt: skip
-workers, console = ThreadPoolExecutor(2), Console()
+workers = ThreadPoolExecutor(2)
 folder = tempfile.TemporaryDirectory()
 sweep, cycles_folder = Path(folder.name) / "sweep", Path(folder.name) / "cycles"
-run_sweep(plan, sweep, console, executor=workers)
-run_dataset([sweep], cycles_folder, Recipe(n_cycles=16), console, executor=workers)
+run_sweep(plan, sweep, executor=workers)
+run_dataset([sweep], cycles_folder, Recipe(n_cycles=16), executor=workers)
 cycles = acoustube.open_dataset(cycles_folder)  # nothing is read yet
 print(cycles)
 

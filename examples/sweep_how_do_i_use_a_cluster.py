@@ -18,7 +18,6 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from distributed import Client, get_task_stream
-from rich.console import Console
 
 import acoustube
 from acoustube.runs.sweep.plan import load_plan
@@ -42,9 +41,7 @@ with (
     Client(**cluster, set_as_default=False) as client,
     get_task_stream(client) as stream,
 ):
-    complete = run_sweep(
-        plan, Path(folder) / "sweep", Console(), executor=client.get_executor(), width=4
-    )
+    complete = run_sweep(plan, Path(folder) / "sweep", executor=client.get_executor(), width=4)
     cases = acoustube.open_dataset(Path(folder) / "sweep").load()
 failed = len(plan) - cases.sizes["press"]
 print(f"{cases.sizes['press']} cases in {len(stream.data)} tasks, {failed} failed")

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.console import Console
 
 import acoustube
 from acoustube.reports.studies.presses import matrices
@@ -36,7 +35,7 @@ plan = load_plan(
     },
 )  # fmt: skip
 with tempfile.TemporaryDirectory() as folder:
-    run_sweep(plan, Path(folder) / "sweep", Console(), executor=ThreadPoolExecutor(2))
+    run_sweep(plan, Path(folder) / "sweep", executor=ThreadPoolExecutor(2))
     cases = acoustube.open_dataset(Path(folder) / "sweep").load()
     scattering = {float(some["depth"][0]): s for some, s in matrices(Path(folder) / "sweep")}
 

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 import tomlkit
 import xarray as xr
-from rich.console import Console
 from scipy.io import wavfile
 
 import acoustube
@@ -27,7 +26,6 @@ from acoustube.runs.sweep.tasks import placed
 
 pytestmark = pytest.mark.slow
 
-QUIET = Console(quiet=True)
 OVER = {
     "depth_mm": ["0", "0.6"], "position_cm": ["50", "90"], "length_cm": ["150"],
     "temperature_c": ["15", "25"], "resolution": ["11"], "mesh": ["coarse"],
@@ -38,14 +36,14 @@ RECIPE = Recipe(n_cycles=3, n_tubes=2, n_sessions=2, seed=7)
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sweep") / "small"
-    assert run_sweep(load_plan(None, OVER), folder, QUIET, executor=ThreadPoolExecutor(1))
+    assert run_sweep(load_plan(None, OVER), folder, executor=ThreadPoolExecutor(1))
     return folder
 
 
 @pytest.fixture(scope="module")
 def dataset(sweep, tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset") / "small"
-    return run_dataset([sweep], folder, RECIPE, QUIET, workers=1)
+    return run_dataset([sweep], folder, RECIPE, workers=1)
 
 
 def test_every_case_tube_and_session_has_its_cycles(dataset):
@@ -136,7 +134,7 @@ def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, 
     for share in ("2/4", "1/4", "4/4", "3/4"):
         number, count = map(int, share.split("/"))
         run_sweep(
-            load_plan(None, OVER), "shares", QUIET, executor=ThreadPoolExecutor(1),
+            load_plan(None, OVER), "shares", executor=ThreadPoolExecutor(1),
             share=(number, count),
         )  # fmt: skip
     assert main(["dataset", "shares", *words, "--workers", "1", "--out", "shared"]) == 0
@@ -147,7 +145,7 @@ def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, 
 
 def test_other_seeds_make_other_noise(sweep, dataset, tmp_path):
     other = run_dataset(
-        [sweep], tmp_path / "other", Recipe(n_cycles=3, n_tubes=2, n_sessions=2), QUIET, workers=1
+        [sweep], tmp_path / "other", Recipe(n_cycles=3, n_tubes=2, n_sessions=2), workers=1
     )
     a, b = (acoustube.open_dataset(folder)["signal"].values for folder in (dataset, other))
     assert (a != b).any(axis=1).all()
@@ -177,13 +175,13 @@ def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
     sweep, dataset, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("acoustube.runs.sweep.dataset.CYCLES_PER_FILE", 24)  # two cases a file
-    folder = run_dataset([sweep], tmp_path / "parts", RECIPE, QUIET, workers=1)
+    folder = run_dataset([sweep], tmp_path / "parts", RECIPE, workers=1)
     files = sorted(folder.glob("cycles-*.nc"))
     assert len(files) == 4
     files[1].unlink()
     files[2].write_bytes(files[2].read_bytes()[:3000])
     before = files[0].stat().st_mtime_ns
-    run_dataset([sweep], folder, RECIPE, QUIET, workers=1)
+    run_dataset([sweep], folder, RECIPE, workers=1)
     assert files[0].stat().st_mtime_ns == before
     xr.testing.assert_identical(
         acoustube.open_dataset(folder).load(), acoustube.open_dataset(dataset).load()

@@ -46,7 +46,7 @@ slow = pytest.mark.slow
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages") / "study"
-    assert run_sweep(load_plan(None, OVER), folder, QUIET, executor=ThreadPoolExecutor(1))
+    assert run_sweep(load_plan(None, OVER), folder, executor=ThreadPoolExecutor(1))
     return folder
 
 

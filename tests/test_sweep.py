@@ -14,7 +14,6 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import xarray as xr
-from rich.console import Console
 from wave_lumens import BORE, pinched_tube
 
 import acoustube
@@ -41,12 +40,11 @@ OVER = {
     "depth_mm": ["0", "0.3", "0.6"], "position_cm": ["15", "25"], "frequency_khz": ["20"],
     "resolution": ["8"], "mesh": ["coarse"],
 }  # fmt: skip
-QUIET = Console(quiet=True)
 
 
 def small_sweep(folder, over=None, **options):
     options.setdefault("executor", ThreadPoolExecutor(1))
-    return run_sweep(load_plan(None, over or OVER), folder, QUIET, **options)
+    return run_sweep(load_plan(None, over or OVER), folder, **options)
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +128,8 @@ def test_pieces_are_computed_once_ever(tmp_path, capsys):
     words += ["--temperature", "20"]
     assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out
-    assert "paths of presses     1, 1 remembered" in out
-    assert "scattering matrices  2, 2 remembered" in out
+    assert "paths of presses     1, 1 cached" in out
+    assert "scattering matrices  2, 2 cached" in out
     assert "paths: 0 computed, 1 reused; scattering: 0 computed, 2 reused; cases: 14 comp" in out
 
 

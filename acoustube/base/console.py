@@ -1,51 +1,163 @@
-"""What a person sees of work that goes on: its progress, notes, and how it is interrupted."""
+"""Terminal output of computations: messages, progress, and interrupts."""
 
 from __future__ import annotations
 
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from acoustube.base.report import ShowProgress, TimeLeft, time_in_words
+from acoustube.base.version import __version__
 
 if TYPE_CHECKING:
-    from acoustube.base.types import Report
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
-REPORT_INTERVAL = 10.0
-"""Seconds between two lines of progress where there is no terminal."""
+REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
+"""Seconds between two lines of progress without a terminal, at first and in work of hours."""
 
 
 def note(console: Console, text: str) -> None:
-    """Print what the reader of a result should know, on a line."""
-    console.print(f"[yellow]note:[/] {escape(text)}", soft_wrap=True)
+    """Print a note on the range of a result, on a line."""
+    _labelled(console, "yellow", "note", text)
+
+
+def _labelled(console: Console, colour: str, label: str, text: str) -> None:
+    from rich.markup import escape
+
+    console.print(f"[{colour}]{label}:[/] {escape(text)}", soft_wrap=True)
+
+
+class ConsoleReporter:
+    """Reporter that prints on a rich console (:class:`acoustube.base.report.Reporter`).
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Failures are printed on standard error instead, also if the console is quiet.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+
+    def title(self, text: str) -> None:
+        """Print the program with its version, and what it begins."""
+        self.console.print(f"[bold]acoustube {__version__}[/]: {text}", highlight=False)
+
+    def line(self, text: str) -> None:
+        """Print a sentence."""
+        self.console.print(text, soft_wrap=True, markup=False)
+
+    def note(self, text: str) -> None:
+        """Print a note."""
+        note(self.console, text)
+
+    def failure(self, text: str) -> None:
+        """Print a failure on standard error."""
+        from rich.console import Console
+
+        _labelled(Console(stderr=True), "red", "failed", text)
+
+    def rows(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Print a table of names and values."""
+        from rich.table import Table
+
+        table = Table(show_header=False, box=None, pad_edge=False)
+        for row in rows:
+            table.add_row(*row)
+        self.console.print(table)
+
+    @contextmanager
+    def progress(self, check: Callable[[], None] = lambda: None) -> Iterator[ShowProgress]:
+        """Yield a function that shows a bar for each stage, or lines without a terminal."""
+        with _display(self.console) as display:
+
+            def show(stage: str, done: float, total: float = 1.0, left: str | None = None) -> None:
+                check()
+                display.show(stage, done, total, left)
+
+            yield show
 
 
 @contextmanager
-def heard_interrupts() -> Iterator[Callable[[], None]]:
-    """Yield a check that repeats an interrupt which was lost.
+def _display(console: Console) -> Iterator[_Lines]:
+    """Yield a progress display: bars on a terminal, lines elsewhere."""
+    if not console.is_terminal:
+        yield _Lines(console)
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description:12}"), BarColumn(), TextColumn("{task.fields[amount]:>8}"),
+        TimeElapsedColumn(), TextColumn("{task.fields[left]}"),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as bars:
+        yield _Bars(console, bars)
+
+
+class _Lines:
+    """Progress display of one line now and then, the rarer the longer the work takes."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.started = self.last = time.perf_counter()
+        self.unfinished: dict[str, tuple[str, str]] = {}
+        self.times: dict[str, TimeLeft] = {}
+
+    def show(self, stage: str, done: float, total: float, left: str | None) -> None:
+        """Show the progress of a stage; parameters as of :class:`ShowProgress`."""
+        now = time.perf_counter()
+        seconds = self.times.setdefault(stage, TimeLeft()).update(now, done / max(total, 1e-9))
+        if left is None:
+            left = "" if seconds is None else f"{time_in_words(seconds)} left"
+        amount = f"{100 * done:.0f} %" if total == 1 else f"{done:g} of {total:g}"
+        self._draw(stage, done, total, amount, left if done < total else "")
+
+    def _draw(self, stage: str, done: float, total: float, amount: str, left: str) -> None:
+        now = time.perf_counter()
+        if done >= total:
+            self.unfinished.pop(stage, None)
+            return
+        self.unfinished[stage] = f"{stage} {amount}", left
+        interval = min(max(REPORT_INTERVAL, 0.1 * (now - self.started)), LONGEST_INTERVAL)
+        if now - self.last > interval:
+            self.last = now
+            amounts, times = zip(*self.unfinished.values(), strict=True)
+            left = next((f"; {left}" for left in reversed(times) if left), "")
+            self.console.print(", ".join(amounts) + left, soft_wrap=True)
+
+
+class _Bars(_Lines):
+    """Progress display of one bar for each stage, on a terminal."""
+
+    def __init__(self, console: Console, bars: Progress) -> None:
+        super().__init__(console)
+        self.bars = bars
+        self.rows: dict[str, TaskID] = {}
+
+    def _draw(self, stage: str, done: float, total: float, amount: str, left: str) -> None:
+        if stage not in self.rows:
+            self.rows[stage] = self.bars.add_task(stage, total=total, amount="", left="")
+        self.bars.update(self.rows[stage], completed=done, total=total, amount=amount, left=left)
+
+
+@contextmanager
+def watched_interrupts() -> Iterator[Callable[[], None]]:
+    """Yield a check that raises an interrupt again which was lost.
 
     JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
     """
-    heard: list[int] = []
+    seen: list[int] = []
 
     def interrupt(number: int, _frame: object) -> None:
-        heard.append(number)
+        seen.append(number)
         raise KeyboardInterrupt
 
     def check() -> None:
-        if heard:
+        if seen:
             raise KeyboardInterrupt
 
     numbers = [
@@ -61,59 +173,3 @@ def heard_interrupts() -> Iterator[Callable[[], None]]:
     finally:
         for number in numbers:
             signal.signal(number, signal.default_int_handler)
-
-
-@contextmanager
-def stage_progress(console: Console, check: Callable[[], None]) -> Iterator[Report]:
-    """Yield a function that shows a bar per stage, or a line now and then without a terminal.
-
-    Parameters
-    ----------
-    console : rich.console.Console
-    check : callable
-        From :func:`heard_interrupts`; called with each report.
-    """
-    if not console.is_terminal:
-        line = _lines(console)
-
-        def report_line(stage: str, fraction: float) -> None:
-            check()
-            line(stage, fraction)
-
-        yield report_line
-        return
-    columns = (
-        TextColumn("{task.description:12}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, transient=True) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def report(stage: str, fraction: float) -> None:
-            check()
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=1.0)
-            bars.update(tasks[stage], completed=fraction)
-
-        yield report
-
-
-def _lines(console: Console) -> Report:
-    """Return a function that prints a line now and then."""
-    start = last = time.perf_counter()
-    stage_now = ""
-
-    def report(stage: str, fraction: float) -> None:
-        nonlocal start, last, stage_now
-        now = time.perf_counter()
-        if stage != stage_now:
-            stage_now, start, last = stage, now, now
-        elif now - last > REPORT_INTERVAL and 0 < fraction < 1:
-            left = (now - start) * (1 - fraction) / fraction
-            console.print(f"{stage} {100 * fraction:.0f} %, {left:.0f} s left")
-            last = now
-
-    return report

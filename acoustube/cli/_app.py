@@ -243,6 +243,7 @@ def sweep(
     with _interrupts_held_back():
         from rich.console import Console
 
+        from acoustube.base.console import ConsoleReporter
         from acoustube.cli import sweep as cli_sweep
         from acoustube.runs.sweep import run as sweep_run
         from acoustube.runs.sweep import workers as sweep_workers
@@ -254,8 +255,8 @@ def sweep(
     executor, width = sweep_workers.dask_executor(dask) if dask is not None else (None, None)
     try:
         complete = sweep_run.run_sweep(
-            wanted, out, console, workers=processes, executor=executor, width=width, share=share,
-            retry=retry is not None,
+            wanted, out, report=ConsoleReporter(console), workers=processes, executor=executor,
+            width=width, share=share, retry=retry is not None,
         )  # fmt: skip
     finally:
         if executor is not None:
@@ -312,6 +313,7 @@ def dataset(
     with _interrupts_held_back():
         from rich.console import Console
 
+        from acoustube.base.console import ConsoleReporter
         from acoustube.runs.sweep.cycles import Recipe
         from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
 
@@ -319,7 +321,7 @@ def dataset(
         n_cycles=counts["cycles"], n_tubes=counts["tubes"], n_sessions=counts["sessions"],
         seed=seed, rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
     )  # fmt: skip
-    run_dataset(sweep, out, recipe, Console(quiet=quiet), workers=processes)
+    run_dataset(sweep, out, recipe, report=ConsoleReporter(Console(quiet=quiet)), workers=processes)
 
 
 @app.command

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from acoustube import estimation
-from acoustube.base.console import heard_interrupts, stage_progress
+from acoustube.base.console import ConsoleReporter, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
 from acoustube.base.version import __version__
@@ -62,7 +62,7 @@ def run_evaluate(
     """
     start = time.perf_counter()
     model = estimation.load(path)
-    with heard_interrupts() as check, stage_progress(console, check) as report:
+    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as report:
         table = table_of(paths, model.describing, report)
         estimates = estimation.estimate(model, table)
     rows = list(error_rows(model, table, estimates))

@@ -12,7 +12,7 @@ import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
-from acoustube.base.console import heard_interrupts, note, stage_progress
+from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.files import partial_folder, publish
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
@@ -58,10 +58,10 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     press, stopped = config.indentation, None
     notes: list[str] = []
     depths = [1e-3 * (press.depth_mm * i / press.steps) for i in range(1, press.steps + 1)]
-    with heard_interrupts() as check:
+    with watched_interrupts() as check:
         _print_press_header(config, console)
         with partial_folder(folder) as partial:
-            with stage_progress(console, check) as report:
+            with ConsoleReporter(console).progress(check) as report:
                 progress = functools.partial(report, "indentation")
                 progress(0.0)
                 try:

@@ -22,7 +22,7 @@ from rich.live import Live
 from rich.panel import Panel
 
 from acoustube import signals
-from acoustube.base.console import REPORT_INTERVAL, heard_interrupts
+from acoustube.base.console import REPORT_INTERVAL, watched_interrupts
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
@@ -158,7 +158,7 @@ def run_live(
     # One reference for the whole run, so that an adjusted clock leaves the intervals as they are.
     epoch = time.time() - time.perf_counter()
     kept = "nothing is logged" if out is None else f"{out} holds them"
-    with heard_interrupts() as check, _opened(port, baud) as line, _log(out) as log:
+    with watched_interrupts() as check, _opened(port, baud) as line, _log(out) as log:
         try:
             with Receiver(line, decoder) as receiver, _shown(console, port) as show:
                 for received, frame in _taken(receiver, duration, check):

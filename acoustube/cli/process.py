@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from acoustube import recordings, signals
-from acoustube.base.console import heard_interrupts, note
+from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.runs.recordings import (
     COLUMNS,
@@ -73,9 +73,9 @@ def run_process(
         If the calibration cannot be used, or no file be processed.
     """
     known, how = chosen(calibration, prominence)
-    errors = Console(stderr=True)
+    errors, report = Console(stderr=True), ConsoleReporter(console)
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
-    with heard_interrupts() as check, opened(out) as file:
+    with watched_interrupts() as check, opened(out) as file:
         writer = csv.writer(file, lineterminator="\n")
         header = [[*COLUMNS, *(name for name, _ in TRUE.values())]]
         for path, data in recordings.read_all(
@@ -87,7 +87,7 @@ def run_process(
                 if isinstance(data, ConfigError):
                     raise data
                 check_rate(float(data.attrs["sampling_rate"]), known, path)
-                for first, ranging in with_progress(data, how, console, check, path):
+                for first, ranging in with_progress(data, how, report, check, path):
                     these = data.isel(cycle=slice(first, first + len(ranging.detected)))
                     rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
                     table += ([*row, *labels] for row, labels in rows)

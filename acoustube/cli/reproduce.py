@@ -14,11 +14,12 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_out, partial_file
+from acoustube.base.report import Reporter, time_in_words
 from acoustube.base.version import __version__
 from acoustube.reports.studies.report import Scale, Study, write
-from acoustube.runs.sweep.costs import in_words
 from acoustube.runs.sweep.workers import crew
 
 STUDIES = {
@@ -30,7 +31,7 @@ QUICKER = 12.0
 """By what a quick study is shorter."""
 MARK, WORK = "reproduce.json", "work"
 
-Perform = Callable[[Scale, Path, Console], Study]
+Perform = Callable[[Scale, Path, Reporter], Study]
 
 
 def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Console) -> Path:
@@ -62,7 +63,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     minutes = sum(STUDIES[name] for name in names) / (QUICKER if scale.quick else 1.0)
     console.print(
         f"[bold]acoustube {__version__}[/]: studies {', '.join(names)}; about "
-        f"{in_words(60 * minutes)} on two cores, less for what is remembered",
+        f"{time_in_words(60 * minutes)} on two cores, less for what is remembered",
         soft_wrap=True,
     )
     with crew(scale.workers) as workers:
@@ -71,7 +72,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
             study = _performed(name, folder, replace(scale, workers=workers), console)
             _write_index(folder)
             _print(study, console)
-    elapsed = in_words(time.perf_counter() - started)
+    elapsed = time_in_words(time.perf_counter() - started)
     console.print(f"Written to [bold]{folder / 'index.html'}[/] in {elapsed}.", soft_wrap=True)
     return folder
 
@@ -83,7 +84,7 @@ def _performed(name: str, folder: Path, scale: Scale, console: Console) -> Study
         path.mkdir(parents=True, exist_ok=True)
     perform: Perform = import_module(f"acoustube.reports.studies.{name}").study
     try:
-        study = perform(scale, work, console)
+        study = perform(scale, work, ConsoleReporter(console))
     except KeyboardInterrupt as error:
         words = str(error) or f"interrupted in the study {name}; run the same command to go on"
         raise KeyboardInterrupt(words) from None

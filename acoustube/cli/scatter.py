@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from acoustube.air import LAYERS_OF_A_GAP, Air, air_at, viscous_thickness
-from acoustube.base.console import heard_interrupts, note, stage_progress
+from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
 from acoustube.base.netcdf import write_dataset
@@ -83,7 +83,7 @@ def run_scatter(
     # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
-    with heard_interrupts() as check, stage_progress(console, check) as report:
+    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as report:
         progress = functools.partial(report, "scattering")
         cells = cut_cells(surface, spacing)
         _check_width(cells, path)

@@ -11,7 +11,7 @@ import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
-from acoustube.base.console import heard_interrupts, note, stage_progress
+from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.files import partial_folder, publish
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
@@ -56,10 +56,10 @@ def run(config: Config, folder: Path, console: Console) -> Path:
         If a stage cannot finish.
     """
     started = time.perf_counter()
-    with heard_interrupts() as check:
+    with watched_interrupts() as check:
         _print_header(config, console)
         with partial_folder(folder) as partial:
-            with stage_progress(console, check) as report:
+            with ConsoleReporter(console).progress(check) as report:
                 dataset = simulate(config, report=report)
             write_dataset(dataset, partial / "run.nc")
             (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from acoustube.base.console import note
+from acoustube.base.console import ConsoleReporter
 from acoustube.runs.config import section_of
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.graph import OF_MATRIX, OWN, Case, structured
 from acoustube.runs.sweep.plan import Plan
-from acoustube.runs.sweep.run import Scale, Work, cases_of, print_work, work_of
+from acoustube.runs.sweep.run import Scale, Work, cases_of, report_work, work_of
 from acoustube.runs.sweep.workers import cores
 
 LOOKED_UP = 20_000
@@ -47,21 +47,21 @@ def dry_run(
     ConfigError
         If a case cannot be.
     """
-    workers = workers or cores()
+    workers, report = workers or cores(), ConsoleReporter(console)
     if len(plan) <= LOOKED_UP:
         cases = cases_of(plan)
         folder = Path(out) if out is not None else None
         there = folder is not None and (folder / store.PLAN).is_file()
         found = store.contents(folder) if folder and there else store.Contents({}, [], [])
         work = work_of(cases, folder if there else None, found, share, retry)
-        print_work(work, workers, console)
+        report_work(work, workers, report)
         return
     step = len(plan) // SAMPLED + 1
     sample = [Case(str(i), c) for i, c in enumerate(plan.configs(range(0, len(plan), step)))]
     part = structured(sample)
     scale = Scale(len(plan) / len(sample), *counted(plan))
-    print_work(Work(part, 0, {}, len(plan)), workers, console, scale)
-    note(console, f"one in {step} cases was checked, none looked up")
+    report_work(Work(part, 0, {}, len(plan)), workers, report, scale)
+    report.note(f"one in {step} cases was checked, none looked up")
 
 
 def counted(plan: Plan) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from acoustube import estimation
-from acoustube.base.console import heard_interrupts, note, stage_progress
+from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.version import __version__
 from acoustube.estimation import Describing, Model
 from acoustube.estimation.model import ESTIMATORS, TARGETS, kind_of_features, targets_of, usable
@@ -71,13 +71,13 @@ def run_train(
     settings: dict[str, Any] = {} if folds is None else {"n_folds": folds}
     if epochs is not None:
         settings["iterations" if name == "boosting" else "epochs"] = epochs
-    with heard_interrupts() as check:
-        with stage_progress(console, check) as report:
+    with watched_interrupts() as check:
+        with ConsoleReporter(console).progress(check) as report:
             table = table_of(
                 paths, describing, report, lambda path, rate: check_rate(rate, known, path)
             )
         _print_cycles(table, name, console)
-        with stage_progress(console, check) as report:
+        with ConsoleReporter(console).progress(check) as report:
             total = epochs or ESTIMATORS[name]().get_params().get("epochs", 1)
 
             def learned(step: float, *losses: float) -> None:

@@ -13,12 +13,11 @@ from typing import TextIO
 import numpy as np
 import xarray as xr
 from platformdirs import user_data_path
-from rich.console import Console
 
 from acoustube import signals
-from acoustube.base.console import stage_progress
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
+from acoustube.base.report import Reporter
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
@@ -119,11 +118,11 @@ def opened(out: Path | None) -> Iterator[TextIO]:
 
 
 def with_progress(
-    data: xr.Dataset, how: Processing, console: Console, check: Callable[[], None], path: Path
+    data: xr.Dataset, how: Processing, report: Reporter, check: Callable[[], None], path: Path
 ) -> Iterator[tuple[int, Ranging]]:
     """Yield the estimates of a recording piece by piece, with a bar."""
     total, finished = data.sizes["cycle"], 0
-    with stage_progress(console, check) as show:
+    with report.progress(check) as show:
         for first, ranging in located(data, how):
             check()
             finished += len(ranging.detected)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from rich.console import Console
 
 from acoustube import estimation
 from acoustube.air import air_at
+from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.estimation import Describing
 from acoustube.ranging import Rangefinder, record
@@ -188,6 +188,6 @@ def _half_chord(turn: Array, sine: float) -> Array:
     return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
 
 
-def begins(console: Console, words: str) -> None:
+def begins(report: Reporter, words: str) -> None:
     """Print what begins."""
-    console.print(f"{words} ...", soft_wrap=True, highlight=False)
+    report.line(f"{words} ...")

@@ -10,10 +10,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 
 from acoustube import signals
 from acoustube.base.errors import SimulationError
+from acoustube.base.report import Reporter
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.reports.figures.run import CM, ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.report import Row, Scale, Study
@@ -32,7 +32,7 @@ tuned its factor by hand, to minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:  # noqa: ARG001
+def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
     """Calibrate the simulated sensor.
 
     Parameters
@@ -40,7 +40,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:  # noqa: ARG001
     scale : Scale
     work : Path
         Not needed: the cycles are recorded anew in seconds.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------

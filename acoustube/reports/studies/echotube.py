@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from acoustube import signals
 from acoustube.air import air_at
+from acoustube.base.report import Reporter
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.reports.figures.run import CM, ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.calibration import BAND
@@ -54,21 +54,21 @@ APART = 0.1
 DECIBEL = 20 / np.log(10)
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:
+def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Set reach, dead zone and pairs of presses beside what was measured.
 
     Parameters
     ----------
     scale : Scale
     work : Path
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     Study
     """
     dynamic = 2 * attenuation(KNOWN) * REACHES[KNOWN] / CM
-    pairs = two_presses(scale, work, console)
+    pairs = two_presses(scale, work, report)
     return Study(
         title="EchoTube: reach and dead zone by bore, and two presses",
         text=TEXT,
@@ -143,10 +143,10 @@ def dead_zone(bore_mm: float) -> float:
     return float(DISTANCES[wrong[-1] + 1] if wrong.size else DISTANCES[0])
 
 
-def two_presses(scale: Scale, work: Path, console: Console) -> list[xr.Dataset]:
+def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
     """Return the cycles of pairs of presses, one dataset for each distance between them."""
     over = {"indenter_mm": ["25"], "depth_mm": [FEW_DEPTHS if scale.quick else DEPTHS]}
-    swept(work / "press", {**over, "length_cm": ["250"]}, scale.level, scale, console)
+    swept(work / "press", {**over, "length_cm": ["250"]}, scale.level, scale, report)
     by_depth = {
         round(float(cases["depth"].values[0]), 6): matrix
         for cases, matrix in matrices(work / "press")

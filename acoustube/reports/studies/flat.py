@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
 
 from acoustube import estimation
-from acoustube.base.console import heard_interrupts, stage_progress
+from acoustube.base.console import watched_interrupts
+from acoustube.base.report import Reporter
 from acoustube.estimation import Describing, Model
 from acoustube.reports.figures.run import CM
 from acoustube.reports.studies import flat_figures, ranged, whole_echo
@@ -40,7 +40,7 @@ NEAR, BEYOND = 0.60, 1.95
 beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes rise with depth."""
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:
+def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press everywhere and to every depth, find the presses, and learn their forces.
 
     Parameters
@@ -48,24 +48,24 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     scale : Scale
     work : Path
         Where sweeps and cycles are kept.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     Study
     """
-    first = recorded(scale.level, scale, work, console)
-    second = recorded_again(scale.level, scale, work, console)
+    first = recorded(scale.level, scale, work, report)
+    second = recorded_again(scale.level, scale, work, report)
     coarser = None
     if scale.coarser is not None:
-        coarser = recorded(scale.coarser, scale, work / "coarser", console, few=True)
-    network = trained_network(first, scale, console)
+        coarser = recorded(scale.coarser, scale, work / "coarser", report, few=True)
+    network = trained_network(first, scale, report)
     forces = estimation.estimate(network, second)
     heard = np.isfinite(found_distance(second))
     rows = [
         *localisation_rows(first, coarser),
         *force_rows(second, forces, network),
-        *whole_echo.rows(work, describing_of(work), heard, scale, console),
+        *whole_echo.rows(work, describing_of(work), heard, scale, report),
     ]
     figures = {
         "True against estimated distance of single cycles, coloured by depth; dashed the window of "
@@ -101,7 +101,7 @@ places that were pressed, and what the floor under it gave way."""
 
 
 def recorded(
-    level: Level, scale: Scale, work: Path, console: Console, *, few: bool = False
+    level: Level, scale: Scale, work: Path, report: Reporter, *, few: bool = False
 ) -> xr.Dataset:
     """Return what the processing makes of the first dataset.
 
@@ -110,7 +110,7 @@ def recorded(
     level : Level
     scale : Scale
     work : Path
-    console : rich.console.Console
+    report : Reporter
     few : bool
         At every fifth place, with five cycles of each press.
 
@@ -123,17 +123,17 @@ def recorded(
     depths = FEW_DEPTHS if scale.quick else DEPTHS
     over = {**ROD, "depth_mm": [depths], "position_cm": [places]}
     n_cycles = FEWER_CYCLES if few or scale.quick else CYCLES
-    table = _cycles(work / "first", over, level, scale, n_cycles, console)
+    table = _cycles(work / "first", over, level, scale, n_cycles, report)
     return table.isel(cycle=table["depth"].values > SHALLOWEST)
 
 
-def recorded_again(level: Level, scale: Scale, work: Path, console: Console) -> xr.Dataset:
+def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> xr.Dataset:
     """Return what the processing makes of the second dataset; see :func:`recorded`."""
     depths = [FEW_DEPTHS] if scale.quick else SECOND_DEPTHS
     places = SECOND_FEW if scale.quick else SECOND_PLACES
     over = {**ROD, "depth_mm": depths, "position_cm": [places]}
     n_cycles = FEWER_CYCLES if scale.quick else CYCLES
-    return _cycles(work / "second", over, level, scale, n_cycles, console)
+    return _cycles(work / "second", over, level, scale, n_cycles, report)
 
 
 def describing_of(work: Path) -> Describing:
@@ -148,15 +148,15 @@ def _cycles(
     level: Level,
     scale: Scale,
     n_cycles: int,
-    console: Console,
+    report: Reporter,
 ) -> xr.Dataset:
     """Sweep, record and process."""
-    cases = swept(work / "sweep", over, level, scale, console)
+    cases = swept(work / "sweep", over, level, scale, report)
     recipe = Recipe(n_cycles=n_cycles)
-    run_dataset([work / "sweep"], work / "cycles", recipe, console, workers=scale.workers)
+    run_dataset([work / "sweep"], work / "cycles", recipe, report=report, workers=scale.workers)
     describing = Describing(kind="paper", processing=processing_of(cases, recipe))
-    with heard_interrupts() as check, stage_progress(console, check) as report:
-        return table_of(sorted((work / "cycles").glob("cycles-*.nc")), describing, report)
+    with watched_interrupts() as check, report.progress(check) as show:
+        return table_of(sorted((work / "cycles").glob("cycles-*.nc")), describing, show)
 
 
 def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
@@ -166,7 +166,7 @@ def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
     return found.processing
 
 
-def trained_network(table: xr.Dataset, scale: Scale, console: Console) -> Model:
+def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
     """Return the paper's force network, trained on cycles.
 
     Parameters
@@ -174,7 +174,7 @@ def trained_network(table: xr.Dataset, scale: Scale, console: Console) -> Model:
     table : xarray.Dataset
         From :func:`recorded`.
     scale : Scale
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
@@ -182,10 +182,10 @@ def trained_network(table: xr.Dataset, scale: Scale, console: Console) -> Model:
     """
     settings: dict[str, Any] = {"epochs": 5} if scale.quick else {}
     total = settings.get("epochs", 100)
-    with heard_interrupts() as check, stage_progress(console, check) as report:
+    with watched_interrupts() as check, report.progress(check) as show:
 
         def learned(step: float, *_losses: float) -> None:
-            report("training", step / total)
+            show("training", step / total)
 
         return estimation.train(table, "network", Describing(), progress=learned, **settings)
 

@@ -10,8 +10,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from numpy.typing import NDArray
-from rich.console import Console
 
+from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.reports.figures.run import CM, PRESS
 from acoustube.reports.scenes import sleeve as sleeve_scene
@@ -55,7 +55,7 @@ COLOURS = ("#7fb3d5", "#e59866", "#943126")
 """Of the levels."""
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:
+def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press a sleeve on a soft arm by three levels of force, and find the presses on it.
 
     Parameters
@@ -63,17 +63,17 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     scale : Scale
     work : Path
         Where sweeps are kept.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     Study
     """
-    table, presses = recorded(scale.level, scale, work / "arm", console)
+    table, presses = recorded(scale.level, scale, work / "arm", report)
     coarser = None
     if scale.coarser is not None:
-        coarser, _ = recorded(scale.coarser, scale, work / "coarser", console)
-    begins(console, "a swipe, and two presses at once")
+        coarser, _ = recorded(scale.coarser, scale, work / "coarser", report)
+    begins(report, "a swipe, and two presses at once")
     tracks = swiped(presses, quick=scale.quick)
     pairs = pairs_told(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
@@ -153,7 +153,7 @@ def forces_of(level: tuple[float, float]) -> Array:
 
 
 def recorded(
-    level: Level, scale: Scale, work: Path, console: Console
+    level: Level, scale: Scale, work: Path, report: Reporter
 ) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, Scattering]]]:
     """Return what the processing tells of presses by hand, and the presses by their force.
 
@@ -162,7 +162,7 @@ def recorded(
     level : Level
     scale : Scale
     work : Path
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
@@ -177,7 +177,7 @@ def recorded(
     The depth for a force is told by a path on the coarse mesh; the forces of the sweep's own mesh,
     which the cases are labelled with, are within 4 % of what was asked for.
     """
-    begins(console, "the depths that forces take on soft ground")
+    begins(report, "the depths that forces take on soft ground")
     levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(press_runs.pressed(ground(**ARM), GRID), wanted)
@@ -186,13 +186,13 @@ def recorded(
         "indenter_mm": [tool(sleeve()[0])], "length_cm": ["250"], "position_cm": ["100"],
         "support": ["free"], "depth_mm": [f"{depth:g}" for depth in depths],
     } | {name: [f"{value:g}"] for name, value in ARM.items()}  # fmt: skip
-    swept(work, over, level, scale, console)
+    swept(work, over, level, scale, report)
     presses = dict(sorted(by_depth(work).items()))
     states = list(presses.values())
     rows = []
     for tube, helix in enumerate(sleeve()):
         places = (PLACES[::3] if scale.quick else PLACES) + tube * SHIFT
-        begins(console, f"cycles at {len(places)} places of tube {tube + 1}")
+        begins(report, f"cycles at {len(places)} places of tube {tube + 1}")
         for place in places:
             bends = bent_around(helix, float(place), states[0][1])
             for i, each in enumerate(levels):

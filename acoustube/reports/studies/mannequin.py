@@ -9,9 +9,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 
 from acoustube import estimation
+from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.estimation import Model
 from acoustube.reports.figures.run import CM
@@ -40,7 +40,7 @@ LISTED = ("straight", "wrapped", "flattened")
 """Shapes of the tube that are compared; the study's numbers are those of the second."""
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:
+def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press a sleeve on a rigid arm, find the presses on it, and tell their forces.
 
     Parameters
@@ -48,17 +48,17 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     scale : Scale
     work : Path
         Where sweeps are kept.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     Study
     """
-    tables = recorded(scale.level, scale, work / "arm", LISTED, console)
+    tables = recorded(scale.level, scale, work / "arm", LISTED, report)
     coarser = None
     if scale.coarser is not None:
-        coarser = recorded(scale.coarser, scale, work / "coarser", LISTED[1:2], console)["wrapped"]
-    network = flat_network(scale, work / "flat", console)
+        coarser = recorded(scale.coarser, scale, work / "coarser", LISTED[1:2], report)["wrapped"]
+    network = flat_network(scale, work / "flat", report)
     table = tables["wrapped"]
     helix = sleeve()[TUBE]
     forces = estimation.estimate(network, table)
@@ -100,25 +100,25 @@ tube's flattening it allows (the last rows tell what all of it would do), how th
 where the test machine's rod slid, and how the arm's curved surface took the deep presses."""
 
 
-def flat_network(scale: Scale, work: Path, console: Console) -> Model:
+def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
     """Return the force network of the flat table, at every fifth of its places.
 
     Parameters
     ----------
     scale : Scale
     work : Path
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     acoustube.estimation.Model
     """
-    table = flat.recorded(scale.level, scale, work, console, few=True)
-    return flat.trained_network(table, scale, console)
+    table = flat.recorded(scale.level, scale, work, report, few=True)
+    return flat.trained_network(table, scale, report)
 
 
 def recorded(
-    level: Level, scale: Scale, work: Path, shapes: tuple[str, ...], console: Console
+    level: Level, scale: Scale, work: Path, shapes: tuple[str, ...], report: Reporter
 ) -> dict[str, xr.Dataset]:
     """Return what the processing tells of presses on the sleeve.
 
@@ -129,7 +129,7 @@ def recorded(
     work : Path
     shapes : tuple of str
         Of :data:`LISTED`.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
@@ -141,10 +141,10 @@ def recorded(
         "indenter_mm": [tool(helix)], "length_cm": ["250"], "position_cm": ["100"],
         "depth_mm": [FEW_DEPTHS if scale.quick else DEPTHS],
     }  # fmt: skip
-    swept(work, over, level, scale, console)
+    swept(work, over, level, scale, report)
     presses = by_depth(work)
     places = PLACES[::3] if scale.quick else PLACES
-    begins(console, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
+    begins(report, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
     found: dict[str, list[xr.Dataset]] = {shape: [] for shape in shapes}
     like = next(iter(presses.values()))[1]
     for place in places:

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import xarray as xr
-from rich.console import Console
 
 from acoustube.base.errors import SimulationError
+from acoustube.base.report import Reporter
 from acoustube.reports.studies.report import Level, Scale
 from acoustube.runs.opening import files_of, open_dataset
 from acoustube.runs.scattering_file import from_dataset
@@ -23,7 +23,7 @@ def swept(
     over: Mapping[str, Sequence[str]],
     level: Level,
     scale: Scale,
-    console: Console,
+    report: Reporter,
 ) -> xr.Dataset:
     """Run a sweep, or go on with it, and return its cases.
 
@@ -34,7 +34,7 @@ def swept(
         See :func:`acoustube.runs.sweep.plan.load_plan`.
     level : Level
     scale : Scale
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
@@ -48,7 +48,7 @@ def swept(
     """
     given = {"resolution": [str(level.resolution)], "mesh": [level.mesh]}
     plan = load_plan(None, {**given, **over})
-    if not run_sweep(plan, folder, console, workers=scale.workers):
+    if not run_sweep(plan, folder, report=report, workers=scale.workers):
         raise SimulationError(
             f"a case of {folder} failed (above); repeat the command to go on with the others"
         )

@@ -15,9 +15,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 
 from acoustube import signals
+from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.lumen import deformed_wall
 from acoustube.reports.figures import sweep as sweep_figure
@@ -47,7 +47,7 @@ DRAWN = (2e-3, 4e-3, 6e-3, 8e-3)
 """Depths in m whose sections are drawn."""
 
 
-def study(scale: Scale, work: Path, console: Console) -> Study:
+def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press with three rods, and find them by their echoes.
 
     Parameters
@@ -55,7 +55,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     scale : Scale
     work : Path
         Where sweeps are kept.
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
@@ -65,7 +65,7 @@ def study(scale: Scale, work: Path, console: Console) -> Study:
     rods = {"indenter_mm": list(RODS), "depth_mm": depths}
 
     def at(name: str, level: Level, **over: list[str]) -> xr.Dataset:
-        return swept(work / name, {**rods, **over}, level, scale, console)
+        return swept(work / name, {**rods, **over}, level, scale, report)
 
     lossless = at("lossless", scale.level, losses=["off"])
     heard = at("lossy", scale.level, **LOSSY)

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from rich.console import Console
 
 from acoustube import estimation
-from acoustube.base.console import heard_interrupts, stage_progress
-from acoustube.base.types import Report
+from acoustube.base.console import watched_interrupts
+from acoustube.base.report import Reporter, ShowProgress
 from acoustube.estimation import Describing, Model
 from acoustube.estimation.model import TARGETS
 from acoustube.reports.studies.ranged import SHALLOWEST, measure_rows
@@ -26,7 +25,7 @@ EVERY = 10
 
 
 def rows(
-    work: Path, how: Describing, heard: NDArray[np.bool_], scale: Scale, console: Console
+    work: Path, how: Describing, heard: NDArray[np.bool_], scale: Scale, report: Reporter
 ) -> list[Row]:
     """Return the errors of the whole-echo networks on the second dataset of the flat table.
 
@@ -39,36 +38,34 @@ def rows(
         In which cycles of the second dataset the paper's processing finds an echo: where both can
         be compared.
     scale : Scale
-    console : rich.console.Console
+    report : Reporter
 
     Returns
     -------
     list of Row
     """
     every = 1 if scale.quick else EVERY
-    with heard_interrupts() as check, stage_progress(console, check) as report:
-        first, second = (
-            _described(work / name, how, every, report) for name in ("first", "second")
-        )
+    with watched_interrupts() as check, report.progress(check) as show:
+        first, second = (_described(work / name, how, every, show) for name in ("first", "second"))
         first = first.isel(cycle=first["depth"].values > SHALLOWEST)
-        model = _trained(first, how, scale, report)
+        model = _trained(first, how, scale, show)
     return [
         *_rows(model, second, heard[::every], "where the highest peak is found"),
         *_rows(model, second, np.ones_like(heard[::every]), "of all cycles"),
     ]
 
 
-def _described(work: Path, how: Describing, every: int, report: Report) -> xr.Dataset:
+def _described(work: Path, how: Describing, every: int, show: ShowProgress) -> xr.Dataset:
     cycles = open_dataset(work / "cycles").isel(cycle=slice(None, None, every)).load()
-    return estimation.described(cycles, how, lambda share: report("whole echoes", share))
+    return estimation.described(cycles, how, lambda share: show("whole echoes", share))
 
 
-def _trained(table: xr.Dataset, how: Describing, scale: Scale, report: Report) -> Model:
+def _trained(table: xr.Dataset, how: Describing, scale: Scale, show: ShowProgress) -> Model:
     settings: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
     total = settings.get("epochs", 25)
 
     def learned(step: float, *_losses: float) -> None:
-        report("training", min(step / total, 1.0))
+        show("training", min(step / total, 1.0))
 
     return estimation.train(table, "echo", how, progress=learned, **settings)
 

@@ -74,12 +74,3 @@ def size_of(group: Group) -> float:
     matrix = MATRIX_BYTES if group.band is not None else 0.0
     lengths = sum(1e-2 * case.config.tube.length_cm for case in group.cases)
     return matrix + CASE_BYTES * 2 * lengths / 343 * 1e6
-
-
-def in_words(seconds: float) -> str:
-    """Return a time in words."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.3g} h"

@@ -1,4 +1,4 @@
-"""The command ``acoustube dataset``: labelled cycles of a rangefinder for each case of a sweep."""
+"""Datasets: labelled cycles of a rangefinder for each case of a sweep."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from rich.console import Console
 
+from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, partial_file
+from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import nearest
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import read_document
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.sweep import store
-from acoustube.runs.sweep.costs import in_words
 from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
 from acoustube.runs.sweep.plan import digest
-from acoustube.runs.sweep.progress import Board, progress_board
+from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_in_sight
 from acoustube.runs.sweep.workers import Task, Workers, count_of
 
@@ -81,8 +81,8 @@ def run_dataset(
     sweep: Sequence[Path],
     out: Path,
     recipe: Recipe,
-    console: Console,
     *,
+    report: Reporter = SILENT,
     workers: int | Workers | None = None,
     executor: Executor | None = None,
 ) -> Path:
@@ -95,8 +95,8 @@ def run_dataset(
     out : Path
         The folder to write, or to go on with.
     recipe : Recipe
-    console : rich.console.Console
-        Where to print.
+    report : Reporter
+        Receives messages and progress; by default nothing is shown.
     workers : int or Workers, optional
         Processes; as many as there are cores by default. Or those of a run before.
     executor : concurrent.futures.Executor, optional
@@ -120,18 +120,16 @@ def run_dataset(
     folder = _prepared(out, set(parts), recipe)
     there = {name for name in parts if store.intact(folder / name) is not None}
     n_cases = sum(map(len, parts.values()))
-    console.print(f"[bold]acoustube {__version__}[/]: a dataset", highlight=False)
-    _print_plan(n_cases, recipe.per_case, len(parts), len(there), count_of(workers), console)
+    report.title("a dataset")
+    _report_plan(n_cases, recipe.per_case, len(parts), len(there), count_of(workers), report)
     todo = {name: cases for name, cases in parts.items() if name not in there}
     if todo:
-        _record(todo, folder, recipe, workers, console, executor)
+        _record(todo, folder, recipe, workers, report, executor)
     data = open_dataset(folder)
     with partial_file(folder / CARD) as part:
         part.write_text(card(data, recipe), encoding="utf-8")
-    elapsed = in_words(time.perf_counter() - started)
-    console.print(
-        f"{data.sizes['cycle']} cycles written to [bold]{folder}[/] in {elapsed}.", soft_wrap=True
-    )
+    elapsed = time_in_words(time.perf_counter() - started)
+    report.line(f"{data.sizes['cycle']} cycles written to {folder} in {elapsed}.")
     return folder
 
 
@@ -184,17 +182,16 @@ def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
     return folder
 
 
-def _print_plan(
-    n_cases: int, per_case: int, n_files: int, n_there: int, workers: int, console: Console
+def _report_plan(
+    n_cases: int, per_case: int, n_files: int, n_there: int, workers: int, report: Reporter
 ) -> None:
     n_cycles = n_cases * per_case
     left = 1 - n_there / n_files
     seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) * left / workers
-    console.print(
+    report.line(
         f"{n_cases} cases, {per_case} cycles of each, {n_cycles} in all; {n_there} of {n_files} "
-        f"files are there; about {in_words(seconds)} on {workers} workers, "
-        f"{n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB",
-        soft_wrap=True,
+        f"files are there; about {time_in_words(seconds)} on {workers} workers, "
+        f"{n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
     )
 
 
@@ -203,7 +200,7 @@ def _record(
     folder: Path,
     recipe: Recipe,
     workers: int | Workers | None,
-    console: Console,
+    report: Reporter,
     executor: Executor | None,
 ) -> None:
     """Write the files that are missing."""
@@ -212,7 +209,8 @@ def _record(
         for name, cases in todo.items()
     }
     totals = {"files": (len(todo), sum(costs.values()))}
-    with progress_board(totals, count_of(workers), console) as board:
+    with watched_interrupts() as check, report.progress(check) as show:
+        board = Board(totals, count_of(workers), show)
         tasks = [
             _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
         ]

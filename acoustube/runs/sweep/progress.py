@@ -1,28 +1,16 @@
-"""How far a sweep is: bars on a terminal, a line a minute elsewhere."""
+"""Progress of a sweep, stage by stage, with the time left from expected and measured costs."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-)
-
-from acoustube.runs.sweep.costs import hear_cost, in_words, matrix_cost, path_cost
+from acoustube.base.report import ShowProgress, time_in_words
+from acoustube.runs.sweep.costs import hear_cost, matrix_cost, path_cost
 from acoustube.runs.sweep.graph import Descent
 
-INTERVAL = 60.0
-"""Seconds between two lines of progress where there is no terminal."""
-TRUSTED = 60.0
-"""Seconds of work after which what was measured counts as much as what was expected."""
+PRIOR_SECONDS = 60.0
+"""Seconds of work after which measured costs count as much as expected ones."""
 
 
 # Number and cost in seconds of the tasks of each stage.
@@ -30,44 +18,59 @@ Totals = dict[str, tuple[int, float]]
 
 
 class Board:
-    """How far a sweep is, stage by stage, and how long it will take."""
+    """Finished and remaining tasks of each stage of a sweep, and the time left.
 
-    def __init__(self, totals: Totals, workers: int, console: Console) -> None:
+    Parameters
+    ----------
+    totals : dict of str
+        Number and cost in s of the tasks of each stage.
+    workers : int
+        Tasks that run at the same time.
+    show : callable
+        See :class:`acoustube.base.report.ShowProgress`.
+    """
+
+    def __init__(self, totals: Totals, workers: int, show: ShowProgress) -> None:
         self.workers = workers
         self.totals = totals
         self.done = dict.fromkeys(totals, 0)
         self.left = sum(cost for _, cost in totals.values())
-        self.spent, self.started, self.last = 0.0, time.perf_counter(), time.perf_counter()
-        self.console = console
-        self.bars: Progress | None = None
-        self.rows: dict[str, TaskID] = {}
+        self.spent, self.started = 0.0, time.perf_counter()
+        self.show = show
 
     def count(self, stage: str, cost: float, n: int = 1, *, reused: bool = False) -> None:
-        """Count what is done."""
+        """Count finished tasks.
+
+        Parameters
+        ----------
+        stage : str
+        cost : float
+            Expected cost in s.
+        n : int
+            Number of the tasks.
+        reused : bool
+            Whether their results were cached, so that they say nothing about the machine's speed.
+        """
         self.done[stage] += n
         self.left -= cost
         self.spent += 0.0 if reused else cost
-        if self.bars is not None:
-            self.bars.update(self.rows[stage], completed=self.done[stage])
+        self.tick()
 
     def tick(self) -> None:
-        """Print a line now and then where there is no terminal."""
-        now = time.perf_counter()
-        if self.bars is not None:
-            self.bars.update(list(self.rows.values())[-1], left=self._left(now))
-        elif now - self.last > INTERVAL:
-            self.last = now
-            stages = [f"{s} {self.done[s]} of {n}" for s, (n, _) in self.totals.items() if n]
-            self.console.print(f"{', '.join(stages)}; {self._left(now)}", soft_wrap=True)
+        """Show all stages; called while tasks run."""
+        stages = [stage for stage, (n, _) in self.totals.items() if n]
+        for stage in stages:
+            left = self._time_left(time.perf_counter()) if stage == stages[-1] else ""
+            self.show(stage, self.done[stage], self.totals[stage][0], left)
 
-    def _left(self, now: float) -> str:
-        """Return the time left: what was expected, and how far that was off so far."""
-        off = (now - self.started + TRUSTED) / (self.spent / self.workers + TRUSTED)
-        return f"{in_words(max(self.left, 0.0) / self.workers * off)} left"
+    def _time_left(self, now: float) -> str:
+        """Return the expected time left, scaled by measured over expected time so far."""
+        scale = (now - self.started + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)
+        return f"{time_in_words(max(self.left, 0.0) / self.workers * scale)} left"
 
 
 def totals_of(paths: Sequence[Descent]) -> Totals:
-    """Return how many tasks each stage of a sweep has, and their cost in seconds."""
+    """Return the number of tasks of each stage of a sweep, and their cost in seconds."""
     groups = [group for path in paths for group in path.groups]
     pressed = [path for path in paths if path.presses]
     matrices = [group for group in groups if group.band is not None]
@@ -79,22 +82,3 @@ def totals_of(paths: Sequence[Descent]) -> Totals:
             sum(hear_cost(group.cases) for group in groups),
         ),
     }
-
-
-@contextmanager
-def progress_board(totals: Totals, workers: int, console: Console) -> Iterator[Board]:
-    """Yield the board of a run, with a bar for each stage on a terminal."""
-    board = Board(totals, workers, console)
-    if not console.is_terminal:
-        yield board
-        return
-    columns = (
-        TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(),
-        TimeElapsedColumn(), TextColumn("{task.fields[left]}"),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as bars:
-        board.bars = bars
-        board.rows = {
-            stage: bars.add_task(stage, total=n, left="") for stage, (n, _) in totals.items() if n
-        }
-        yield board

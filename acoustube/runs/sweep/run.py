@@ -1,4 +1,4 @@
-"""The command ``acoustube sweep``: a plan, what of it is there, the rest on many workers."""
+"""Sweeps: the cases of a plan that a folder lacks, computed on many workers."""
 
 from __future__ import annotations
 
@@ -10,19 +10,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from acoustube.base.console import heard_interrupts, note
+from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
+from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.version import __version__
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.costs import (
     GIGABYTES,
     hear_cost,
-    in_words,
     matrix_cost,
     path_cost,
     remembered,
@@ -30,7 +27,7 @@ from acoustube.runs.sweep.costs import (
 )
 from acoustube.runs.sweep.graph import Case, Descent, kept, shard, structured
 from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
-from acoustube.runs.sweep.progress import Board, progress_board, totals_of
+from acoustube.runs.sweep.progress import Board, totals_of
 from acoustube.runs.sweep.runner import Runner
 from acoustube.runs.sweep.workers import Task, Workers, count_of, crew, run_tasks
 
@@ -62,8 +59,8 @@ class Work(NamedTuple):
 def run_sweep(
     plan: Plan,
     out: str | Path,
-    console: Console,
     *,
+    report: Reporter = SILENT,
     workers: int | Workers | None = None,
     executor: Executor | None = None,
     width: int | None = None,
@@ -77,8 +74,8 @@ def run_sweep(
     plan : Plan
     out : str or path
         A folder, new or of a sweep.
-    console : rich.console.Console
-        Where to print.
+    report : Reporter
+        Receives messages and progress; by default nothing is shown.
     workers : int or Workers, optional
         Processes; as many as there are cores by default. Or those of a run before.
     executor : concurrent.futures.Executor, optional
@@ -106,18 +103,19 @@ def run_sweep(
     cases = cases_of(plan)
     folder = store.prepared(out)
     found = store.contents(folder)
-    _note_contents(folder, found, console)
+    _note_contents(folder, found, report)
     work = work_of(cases, folder, found, share, retry)
-    _note_other_plan(plan, folder, found, {case.name for case in cases}, console)
+    _note_other_plan(plan, folder, found, {case.name for case in cases}, report)
     store.forget_failures(folder, found.finished.keys() & store.failures(folder).keys())
     with partial_file(folder / store.PLAN) as part:
         part.write_text(to_toml(plan), encoding="utf-8")
     at_once: int = width or getattr(executor, "_max_workers", None) or count_of(workers)
-    print_work(work, at_once, console)
+    report_work(work, at_once, report)
     done = Counter[str]()
     failed = dict(work.failed)
     if work.todo:
-        with progress_board(totals_of(work.todo), at_once, console) as board:
+        with watched_interrupts() as check, report.progress(check) as show:
+            board = Board(totals_of(work.todo), at_once, show)
             runner = Runner(folder, board, failed, done)
             try:
                 run_in_sight(
@@ -130,7 +128,7 @@ def run_sweep(
                     f"interrupted; {there} of {work.n_cases} cases are finished, run the same "
                     "command again to go on"
                 ) from None
-    _print_end(done, failed, folder, time.perf_counter() - started, console)
+    _report_end(done, failed, folder, time.perf_counter() - started, report)
     return not failed
 
 
@@ -142,12 +140,13 @@ def run_in_sight(
     executor: Executor | None = None,
     width: int | None = None,
 ) -> None:
-    """Run tasks, show how far they are, and hear interrupts.
+    """Run tasks, and show their progress.
 
     Parameters
     ----------
     tasks : iterable of Task
     board : Board
+        Its progress is shown again now and then, which raises a lost interrupt.
     workers : int, Workers or None
         Processes of this machine, unless there is an executor.
     executor : concurrent.futures.Executor, optional
@@ -159,24 +158,19 @@ def run_in_sight(
     SimulationError
         See :func:`acoustube.runs.sweep.workers.run_tasks`.
     """
-    with heard_interrupts() as check, crew(workers) as processes:
-
-        def tick() -> None:
-            check()
-            board.tick()
-
-        run_tasks(tasks, executor or processes, width or processes.count, tick)
+    with crew(workers) as processes:
+        run_tasks(tasks, executor or processes, width or processes.count, board.tick)
 
 
-def _note_contents(folder: Path, found: store.Contents, console: Console) -> None:
-    """Set damaged files aside, and tell of these and of foreign ones."""
+def _note_contents(folder: Path, found: store.Contents, report: Reporter) -> None:
+    """Set damaged files aside, and report these and foreign ones."""
     for path in found.damaged:
         aside = store.set_aside(path)
-        note(console, f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
+        report.note(f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
     if found.foreign:
         names = ", ".join(path.name for path in found.foreign[:3])
         more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
-        note(console, f"{names}{more} in {folder} are not of a sweep; left alone")
+        report.note(f"{names}{more} in {folder} are not of a sweep; left alone")
 
 
 class Scale(NamedTuple):
@@ -212,21 +206,20 @@ def work_of(
 
 
 def _note_other_plan(
-    plan: Plan, folder: Path, found: store.Contents, names: set[str], console: Console
+    plan: Plan, folder: Path, found: store.Contents, names: set[str], report: Reporter
 ) -> None:
-    """Say what in a folder is of another plan or version."""
+    """Report results in a folder that belong to another plan or version."""
     path = folder / store.PLAN
     before = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
     if not before or before == to_toml(plan):
         return
     if f'acoustube_version = "{__version__}"' not in before:
-        note(console, f"{folder.name} was begun by another version of acoustube, or its plan is "
+        report.note(f"{folder.name} was begun by another version of acoustube, or its plan is "
               "damaged; what is finished there is kept")  # fmt: skip
     there, others = names & set(found.finished), set(found.finished) - names
     if others or _names_of(path) != names:
         kept_too = f", and {len(others)} that it no longer asks for are kept" * bool(others)
-        note(
-            console,
+        report.note(
             f"the plan has changed since {folder.name} was begun; {len(there)} of its "
             f"{len(names)} cases are there already{kept_too}",
         )
@@ -240,8 +233,8 @@ def _names_of(path: Path) -> set[str]:
         return set()
 
 
-def print_work(work: Work, workers: int, console: Console, scale: Scale | None = None) -> None:
-    """Print the cases, what they share, and what they cost."""
+def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None = None) -> None:
+    """Report the cases, the presses and matrices that they share, and their expected cost."""
     groups = [group for path in work.todo for group in path.groups]
     n_paths = sum(path.presses for path in work.todo)
     n_matrices = sum(1 for group in groups if group.band is not None)
@@ -253,41 +246,34 @@ def print_work(work: Work, workers: int, console: Console, scale: Scale | None =
         cost += scale.n_matrices * float(np.mean(costs[1] or [0.0]))
         cost += scale.cases * sum(hear_cost(group.cases) for group in groups)
         n_paths, n_matrices, size = scale.n_paths, scale.n_matrices, scale.cases * size
-    table = Table(show_header=False, box=None, pad_edge=False)
     state = f"{work.finished} finished" + f", {len(work.failed)} failed" * bool(work.failed)
-    table.add_row("cases", f"{work.n_cases}, {state}")
-    table.add_row("paths of presses", f"{n_paths}, {known_paths} remembered")
-    table.add_row("scattering matrices", f"{n_matrices}, {known_matrices} remembered")
-    needed = f"{in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"
-    table.add_row("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk")
-    console.print(f"[bold]acoustube {__version__}[/]: a sweep", highlight=False)
-    console.print(table)
+    needed = f"{time_in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"
+    report.title("a sweep")
+    report.rows(
+        [
+            ("cases", f"{work.n_cases}, {state}"),
+            ("paths of presses", f"{n_paths}, {known_paths} cached"),
+            ("scattering matrices", f"{n_matrices}, {known_matrices} cached"),
+            ("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk"),
+        ]
+    )
 
 
-def _print_end(
-    done: Counter[str], failed: dict[str, str], folder: Path, seconds: float, console: Console
+def _report_end(
+    done: Counter[str], failed: dict[str, str], folder: Path, seconds: float, report: Reporter
 ) -> None:
-    """Print what was computed and what failed."""
+    """Report computed and failed cases."""
     if done:
-        console.print(
+        report.line(
             f"paths: {done['path computed']} computed, {done['path reused']} reused; scattering: "
             f"{done['scattering computed']} computed, {done['scattering reused']} reused; cases: "
-            f"{done['case']} computed",
-            soft_wrap=True,
+            f"{done['case']} computed"
         )
     else:
-        console.print("nothing to compute")
-    _print_failures(failed)
-    console.print(f"Written to [bold]{folder}[/] in {in_words(seconds)}.", soft_wrap=True)
-
-
-def _print_failures(failed: dict[str, str]) -> None:
-    """Print failed cases, also where all else is silent."""
-    console = Console(stderr=True)
+        report.line("nothing to compute")
     for name, reason in list(failed.items())[:LISTED]:
-        console.print(f"[red]failed:[/] {escape(f'{name}: {reason}')}", soft_wrap=True)
+        report.failure(f"{name}: {reason}")
     if failed:
         more = f", {len(failed) - LISTED} more in {store.FAILURES}/" * (len(failed) > LISTED)
-        console.print(
-            f"{len(failed)} failed{more}; try them again with --retry failed", soft_wrap=True
-        )
+        report.failure(f"{len(failed)} cases{more}; try them again with --retry failed")
+    report.line(f"Written to {folder} in {time_in_words(seconds)}.")

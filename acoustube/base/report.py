@@ -1,0 +1,132 @@
+"""Reports of work in progress: the interface between computations and whoever shows them.
+
+Computations print nothing. They call a :class:`Reporter`; the command line passes one that prints
+(:class:`acoustube.base.console.ConsoleReporter`), Python code may pass its own or none.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Protocol
+
+WINDOW = 8
+"""Changes of a fraction from which the time left is extrapolated."""
+
+
+class ShowProgress(Protocol):
+    """Function that shows the progress of a stage.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the stage.
+    done : float
+        Finished part of `total`.
+    total : float
+        1 for a fraction, otherwise a number of tasks.
+    left : str, optional
+        Time left, in words; extrapolated from the recent changes of `done` if not given.
+    """
+
+    def __call__(
+        self, stage: str, done: float, total: float = 1.0, left: str | None = None
+    ) -> None:
+        """Show the progress of a stage."""
+
+
+class Reporter(Protocol):
+    """Receiver of the messages and the progress of a computation."""
+
+    def title(self, text: str) -> None:
+        """Receive the name of a computation that begins."""
+
+    def line(self, text: str) -> None:
+        """Receive a sentence about settings or results."""
+
+    def note(self, text: str) -> None:
+        """Receive a sentence that limits how far a result holds."""
+
+    def failure(self, text: str) -> None:
+        """Receive a sentence about a part that failed."""
+
+    def rows(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Receive a table of names and values."""
+
+    def progress(self, check: Callable[[], None] = ...) -> AbstractContextManager[ShowProgress]:
+        """Return a context with a function that receives progress.
+
+        Parameters
+        ----------
+        check : callable
+            Called with each report, to raise an interrupt that was lost.
+        """
+
+
+class Silent:
+    """Reporter that discards everything."""
+
+    def title(self, text: str) -> None:
+        """Discard a title."""
+
+    line = note = failure = title
+
+    def rows(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Discard a table."""
+
+    def progress(
+        self, check: Callable[[], None] = lambda: None
+    ) -> AbstractContextManager[ShowProgress]:
+        """Return a context with a function that calls `check` alone."""
+
+        def show(*_progress: object, **_words: object) -> None:
+            check()
+
+        return nullcontext(show)
+
+
+SILENT = Silent()
+
+
+class TimeLeft:
+    """Extrapolation of the time left from the recent rate of a fraction.
+
+    The time up to the first change of the fraction is left out: a compiler or the import of a
+    library takes most of it. There is no estimate before the second change.
+    """
+
+    def __init__(self) -> None:
+        self.changes: deque[tuple[float, float]] = deque(maxlen=WINDOW)
+
+    def update(self, now: float, fraction: float) -> float | None:
+        """Return the time left in s, None as long as it is unknown.
+
+        Parameters
+        ----------
+        now : float
+            Time in s, by any monotonic clock.
+        fraction : float
+            Finished fraction of the work.
+        """
+        if fraction > (self.changes[-1][1] if self.changes else 0.0):
+            self.changes.append((now, fraction))
+        if len(self.changes) < 2:
+            return None
+        (begin, low), (end, high) = self.changes[0], self.changes[-1]
+        left = (1 - high) * (end - begin) / (high - low)
+        return max(left - (now - end), 0.0)
+
+
+def time_in_words(seconds: float) -> str:
+    """Return a duration in words, such as ``12 s``, ``5 min`` or ``1.5 h``.
+
+    Parameters
+    ----------
+    seconds : float
+    """
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.3g} h"

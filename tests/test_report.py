@@ -1,0 +1,117 @@
+"""Progress and messages: the time left, lines without a terminal, bars with one."""
+
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from acoustube.base import console as base_console
+from acoustube.base.console import ConsoleReporter
+from acoustube.base.report import SILENT, TimeLeft, time_in_words
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr(base_console.time, "perf_counter", lambda: self.now)
+
+
+def test_time_left_of_a_steady_rate_is_exact_after_a_slow_compiler():
+    """20 s of compiling, then 1 s for each of ten steps: never an estimate over ten seconds."""
+    left, times = TimeLeft(), []
+    times.append(left.update(0.0, 0.0))
+    times.append(left.update(10.0, 0.0))
+    for step in range(1, 11):
+        times.append(left.update(20.0 + step, step / 10))
+    assert times[:3] == [None, None, None]
+    assert times[3:] == pytest.approx([8, 7, 6, 5, 4, 3, 2, 1, 0])
+
+
+def test_time_left_runs_down_between_two_changes_and_follows_the_recent_rate():
+    left = TimeLeft()
+    for step in range(1, 31):
+        left.update(10.0 * step, step / 100)
+    assert left.update(303.0, 0.3) == pytest.approx(697.0)
+    for step in range(1, 21):  # ten times as fast from here on
+        found = left.update(300.0 + step, 0.3 + step / 100)
+    assert found == pytest.approx(50.0)
+    assert left.update(1e4, 0.5) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.4, "0 s"), (89, "89 s"), (91, "2 min"), (5400, "1.5 h")]
+)
+def test_durations_in_words(seconds, words):
+    assert time_in_words(seconds) == words
+
+
+def test_lines_come_every_ten_seconds_and_start_without_a_time_left(monkeypatch):
+    clock, text = Clock(monkeypatch), StringIO()
+    with ConsoleReporter(Console(file=text, width=200)).progress() as show:
+        for second in range(60):
+            clock.now = float(second)
+            show("waves", max(0, second - 20) / 60)
+    lines = text.getvalue().splitlines()
+    assert lines[:2] == ["waves 0 %", "waves 3 %; 58 s left"]
+    assert len(lines) == 5
+
+
+def test_lines_become_rarer_in_work_of_hours(monkeypatch):
+    clock, text = Clock(monkeypatch), StringIO()
+    with ConsoleReporter(Console(file=text, width=200)).progress() as show:
+        for second in range(0, 36_000):
+            clock.now = float(second)
+            show("path", 3, 7, "")
+            show("cases", 5, 100, "3 h left")
+    lines = text.getvalue().splitlines()
+    assert lines[-1] == "path 3 of 7, cases 5 of 100; 3 h left"
+    assert 590 < len(lines) < 650
+
+
+def test_finished_stages_and_quiet_consoles_print_nothing(monkeypatch):
+    clock, text = Clock(monkeypatch), StringIO()
+    with ConsoleReporter(Console(file=text, quiet=True)).progress() as show:
+        clock.now = 20.0
+        show("waves", 0.5)
+    with ConsoleReporter(Console(file=text)).progress() as show:
+        clock.now = 40.0
+        show("waves", 1.0)
+    assert text.getvalue() == ""
+
+
+def test_terminal_has_a_bar_for_each_stage():
+    text = StringIO()
+    terminal = Console(file=text, force_terminal=True, width=100)
+    with ConsoleReporter(terminal).progress() as show:
+        show("wall", 0.25)
+        show("cases", 3, 7, "5 min left")
+    for part in ("wall", "25 %", "cases", "3 of 7", "5 min left"):
+        assert part in text.getvalue()
+
+
+@pytest.mark.parametrize("reporter", [SILENT, ConsoleReporter(Console(file=StringIO()))])
+def test_progress_repeats_a_lost_interrupt(reporter):
+    def check():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), reporter.progress(check) as show:
+        show("waves", 0.1)
+
+
+def test_messages_are_printed_as_they_are_and_failures_also_when_quiet(capsys):
+    for quiet in (False, True):
+        reporter = ConsoleReporter(Console(quiet=quiet, width=200))
+        reporter.title("a sweep")
+        reporter.line("written to [folder]")
+        reporter.note("a [note]")
+        reporter.rows([("cases", "3")])
+        reporter.failure("case [1]")
+        out, err = capsys.readouterr()
+        assert err == "failed: case [1]\n"
+        if quiet:
+            assert out == ""
+        else:
+            assert out.startswith("acoustube ")
+            assert out.endswith(": a sweep\nwritten to [folder]\nnote: a [note]\ncases  3\n")
