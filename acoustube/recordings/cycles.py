@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
+from acoustube.base.sampling import sampling_rate
 from acoustube.base.version import __version__
 from acoustube.recordings.checks import check_samples, check_temperature, clipping, dead
 from acoustube.recordings.formats import open_netcdf
 from acoustube.recordings.tables import meaning
-from acoustube.signals import sampling_rate
 
 Named = dict[str, Any]
 

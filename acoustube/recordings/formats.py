@@ -16,7 +16,7 @@ from acoustube.recordings.tables import Contents, meaning, read_table
 
 
 def load(path: Path) -> Contents:
-    """Read all that a file holds, mapped into memory where its kind allows that.
+    """Read the named arrays of a file; NPY and WAV are memory-mapped.
 
     Parameters
     ----------
@@ -52,29 +52,26 @@ def _npy(path: Path) -> Contents:
 
 
 def _npz(path: Path) -> Contents:
+    found: Contents = {}
     with zipfile.ZipFile(path) as archive:
-        return {
-            info.filename.removesuffix(".npy"): _member(path, archive, info)
-            for info in archive.infolist()
-        }
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            with archive.open(info) as member:
+                found[name] = _array(path, name, member)
+    return found
 
 
-def _member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
-    """Return one array; where it is not compressed, mapped, once its checksum is right."""
-    with archive.open(info) as member:
-        if info.compress_type != zipfile.ZIP_STORED or info.file_size < 1 << 16:
-            return np.lib.format.read_array(member, allow_pickle=False)
-        readers = {1: np.lib.format.read_array_header_1_0, 2: np.lib.format.read_array_header_2_0}
-        version, _ = np.lib.format.read_magic(member)
-        shape, fortran, dtype = readers[version](member)
-        start = member.tell()
-        while member.read(1 << 20):
-            pass
-    with path.open("rb") as file:
-        file.seek(info.header_offset + 26)  # two lengths, and then what they are the lengths of
-        name, extra = np.frombuffer(file.read(4), "<u2").tolist()
-    start += info.header_offset + 30 + name + extra
-    return np.memmap(path, dtype, "c", start, shape, "F" if fortran else "C")
+def _array(path: Path, name: str, member: Any) -> NDArray[Any]:
+    """Return an array of an archive; one of Python objects could run code as it is read."""
+    try:
+        return np.lib.format.read_array(member, allow_pickle=False)
+    except ValueError as error:
+        if "Object arrays" not in str(error):
+            raise
+        raise ConfigError(
+            f"{path}: {name} is an array of Python objects, which could run code as they are read; "
+            "save it as numbers or text"
+        ) from error
 
 
 def _wav(path: Path) -> Contents:

@@ -18,6 +18,7 @@ from acoustube.base.files import check_netcdf_name, partial_file
 from acoustube.base.netcdf import write_dataset
 from acoustube.recordings.cycles import as_written, assemble, part_known
 from acoustube.recordings.formats import KINDS, load
+from acoustube.recordings.tables import Note
 
 _SIDECAR = {
     "sampling_rate_hz": "sampling_rate",
@@ -86,8 +87,8 @@ def read(
     if path.suffix.lower() == ".nc" and not over and (own := as_written(path)) is not None:
         return own
     contents = load(path)
-    notes = [contents.pop("note")] if "note" in contents else []
-    known, others = part_known(contents)
+    notes = [str(value) for value in contents.values() if isinstance(value, Note)]
+    known, others = part_known({n: v for n, v in contents.items() if not isinstance(v, Note)})
     named, labels = part_known(over.pop("labels", {}))
     return assemble(path, known | named | over, others, labels, notes)
 

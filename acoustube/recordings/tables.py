@@ -12,10 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.signals import sampling_rate
+from acoustube.base.sampling import sampling_rate
 
-# Arrays and single values by the name that they have in the file; "note" is a sentence.
+# Arrays and single values by the name that they have in the file, and at most one Note.
 Contents = dict[str, Any]
+
+
+class Note(str):
+    """A sentence on how a file was read; by its type it differs from what the file holds."""
+
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
@@ -182,7 +187,7 @@ def _by_shape(columns: list[NDArray[Any]]) -> Contents:
     samples = _joined(columns)
     if len(columns) == 1 or samples.shape[0] >= samples.shape[1]:
         return {"signal": samples.T}
-    note = (
+    note = Note(
         f"The table of {samples.shape[1]} rows and {len(columns)} columns was taken for cycles in "
         f"columns; give samples = {len(columns)} if its rows are cycles."
     )

@@ -5,6 +5,7 @@ The steps are the paper's: for recordings (section II-B) :func:`locate`, for sim
 arrays of shape (..., time) and treat each cycle on its own.
 """
 
+from acoustube.base.sampling import sampling_rate
 from acoustube.signals.calibration import Calibration, calibrate
 from acoustube.signals.calibration_file import load, save
 from acoustube.signals.filters import (
@@ -17,7 +18,6 @@ from acoustube.signals.filters import (
     normalise,
     rectify,
     remove_offset,
-    sampling_rate,
     template,
 )
 from acoustube.signals.localise import (

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
 
+from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
-from acoustube.signals.filters import TimeGain, normalise, remove_offset, sampling_rate
+from acoustube.signals.filters import TimeGain, normalise, remove_offset
 from acoustube.signals.localise import (
     Ranging,
     enhanced,

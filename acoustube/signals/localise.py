@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import ABSOLUTE_ZERO, sound_speed
+from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
 from acoustube.signals.filters import (
     TimeGain,
@@ -16,7 +17,6 @@ from acoustube.signals.filters import (
     matched_filter,
     normalise,
     remove_offset,
-    sampling_rate,
 )
 from acoustube.signals.peaks import Echoes, find_echoes, highest, send_pulse
 from acoustube.signals.processing import Processing, arguments

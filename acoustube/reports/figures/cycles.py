@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from acoustube.base.sampling import sampling_rate
 from acoustube.reports.figures.run import CM, ENVELOPE, PRESS, RETURN, SEND, SIGNAL
 from acoustube.signals import Calibration, Processing, Ranging, distance, rectify, remove_offset
-from acoustube.signals.filters import sampling_rate
 
 MOST_ROWS = 1000
 """Rows of a waterfall; of more cycles, evenly chosen ones are drawn."""

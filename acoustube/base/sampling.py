@@ -1,0 +1,34 @@
+"""Sampling rate of a time axis."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def sampling_rate(time: ArrayLike) -> float:
+    """Return the sampling rate of a time axis.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        Sampling times in s.
+
+    Returns
+    -------
+    float
+        Samples per second.
+
+    Raises
+    ------
+    ValueError
+        If the times are not evenly spaced and rising.
+    """
+    time = np.asarray(time, dtype=float)
+    if time.ndim != 1 or time.size < 2:
+        raise ValueError(f"time has shape {time.shape}; give one axis of at least two samples")
+    step = (time[-1] - time[0]) / (time.size - 1)
+    # Loose enough for times that were stored in single precision.
+    if not (step > 0 and np.allclose(np.diff(time), step, rtol=0.05, atol=0)):
+        raise ValueError("time is not evenly spaced and rising; resample the signal first")
+    return float(1 / step)
