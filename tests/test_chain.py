@@ -1,13 +1,11 @@
 """The whole chain through the installed command, once, on a coarse grid; and what it wrote."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from commands import run_process
 from scipy.interpolate import CubicSpline
 
 from acoustube import Config, load_config
@@ -19,7 +17,6 @@ from acoustube.runs.presses import tube_from
 from acoustube.runs.simulate import simulate, stage, warnings_for
 from acoustube.runs.sound import listen
 
-COMMAND = str(Path(sys.executable).with_name("acoustube"))
 OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
 
 pytestmark = pytest.mark.slow
@@ -30,12 +27,7 @@ def finished(tmp_path_factory):
     """Run the command; return its result and the folder."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     words = [word for name, value in OPTIONS.items() for word in (f"--{name}", str(value))]
-    result = subprocess.run(
-        [COMMAND, "simulate", *words, "--out", str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    result = run_process("simulate", *words, "--out", folder)
     assert result.returncode == 0, result.stderr
     return result, folder
 
@@ -80,9 +72,7 @@ def test_written_settings_are_those_asked_for_and_load_again(finished, dataset):
 def test_second_run_into_the_same_folder_is_refused_and_changes_nothing(finished):
     _, folder = finished
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    again = subprocess.run(
-        [COMMAND, "simulate", "--out", str(folder)], capture_output=True, text=True, check=False
-    )
+    again = run_process("simulate", "--out", folder)
     assert again.returncode == 2
     assert "not empty" in again.stderr
     assert before == {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}

@@ -9,26 +9,14 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import COMMAND, run_process
 
 import acoustube
 from acoustube.base.errors import SimulationError
 from acoustube.base.limits import SHALLOWEST_MM
 from acoustube.cli import _app
 
-COMMAND = Path(sys.executable).with_name("acoustube")
 HEAVY = ("jax", "scipy", "xarray", "h5netcdf", "pyvista", "vtk", "trimesh", "matplotlib", "numpy")
-
-
-def call(*words, **environment):
-    """Run the installed command in the current, empty folder."""
-    return subprocess.run(
-        [COMMAND, *words],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env=os.environ | environment,
-        check=False,
-    )
 
 
 def refused(words, capsys):
@@ -49,11 +37,11 @@ def assert_refused(words, capsys, *parts):
 
 
 def test_version_is_the_packages():
-    assert call("--version").stdout.strip() == acoustube.__version__
+    assert run_process("--version").stdout.strip() == acoustube.__version__
 
 
 def test_help_names_every_option_with_its_unit():
-    text = call("simulate", "--help", COLUMNS="300").stdout
+    text = run_process("simulate", "--help", COLUMNS="300").stdout
     for option, unit in (
         ("--indenter", "2 to 100 mm; default 25"),
         ("--depth", "0.05 to 50 mm, or 0 in a sweep; default 4"),
@@ -240,7 +228,7 @@ def test_bad_option_of_a_press_is_refused_in_one_sentence(tmp_path, capsys, word
 )
 def test_a_process_refuses_as_the_function_does(tmp_path, capsys, words):
     """The installed command ends with code 2, and prints the same line and nothing else."""
-    result = call(*words)
+    result = run_process(*words)
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr == refused(words, capsys)
@@ -263,14 +251,15 @@ def test_cache_is_listed_sized_and_cleared(tmp_path):
     (folder / "compiled-x").mkdir()
     (folder / "compiled-x" / "jit_f-cache").write_bytes(bytes(3_000_000))
     environment = {"ACOUSTUBE_CACHE": str(folder)}
-    listed = call("cache", "list", **environment).stdout
+    listed = run_process("cache", "list", **environment).stdout
     assert listed.startswith("20")
     assert listed.endswith("     2.0 MB  \n")
     size = f"1 result, 2.0 MB in {folder}\ncompiled code, 3.0 MB\n"
-    assert call("cache", "size", **environment).stdout == size
-    assert call("cache", "clear", **environment).stdout == "1 result forgotten, 5.0 MB freed\n"
+    assert run_process("cache", "size", **environment).stdout == size
+    cleared = run_process("cache", "clear", **environment).stdout
+    assert cleared == "1 result forgotten, 5.0 MB freed\n"
     size = f"0 results, 0.0 MB in {folder}\ncompiled code, 0.0 MB\n"
-    assert call("cache", "size", **environment).stdout == size
+    assert run_process("cache", "size", **environment).stdout == size
 
 
 @pytest.mark.parametrize(
@@ -312,7 +301,7 @@ def test_folder_with_a_run_is_refused_and_kept(tmp_path, capsys):
 
 def test_refusal_comes_before_any_solver_is_loaded():
     """JAX alone takes more than a second to import."""
-    result = call("simulate", "--depth", "12", PYTHONPROFILEIMPORTTIME="1")
+    result = run_process("simulate", "--depth", "12", PYTHONPROFILEIMPORTTIME="1")
     assert result.returncode == 2
     loaded = {line.rsplit("|")[-1].strip() for line in result.stderr.splitlines()}
     assert "acoustube.runs.config" in loaded

@@ -1,15 +1,13 @@
 """The command ``acoustube indent``: what it writes, remembers, and keeps when it cannot go on."""
 
 import dataclasses
-import subprocess
-import sys
 from io import StringIO
-from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
 import xarray as xr
+from commands import run_here, run_process
 from rich.console import Console
 
 from acoustube import load_config
@@ -20,7 +18,6 @@ from acoustube.reports.figures import run as run_figure
 from acoustube.runs import presses as press_runs
 from acoustube.runs.config import Mechanics
 
-COMMAND = str(Path(sys.executable).with_name("acoustube"))
 COARSE = MeshSize(through_wall=1, around=6, along=6)
 
 pytestmark = pytest.mark.slow
@@ -31,12 +28,7 @@ def finished(tmp_path_factory):
     """Run the command; return its result and the folder."""
     folder = tmp_path_factory.mktemp("presses") / "press"
     words = ["--indenter", "25", "--depth", "0.5", "--steps", "2", "--support", "free"]
-    result = subprocess.run(
-        [COMMAND, "indent", *words, "--out", str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    result = run_process("indent", *words, "--out", folder)
     assert result.returncode == 0, result.stderr
     return result, folder
 
@@ -136,7 +128,7 @@ def test_meshes_for_paraview_have_the_elements_volume(finished, dataset):
 
 def test_second_run_is_recalled_and_the_same(finished, tmp_path):
     words = ["--indenter", "25", "--depth", "0.5", "--steps", "2", "--support", "free"]
-    subprocess.run([COMMAND, "indent", *words, "--out", "again"], check=True, capture_output=True)
+    assert run_here("indent", *words, "--out", "again").returncode == 0
     with (
         xr.open_dataset(finished[1] / "run.nc", engine="h5netcdf") as first,
         xr.open_dataset(tmp_path / "again" / "run.nc", engine="h5netcdf") as second,

@@ -1,12 +1,11 @@
 """The commands process and calibrate on files, as a user meets them."""
 
 import csv
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_here
 from test_calibration import PLACES, blocked, untouched
 from test_pipeline import RATE, TIME, cycles_at
 
@@ -14,12 +13,7 @@ from acoustube import signals
 from acoustube.cli._app import main
 from acoustube.runs import recordings
 
-COMMAND = str(Path(sys.executable).with_name("acoustube"))
 DISTANCES = np.linspace(0.3, 1.9, 7)
-
-
-def call(*words, **options):
-    return subprocess.run([COMMAND, *words], capture_output=True, text=True, check=False, **options)
 
 
 def save(name, cycles, **extra):
@@ -33,7 +27,7 @@ def rows_of(text):
 
 def test_one_row_per_cycle_tells_its_distance():
     save("a.npz", cycles_at(DISTANCES, noise=0.002))
-    result = call("process", "a.npz", "--out", "t.csv", "--prominence", "0.05")
+    result = run_here("process", "a.npz", "--out", "t.csv", "--prominence", "0.05")
     assert result.returncode == 0, result.stderr
     assert "7 cycles, echoes in 7" in result.stdout
     rows = rows_of(Path("t.csv").read_text())
@@ -55,7 +49,7 @@ def test_labels_stand_beside_what_is_found():
     depth = np.where(DISTANCES > 1, 3e-3, np.nan)
     save("a.npz", cycles_at(DISTANCES), true_distance=DISTANCES, depth=depth)
     save("b.npz", cycles_at(DISTANCES))
-    rows = rows_of(call("process", "a.npz", "b.npz", "--prominence", "0.05").stdout)
+    rows = rows_of(run_here("process", "a.npz", "b.npz", "--prominence", "0.05").stdout)
     true = [float(row["true_distance_cm"]) for row in rows[:7]]
     assert true == pytest.approx(100 * DISTANCES, rel=1e-5)
     assert [row["depth_mm"] for row in rows[:7]] == ["", "", "", "3", "3", "3", "3"]
@@ -68,7 +62,7 @@ def test_table_goes_to_standard_output_and_many_cycles_are_those_of_one():
     distances = np.linspace(0.3, 1.9, 600)
     cycles = cycles_at(distances, noise=0.002).astype(np.uint16)
     save("a.npz", cycles)
-    result = call("process", "a.npz", "--prominence", "0.05", "--quiet")
+    result = run_here("process", "a.npz", "--prominence", "0.05", "--quiet")
     rows = rows_of(result.stdout)
     assert result.stderr == ""
     alone = signals.locate(TIME, cycles, signals.Processing(prominence=0.05))
@@ -88,7 +82,7 @@ def test_bad_files_are_told_and_the_others_processed():
     Path("runs/e.npz").write_bytes(Path("runs/a.npz").read_bytes()[:5000])
     save("runs/f.npz", cycles_at(DISTANCES)[:, :40])
     save("runs/g.npz", cycles_at(DISTANCES))
-    result = call("process", "runs", "--out", "t.csv")
+    result = run_here("process", "runs", "--out", "t.csv")
     assert result.returncode == 1
     rows = rows_of(Path("t.csv").read_text())
     assert {Path(row["file"]).name for row in rows} == {"a.npz", "g.npz"}
@@ -107,7 +101,8 @@ def test_names_with_brackets_and_cycles_that_begin_elsewhere():
     np.savez(
         Path("z[") / "b].npz", signal=np.zeros((2, 4000), np.uint16), rate=RATE, temperature=20.0
     )
-    result = call("process", "y[left].npz", "z[/b].npz", "--prominence", "0.05", "--out", "t.csv")
+    words = "process y[left].npz z[/b].npz --prominence 0.05 --out t.csv"
+    result = run_here(*words.split())
     told = " ".join((result.stdout + result.stderr).split())
     assert result.returncode == 1
     assert "y[left].npz: an echo is" in told
@@ -119,9 +114,9 @@ def test_names_with_brackets_and_cycles_that_begin_elsewhere():
 def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
     save("closed.npz", blocked(), true_distance_m=PLACES)
     save("free.npz", untouched())
-    made = call("calibrate", "closed.npz", "--untouched", "free.npz", "--out", "closed.toml")
+    made = run_here("calibrate", "closed.npz", "--untouched", "free.npz", "--out", "closed.toml")
     assert made.returncode == 0, made.stderr
-    used = call("process", "closed.npz", "--calibration", "closed.toml", "--quiet")
+    used = run_here("process", "closed.npz", "--calibration", "closed.toml", "--quiet")
     assert used.returncode == 0, used.stderr
     text = Path("closed.toml").read_text()
     for old, new, part in (
@@ -130,7 +125,7 @@ def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
         ("frequency = 42000.0", 'frequency = "x"', "must be a finite number"),
     ):
         (tmp_path / "edited.toml").write_text(text.replace(old, new, 1))
-        refused = call("process", "closed.npz", "--calibration", str(tmp_path / "edited.toml"))
+        refused = run_here("process", "closed.npz", "--calibration", str(tmp_path / "edited.toml"))
         assert refused.returncode == 2
         assert part in " ".join(refused.stderr.split())
 
@@ -141,14 +136,14 @@ def test_record_that_begins_before_its_trigger_keeps_its_time():
     early = np.concatenate([np.full((7, 400), 2048.0), cycles], axis=1)
     time = (np.arange(4400) - 400) / RATE
     np.savez("early.npz", signal=early.astype(np.uint16), time=time, temperature=20.0)
-    result = call("process", "early.npz", "--prominence", "0.05", "--quiet")
+    result = run_here("process", "early.npz", "--prominence", "0.05", "--quiet")
     found = np.array([float(row["distance_cm"]) for row in rows_of(result.stdout)])
     assert found == pytest.approx(100 * DISTANCES, abs=0.1)
 
 
 def test_nothing_to_process_is_refused():
     Path("empty").mkdir()
-    assert call("process").returncode == 2
+    assert run_here("process").returncode == 2
     for words, part in (
         (["empty"], "empty"),
         (["missing.npz"], "missing.npz"),
@@ -158,7 +153,7 @@ def test_nothing_to_process_is_refused():
         (["a.npz", "--figure", "a.xyz"], "figure = a.xyz must end in one of .png"),
     ):
         save("a.npz", cycles_at(DISTANCES))
-        result = call("process", *words)
+        result = run_here("process", *words)
         assert result.returncode != 0, words
         assert part in " ".join(result.stderr.split()), words
         assert "Traceback" not in result.stderr
@@ -172,7 +167,7 @@ def recorded():
 
 @pytest.mark.usefixtures("recorded")
 def test_calibration_is_written_and_applied():
-    result = call(
+    result = run_here(
         "calibrate", "closed.npz", "--untouched", "free.npz", "--out", "c.toml", "--figure",
         "c.png", "--sigmas", "8",
     )  # fmt: skip
@@ -181,7 +176,7 @@ def test_calibration_is_written_and_applied():
     assert "0 % of the untouched cycles show an echo" in " ".join(result.stdout.split())
     assert Path("c.png").stat().st_size > 10_000
     plain, calibrated = (
-        rows_of(call("process", "closed.npz", *words, "--quiet").stdout)
+        rows_of(run_here("process", "closed.npz", *words, "--quiet").stdout)
         for words in ([], ["--calibration", "c.toml", "--figure", "p.png"])
     )
     before, after = (
@@ -195,17 +190,15 @@ def test_calibration_is_written_and_applied():
 
 @pytest.mark.usefixtures("recorded")
 def test_named_calibration_is_found_by_its_name(tmp_path):
-    import os
-
-    home = os.environ | {"XDG_DATA_HOME": str(tmp_path / "data"), "HOME": str(tmp_path)}
-    made = call("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", env=home)
+    home = {"XDG_DATA_HOME": str(tmp_path / "data"), "HOME": str(tmp_path)}
+    made = run_here("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", **home)
     assert made.returncode == 0, made.stderr
-    used = call("process", "closed.npz", "--calibration", "left", "--quiet", env=home)
+    used = run_here("process", "closed.npz", "--calibration", "left", "--quiet", **home)
     assert used.returncode == 0, used.stderr
-    again = call("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", env=home)
+    again = run_here("calibrate", "closed.npz", "--untouched", "free.npz", "--name", "left", **home)
     assert again.returncode == 2
     assert "left.toml exists and nothing is overwritten" in "".join(again.stderr.split("\n"))
-    other = call("process", "closed.npz", "--calibration", "right", env=home)
+    other = run_here("process", "closed.npz", "--calibration", "right", **home)
     assert "known are left" in " ".join(other.stderr.split())
 
 
@@ -221,7 +214,7 @@ def test_calibrations_that_cannot_be_are_refused():
         (["closed.npz", "--untouched", "slow.npz", "--out", "c.toml"], "same number of samples"),
         (["closed.npz", "--untouched", "free.npz", "--name", "a/b"], "name = a/b must be"),
     ):
-        result = call("calibrate", *words)
+        result = run_here("calibrate", *words)
         assert result.returncode == 2, words
         assert part in " ".join(result.stderr.split()), words
         assert not Path("c.toml").exists()

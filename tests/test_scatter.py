@@ -1,7 +1,5 @@
 """The scattering matrix of lumens from files, against an independent solution."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 import xarray as xr
+from commands import run_here
 from test_scattering import MIDDLE, RADIUS, REFERENCE, pinched
 
 from acoustube.air import Air
@@ -18,7 +17,6 @@ from acoustube.runs.scattering_file import read
 from acoustube.waves import cut_cells
 from acoustube.waves.scattering import is_symmetric, scatter, straight_ends_cut
 
-COMMAND = str(Path(sys.executable).with_name("acoustube"))
 AIR = Air(sound_speed=343.2, density=1.204)
 
 
@@ -171,10 +169,6 @@ def test_lumen_is_read_in_metres_from_zero():
     assert surface.is_watertight
 
 
-def call(*words):
-    return subprocess.run([COMMAND, *words], capture_output=True, text=True, check=False)
-
-
 @pytest.mark.parametrize(
     ("words", "part"),
     [
@@ -194,7 +188,7 @@ def call(*words):
 )
 def test_what_cannot_be_computed_is_refused_in_one_sentence(words, part):
     saved(cylinder())
-    result = call("scatter", *words, "--out", "s.nc")
+    result = run_here("scatter", *words, "--out", "s.nc")
     assert result.returncode == 2
     assert part in result.stderr
     assert result.stderr.count("\n") == 1
@@ -216,7 +210,7 @@ def test_command_writes_the_matrix_of_a_straight_tube():
     """Lossy, reference planes at z = 0: the wave arrives as it left."""
     saved(cylinder())
     words = ["--band", "10", "30", "--step", "2", "--resolution", "10", "--out", "s.nc"]
-    result = call("scatter", "lumen.stl", *words)
+    result = run_here("scatter", "lumen.stl", *words)
     assert result.returncode == 0, result.stderr
     assert "cut on inside the band: 11" in result.stdout.replace("\n", " ")
     with xr.open_dataset("s.nc", engine="h5netcdf") as data:

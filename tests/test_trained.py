@@ -2,24 +2,18 @@
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_here
 from labelled_cycles import cycles
 from test_package import loaded_by
 
 from acoustube import recordings
 
-COMMAND = str(Path(sys.executable).with_name("acoustube"))
 TRAIN = ("train", "a.nc", "--out", "m.model", "--prominence", "0.001")
 ECHO = (*TRAIN, "--estimator", "echo", "--folds", "3", "--epochs", "4")
-
-
-def call(*words):
-    return subprocess.run([COMMAND, *words], capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +28,7 @@ def _files(recorded, tmp_path):
 
 def refused(words, code=2, command=ECHO):
     """Assert that a command ends with one sentence on standard error."""
-    result = call(*command)
+    result = run_here(*command)
     assert result.returncode == code, result
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1
@@ -44,12 +38,12 @@ def refused(words, code=2, command=ECHO):
 
 @pytest.mark.slow
 def test_a_model_is_trained_and_its_errors_are_written():
-    result = call(*ECHO)
+    result = run_here(*ECHO)
     assert result.returncode == 0, result.stderr
     assert "70 cycles, echoes in 70; echo learns distance, depth, force from 70" in result.stdout
     assert "epoch 1 of 4: loss" in result.stdout
     assert "held-out loss" in result.stdout
-    result = call("evaluate", "m.model", "a.nc", "--out", "t.csv", "--figure", "f.png")
+    result = run_here("evaluate", "m.model", "a.nc", "--out", "t.csv", "--figure", "f.png")
     assert result.returncode == 0, result.stderr
     assert "echo, trained on 70 cycles; 70 cycles, echoes in 70" in result.stdout
     rows = list(csv.DictReader(Path("t.csv").read_text().splitlines()))
@@ -71,9 +65,9 @@ def test_a_model_is_trained_and_its_errors_are_written():
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["network", "boosting"])
 def test_other_estimators_train_from_the_command_line_too(estimator):
-    result = call(*TRAIN, "--estimator", estimator, "--folds", "2", "--epochs", "3", "--quiet")
+    result = run_here(*TRAIN, "--estimator", estimator, "--folds", "2", "--epochs", "3", "--quiet")
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
-    result = call("evaluate", "m.model", "a.nc")
+    result = run_here("evaluate", "m.model", "a.nc")
     assert result.returncode == 0, result.stderr
     assert ("depth" in result.stdout) == (estimator == "boosting")
 
@@ -108,7 +102,7 @@ def test_wrong_words_are_refused_before_anything_is_read():
 
 @pytest.mark.slow
 def test_a_model_of_another_version_and_cycles_without_labels_are_told(recorded):
-    assert call(*ECHO, "--quiet").returncode == 0
+    assert run_here(*ECHO, "--quiet").returncode == 0
     recordings.write(recorded.drop_vars(["force", "depth", "true_distance"]), "b.nc")
     refused("no label true_distance or depth or force", command=("evaluate", "m.model", "b.nc"))
     with np.load("m.model") as archive:
@@ -123,10 +117,10 @@ def test_a_model_of_another_version_and_cycles_without_labels_are_told(recorded)
 def test_files_without_a_session_are_one_each(recorded):
     for name, part in (("a.nc", slice(35)), ("b.nc", slice(35, 70))):
         recordings.write(recorded.drop_vars("session").isel(cycle=part), name)
-    result = call("train", "a.nc", "b.nc", *ECHO[2:], "--by", "session")
+    result = run_here("train", "a.nc", "b.nc", *ECHO[2:], "--by", "session")
     assert result.returncode == 2
     assert "3 folds cannot be made of 2 groups" in result.stderr
-    result = call("train", "a.nc", "b.nc", *TRAIN[2:], "--estimator", "echo", "--by", "session",
+    result = run_here("train", "a.nc", "b.nc", *TRAIN[2:], "--estimator", "echo", "--by", "session",
                   "--folds", "2", "--epochs", "2")  # fmt: skip
     assert result.returncode == 0, result.stderr
 
