@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,12 @@ from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
 from acoustube.base.errors import SimulationError
-from acoustube.waves.scheme.losses import Memory, lose
+from acoustube.waves.scheme.losses import (
+    Memory,
+    advance_relaxations,
+    bulk_absorption,
+    lossy_change,
+)
 from acoustube.waves.scheme.operator import INTERIOR, Operator, laplacian, with_halo
 from acoustube.waves.scheme.pml import Absorber, absorb
 from acoustube.waves.scheme.problem import Scheme, Setup, State
@@ -28,6 +33,7 @@ from acoustube.waves.scheme.problem import Scheme, Setup, State
 Progress = Callable[[float], object]
 Array = NDArray[np.floating[Any]]
 CHUNK = 250  # steps between two reports
+UNROLL = 2  # steps per turn of the loop: XLA then copies no field, and stores fewer half way
 
 
 def initial_state(setup: Setup, pressure: ArrayLike) -> State:
@@ -166,49 +172,109 @@ def acoustic_energy(setup: Setup, state: State) -> float:
     return 0.5 * float(np.sum(volume * (change**2 - earlier * force)))
 
 
+class _Fields(NamedTuple):
+    """Fields of a `State` without halos, in the form that a single pass over the grid advances.
+
+    That the argument of the Laplacian is stored makes all else of a step local to its cell, so
+    that a compiler for GPUs fuses it into one kernel, which reads and writes each array once.
+
+    Attributes
+    ----------
+    ahead : Array
+        Argument of the Laplacian: the pressure plus `losses.bulk_absorption`, in Pa, (nx, ny, nz).
+    pressure : Array or None
+        In Pa, (nx, ny, nz); without losses it is `ahead`, and this is None.
+    change : Array
+        Over the last step, in Pa, (nx, ny, nz).
+    before, behind : Absorber or None
+    memory : Memory or None
+        Its half-integral without halo.
+    """
+
+    ahead: jax.Array
+    pressure: jax.Array | None
+    change: jax.Array
+    before: Absorber | None
+    behind: Absorber | None
+    memory: Memory | None
+
+
 @partial(jax.jit, static_argnames=("source_layer",))
 def _run_chunk(
     state: State, scheme: Scheme, source: jax.Array, *, source_layer: int
 ) -> tuple[State, jax.Array]:
     """Advance by some steps and record the probes after each."""
-    return lax.scan(partial(_step, scheme, source_layer), state, source)
+    step = partial(_step, scheme, source_layer)
+    fields, heard = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
+    return _state(fields), heard
+
+
+def _fields(state: State, scheme: Scheme) -> _Fields:
+    """Return the fields of a state."""
+    pressure, memory = state.pressure[INTERIOR], state.memory
+    if scheme.losses is None or memory is None:
+        return _Fields(pressure, None, state.change, state.before, state.behind, None)
+    memory = memory._replace(integral=memory.integral[INTERIOR])
+    added = bulk_absorption(scheme.losses, memory, state.change)
+    return _Fields(pressure + added, pressure, state.change, state.before, state.behind, memory)
+
+
+def _state(fields: _Fields) -> State:
+    """Return the state of fields."""
+    pressure = fields.ahead if fields.pressure is None else fields.pressure
+    memory = fields.memory
+    if memory is not None:
+        memory = memory._replace(integral=with_halo(memory.integral))
+    return State(with_halo(pressure), fields.change, fields.before, fields.behind, memory)
 
 
 def _step(
-    scheme: Scheme, source_layer: int, state: State, sample: jax.Array
-) -> tuple[State, jax.Array]:
-    """Advance by one leapfrog step: all cells, the absorbers' anew, then source and probes."""
-    pressure = state.pressure
-    # The absorbers' cells are advanced twice, but the loop over all cells stays one fused kernel:
-    # regions updated one by one took 1.4 times as long.
-    memory, change = _advance(state, scheme)
-    before, change = _absorb_at(state.before, 0, pressure, change, scheme)
-    n_behind = 0 if state.behind is None else state.behind.transverse.shape[2]
-    behind, change = _absorb_at(state.behind, change.shape[2] - n_behind, pressure, change, scheme)
-    pressure = _drive(pressure.at[INTERIOR].add(change), scheme, source_layer, sample)
-    return State(pressure, change, before, behind, memory), _probe(pressure, scheme)
+    scheme: Scheme, source_layer: int, fields: _Fields, sample: jax.Array
+) -> tuple[_Fields, jax.Array]:
+    """Advance by one leapfrog step: the absorbers, then all cells with source, then probes."""
+    around, pressure = with_halo(fields.ahead), fields.pressure
+    before, first = _absorb_at(fields.before, 0, around, scheme)
+    n_behind = 0 if fields.behind is None else fields.behind.transverse.shape[2]
+    last = fields.change.shape[2] - n_behind
+    behind, end = _absorb_at(fields.behind, last, around, scheme)
+    losses, memory = scheme.losses, fields.memory
+    if losses is None or memory is None or pressure is None:
+        change = fields.change + scheme.step_squared * laplacian(around, scheme.operator)
+        change = _joined(first, change, end)
+        ahead = _driven(fields.ahead + change, scheme, source_layer, sample)
+        return _Fields(ahead, None, change, before, behind, None), _probe(ahead, scheme)
+    change = lossy_change(
+        losses, memory, scheme.operator, around, pressure, fields.change, scheme.step_squared
+    )
+    change = _joined(first, change, end)
+    memory = advance_relaxations(losses, memory, pressure, change)
+    pressure = _driven(pressure + change, scheme, source_layer, sample)
+    ahead = pressure + bulk_absorption(losses, memory, change)
+    return _Fields(ahead, pressure, change, before, behind, memory), _probe(pressure, scheme)
 
 
-def _advance(state: State, scheme: Scheme) -> tuple[Memory | None, jax.Array]:
-    """Return the change of all cells over a step as if there were no absorbers."""
-    if scheme.losses is None or state.memory is None:
-        force = laplacian(state.pressure, scheme.operator)
-        return None, state.change + scheme.step_squared * force
-    return lose(
-        scheme.losses, state.memory, scheme.operator,
-        state.pressure, state.change, scheme.step_squared,
-    )  # fmt: skip
+def _joined(first: jax.Array | None, middle: jax.Array, end: jax.Array | None) -> jax.Array:
+    """Return a field whose first and last layers are replaced."""
+    # By selection, as XLA fuses no concatenation with what follows it.
+    n = middle.shape[2]
+    layer = jnp.arange(n)
+    if first is not None:
+        padded = jnp.pad(first, ((0, 0), (0, 0), (0, n - first.shape[2])))
+        middle = jnp.where(layer < first.shape[2], padded, middle)
+    if end is not None:
+        padded = jnp.pad(end, ((0, 0), (0, 0), (n - end.shape[2], 0)))
+        middle = jnp.where(layer >= n - end.shape[2], padded, middle)
+    return middle
 
 
 def _absorb_at(
-    layer: Absorber | None, first: int, pressure: jax.Array, change: jax.Array, scheme: Scheme
-) -> tuple[Absorber | None, jax.Array]:
-    """Advance an absorber, if there is one, and replace the change of its cells."""
+    layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
+) -> tuple[Absorber | None, jax.Array | None]:
+    """Advance an absorber, if there is one, and return the change of its cells."""
     if layer is None:
-        return None, change
-    around, local = _window(pressure, scheme.operator, first, layer.transverse.shape[2])
-    layer, inside = absorb(layer, around, local, scheme.step_squared)
-    return layer, lax.dynamic_update_slice(change, inside, (0, 0, first))
+        return None, None
+    near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])
+    return absorb(layer, near, local, scheme.step_squared)
 
 
 def _window(
@@ -226,13 +292,14 @@ def _window(
     return pressure[:, :, first : first + n_layers + 4], local
 
 
-def _drive(pressure: jax.Array, scheme: Scheme, source_layer: int, sample: jax.Array) -> jax.Array:
-    """Set the source layer, or add to it."""
-    plane = (slice(1, -1), slice(1, -1), source_layer + 2)
-    return pressure.at[plane].set(scheme.keep * pressure[plane] + sample * scheme.source)
+def _driven(pressure: jax.Array, scheme: Scheme, source_layer: int, sample: jax.Array) -> jax.Array:
+    """Return the pressure with the source layer set, or added to."""
+    layer = jnp.arange(pressure.shape[2]) == source_layer
+    driven = scheme.keep * pressure + sample * scheme.source[:, :, None]
+    return jnp.where(layer, driven, pressure)
 
 
 def _probe(pressure: jax.Array, scheme: Scheme) -> jax.Array:
     """Return the volume-weighted means over the probed layers."""
-    planes = jnp.take(pressure[1:-1, 1:-1], scheme.probe_layers + 2, axis=2)
+    planes = jnp.take(pressure, scheme.probe_layers, axis=2)
     return jnp.sum(planes * scheme.probe_weights, axis=(0, 1))

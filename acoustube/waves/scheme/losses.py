@@ -33,7 +33,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from math import pi, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ from acoustube.air import Air
 from acoustube.base.errors import ConfigError
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.scheme.operator import INTERIOR, Operator, assemble, laplacian, with_halo
+from acoustube.waves.scheme.operator import Operator, assemble, laplacian, with_halo
 from acoustube.waves.scheme.time_step import largest_eigenvalue
 
 BAND = 0.2e-3
@@ -153,8 +153,6 @@ class Losses(NamedTuple):
         Share of the pressure's change per step that is added to it, scalar.
     share : Array
         How much the air absorbs in each layer, (1, 1, nz).
-    one : Array
-        The number one, unknown to the compiler.
     """
 
     drag: Operator
@@ -167,7 +165,6 @@ class Losses(NamedTuple):
     response: jax.Array
     rate: jax.Array
     share: jax.Array
-    one: jax.Array
 
 
 class Memory(NamedTuple):
@@ -251,7 +248,6 @@ def losses(
         response=jnp.asarray(response, dtype),
         rate=jnp.asarray(diffusivity / (air.sound_speed**2 * time_step), dtype),
         share=jnp.asarray(share[None, None], dtype),
-        one=jnp.asarray(1, jnp.int32),
     )
     still = jnp.zeros(cells.shape, dtype)
     return found, Memory((still,) * len(rates), with_halo(still), still)
@@ -334,24 +330,27 @@ def _drag(operator: Operator, wetted: Array, dtype: DTypeLike) -> Operator:
     )
 
 
-def lose(
+def lossy_change(
     losses: Losses,
     memory: Memory,
     operator: Operator,
+    around: jax.Array,
     pressure: jax.Array,
     change: jax.Array,
     step_squared: jax.Array,
-) -> tuple[Memory, jax.Array]:
-    """Advance the pressure's change by one step with losses.
+) -> jax.Array:
+    """Return the pressure's change over a step with losses.
 
     Parameters
     ----------
     losses : Losses
     memory : Memory
-        What is remembered at the time of `pressure`.
+        What is remembered at the time of `pressure`, without halo.
     operator : Operator
+    around : Array
+        The pressure plus `bulk_absorption`, with halo, in Pa.
     pressure : Array
-        With halo, in Pa.
+        Without halo, in Pa.
     change : Array
         Over the last step, in Pa.
     step_squared : Array
@@ -359,40 +358,53 @@ def lose(
 
     Returns
     -------
-    memory : Memory
-    change : Array
+    Array
         Over this step, in Pa.
     """
-    now = pressure[INTERIOR]
-    lagging = sum(
-        (share * one for share, one in zip(losses.bulk, memory.relaxed, strict=True)),
-        start=jnp.zeros_like(now),
-    )
-    # The half-integral moves by `expected`, and by half the response to the change still unknown.
-    relaxing = (
-        share * (decay - 1) * one
-        for share, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)
-    )
-    expected = sum(relaxing, start=losses.response * now)
-    absorbed = losses.share * (losses.rate * change - lagging)
-    ahead, expected = _held(losses, (pressure, now), (with_halo(now + absorbed), expected))
-    force = laplacian(ahead, operator) - laplacian(memory.integral, losses.drag)
-    inert = change - losses.compliance * (expected - memory.increment)
-    change = _held(losses, change, losses.yielding * (inert + step_squared * force))
-    increment = expected + 0.5 * losses.response * change
-    integral = memory.integral.at[INTERIOR].add(increment)
-    middle = now + 0.5 * change
+    force = laplacian(around, operator) - laplacian(with_halo(memory.integral), losses.drag)
+    stiff = losses.compliance * (_expected(losses, memory, pressure) - memory.increment)
+    return losses.yielding * (change - stiff + step_squared * force)
+
+
+def advance_relaxations(
+    losses: Losses, memory: Memory, pressure: jax.Array, change: jax.Array
+) -> Memory:
+    """Advance the relaxations and the half-integral by one step of the trapezoidal rule.
+
+    Parameters
+    ----------
+    losses : Losses
+    memory : Memory
+        At the time of `pressure`, without halo.
+    pressure, change : Array
+        Before the step and over it, in Pa.
+
+    Returns
+    -------
+    Memory
+    """
+    increment = _expected(losses, memory, pressure) + 0.5 * losses.response * change
+    middle = pressure + 0.5 * change
     relaxed = tuple(
         decay * one + gain * middle
         for decay, gain, one in zip(losses.decay, losses.gain, memory.relaxed, strict=True)
     )
-    return Memory(relaxed, integral, increment), change
+    return Memory(relaxed, memory.integral + increment, increment)
 
 
-def _held(losses: Losses, before: Any, value: Any) -> Any:
-    """Return a value that is computed once.
+def bulk_absorption(losses: Losses, memory: Memory, change: jax.Array) -> jax.Array:
+    """Return the air's absorption as a pressure that adds to the Laplacian's argument, in Pa."""
+    lagging = sum(
+        (share * one for share, one in zip(losses.bulk, memory.relaxed, strict=True)),
+        start=jnp.zeros_like(change),
+    )
+    return losses.share * (losses.rate * change - lagging)
 
-    The compiler would compute it anew for everything that uses it, a stencil ten times over; it
-    does not look through a loop whose length it does not know.
-    """
-    return jax.lax.fori_loop(0, losses.one, lambda *_: value, before)
+
+def _expected(losses: Losses, memory: Memory, pressure: jax.Array) -> jax.Array:
+    """Return the half-integral's increment without the response to the step's own change."""
+    relaxing = (
+        share * (decay - 1) * one
+        for share, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)
+    )
+    return sum(relaxing, start=losses.response * pressure)
