@@ -8,8 +8,9 @@ each kind of cell reads and writes; and these bytes per second as a share of wha
 same footprint moves here. The two forms' largest difference in what the probes hear stands beside.
 
 Each rate is the median of five warm runs. Run on an otherwise idle machine, ``python
-benchmarks/fdtd_throughput.py``. Where JAX computes on a GPU the same command prints the JAX form
-only, on the GPU; there it is what a march runs.
+benchmarks/fdtd_throughput.py``. Where JAX computes on a GPU, a march runs the JAX form there, and
+the same command prints its rates only, on one larger grid too: with the bytes of the arrays that a
+step must read and write once, and their rate as a share of what a scaled copy of 1 GiB reaches.
 """
 
 from __future__ import annotations
@@ -22,12 +23,13 @@ from statistics import median
 from time import perf_counter
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import trimesh
 
 from acoustube.air import air_at
 from acoustube.waves import CutCells, Pulse, cut_cells, grid_spacing, propagate
-from acoustube.waves.scheme.leapfrog import Marcher, _TracedMarcher
+from acoustube.waves.scheme.leapfrog import CHUNK, Marcher, _TracedMarcher
 from acoustube.waves.scheme.problem import Setup, prepare
 
 RADIUS, PROBES = 3.95e-3, (0.01, 0.02)
@@ -36,10 +38,16 @@ PULSE = Pulse(frequency=42e3)
 BAND = (5e3, 60e3)
 GRIDS = {"scattering": (32, True, 0.033), "fine": (32, False, 0.182), "long": (20, True, 0.355)}
 """Cells per bore, whether half, and length in m."""
+GPU_GRIDS = {"large": (64, False, 0.182)}
+"""Those that only a GPU is asked for."""
 NUMBERS = {"core": 5, "cut": 14, "absorber": 24}
 """Read and written per cell and step without losses; neighbours count once."""
 PER_POLE, AT_WALL = 2, 19
 """More with losses: per relaxation, and in cut cells."""
+DENSE, DENSE_ABSORBER, DENSE_LOSSES = 8, 8, 9
+"""The same of the JAX form, whose arrays cover the box: pressure and change, read and written, one
+volume and three areas; four more fields in an absorber; with losses the half-integral, its
+increment, three areas, compliance and implicit factor, and `PER_POLE`."""
 
 
 def tube(length: float, press: float = 0.0) -> trimesh.Trimesh:
@@ -111,6 +119,24 @@ def triad(n_bytes: float, n_threads: int) -> float:
         )
 
 
+def device_copy() -> float:
+    """Return the bytes per second, read and written, of a scaled copy of 1 GiB."""
+    array = jnp.linspace(0.0, 1.0, 2**28, dtype=jnp.float32)
+    scaled = jax.jit(lambda a: jnp.float32(1.5) * a)
+    return 8 * array.size / seconds(lambda: scaled(array).block_until_ready())
+
+
+def dense_traffic(setup: Setup) -> float:
+    """Return the bytes that a step of the JAX form must read and write, each array once."""
+    numbers = float(DENSE * np.prod(setup.cells.shape))
+    for layer in (setup.state.before, setup.state.behind):
+        numbers += DENSE_ABSORBER * layer.transverse.size if layer is not None else 0
+    if setup.scheme.losses is not None:
+        n_poles = len(setup.scheme.losses.decay)
+        numbers += (DENSE_LOSSES + PER_POLE * n_poles) * setup.state.change.size
+    return 4.0 * numbers
+
+
 def traffic(setup: Setup) -> float:
     """Return the bytes that a step of the compiled columns moves."""
     from acoustube.waves.scheme.cpu_kernel import CORE, CUT
@@ -125,20 +151,22 @@ def traffic(setup: Setup) -> float:
     return 4.0 * numbers
 
 
-def report(setup: Setup) -> None:
-    """Print the rates of one problem."""
-    n_cells, n_steps = float(np.prod(setup.cells.shape)), 60
-    filled = float(np.mean(setup.cells.volume_fraction > 0))
-    traced = rate(_TracedMarcher(setup, setup.state), n_cells, n_steps)
-    print(
-        f"    JAX, {jax.devices()[0]}: {traced / 1e9:.3f} Gcell/s, open {filled * traced / 1e9:.3f}"
-    )
-    if jax.default_backend() != "cpu":
-        return
+def report(setup: Setup, copied: float | None) -> None:
+    """Print the rates of one problem; on a GPU with the bytes per second of a copy there."""
     from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 
-    moved = traffic(setup)
-    for n_threads in (1, 2):
+    n_cells = float(np.prod(setup.cells.shape))
+    filled = float(np.mean(setup.cells.volume_fraction > 0))
+    n_steps = 60 if copied is None else CHUNK
+    traced = rate(_TracedMarcher(setup, setup.state), n_cells, n_steps)
+    line = f"    JAX: {traced / 1e9:.3f} Gcell/s, open {filled * traced / 1e9:.3f}"
+    if copied is not None:
+        moved = dense_traffic(setup)
+        share = traced / n_cells * moved / copied
+        line += f"; {moved / n_cells:.0f} bytes a cell, {100 * share:.0f} % of a copy's"
+    print(line)
+    for n_threads in (1, 2) if copied is None else ():
+        moved = traffic(setup)
         columns = rate(CompiledMarcher(setup, setup.state, n_threads), n_cells, n_steps)
         share = columns / n_cells * moved / triad(moved, n_threads)
         print(
@@ -156,7 +184,12 @@ def report(setup: Setup) -> None:
 
 
 if __name__ == "__main__":
+    device = jax.devices()[0]
     print(f"{platform.processor()} x {os.cpu_count()}, jax {jax.__version__}, float32")
+    copied = None
+    if device.platform == "gpu":
+        copied, GRIDS = device_copy(), GRIDS | GPU_GRIDS
+        print(f"{device.device_kind}: a copy moves {copied / 1e9:.0f} GB/s")
     for resolution in (16, 32):
         cells, error = far_probe_error(resolution)
         print(f"{resolution} cells per bore, {cells.shape}: error {error:.2e}")
@@ -167,4 +200,4 @@ if __name__ == "__main__":
                 cells, AIR, probes=PROBES, source_end="absorbing", lossy_band=band
             )  # fmt: skip
             print(f"{name}, {setup.cells.shape}, {'lossy' if band else 'lossless'}")
-            report(setup)
+            report(setup, copied)
