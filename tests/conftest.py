@@ -47,3 +47,13 @@ def _rank(item):
 def _in_empty_folder(tmp_path, monkeypatch):
     """Run each test in a folder of its own, so that nothing is written to the checkout."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def double_precision():
+    """Compute walls as presses are computed: in float64, and with sums in a fixed order."""
+    import jax
+    from threadpoolctl import threadpool_limits
+
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
+        yield

@@ -23,6 +23,8 @@ from acoustube.indentation.reference_element import QUAD8, TRI6
 from acoustube.indentation.self_contact import triangulated
 from acoustube.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 STIFFNESS, SMOOTHING = 1e11, 4e-6
 MODULUS, THICKNESS = 0.1e6, 5e-3  # of the elastic layer
 TUBE = Tube()
@@ -31,12 +33,6 @@ ROD = 25e-3
 DEPTH = 1e-3
 TOLERANCE = 1e-9  # N
 UP = np.array([0.0, 1.0, 0.0])
-
-
-@pytest.fixture(autouse=True)
-def _double_precision_on_one_thread():
-    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
-        yield
 
 
 # Laws: energy per area over the gap

@@ -16,7 +16,6 @@ from solids import (
     neo_hookean_solid,
     nodal_forces,
 )
-from threadpoolctl import threadpool_limits
 
 from acoustube.indentation import element, linear_solver
 from acoustube.indentation.assembly import stiffness
@@ -25,6 +24,8 @@ from acoustube.indentation.newton import minimise
 from acoustube.indentation.reference_element import HEX20, TET10, monomials
 from acoustube.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 MU, K = 0.5e6, 25e6
 MATERIAL = neo_hookean_solid(MU, K)
 MATERIALS = {"neo-hookean": MATERIAL, "mooney-rivlin": mooney_rivlin_solid(0.17e6, 0.08e6, K)}
@@ -32,12 +33,6 @@ ELEMENTS = {"hex20": HEX20, "tet10": TET10}
 EDGE = 2e-3  # of the single cube, in m
 ENERGIES_AND_FORCES = jax.jit(element.energies_and_forces)
 STRETCH = np.array([[1.2, 0.3, -0.1], [0.05, 0.9, 0.2], [-0.15, 0.1, 1.05]])
-
-
-@pytest.fixture(autouse=True)
-def _double_precision_on_one_thread():
-    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
-        yield
 
 
 def swept_patch():

@@ -5,20 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from solids import bare_model, block, mooney_rivlin_solid, neo_hookean_solid, nodal_forces
-from threadpoolctl import threadpool_limits
 
 from acoustube.indentation.material import determinant, mooney_rivlin, neo_hookean, volumetric
 from acoustube.indentation.newton import minimise
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 MU, K = 0.5e6, 25e6
 C1, C2 = 0.17e6, 0.08e6
 STRETCH = np.array([[1.2, 0.3, -0.1], [0.05, 0.9, 0.2], [-0.15, 0.1, 1.05]])
-
-
-@pytest.fixture(autouse=True)
-def _double_precision_on_one_thread():
-    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
-        yield
 
 
 def neo_hookean_energy(f):

@@ -1,6 +1,5 @@
 """The swept mesh of the tube, in all its parts, against the geometry that it stands for."""
 
-import jax
 import numpy as np
 import pytest
 
@@ -9,18 +8,14 @@ from acoustube.indentation.mesh import MeshSize, sweep
 from acoustube.indentation.reference_element import HEX20, QUAD8
 from acoustube.tube import Tube
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 REACH = 60e-3
 TUBE = Tube()
 SIZE = MeshSize(through_wall=2, around=12, along=5)
 INNER, OUTER = TUBE.inner_diameter / 2, TUBE.outer_diameter / 2
 PARTS = {"quarter": (True, True), "right half": (True, False), "front half": (False, True)}
 PARTS["whole"] = (False, False)
-
-
-@pytest.fixture(autouse=True)
-def _double_precision():
-    with jax.enable_x64(True):
-        yield
 
 
 @pytest.fixture(scope="module", params=PARTS)

@@ -22,16 +22,12 @@ from acoustube.indentation.tetrahedra import TetrahedronSize, tetrahedral_mesh
 from acoustube.indentation.wall_surface import tube_of, walls
 from acoustube.runs.imported_wall import read_surface
 
+pytestmark = pytest.mark.usefixtures("double_precision")
+
 MU, K = 0.5e6, 25e6
 BORE, WALL, LENGTH = 7.9, 1.6, 160.0  # the paper's tube, in mm, cut shorter
 AROUND = 128  # facets; the chords leave the circle by 1.2 um, the area by 0.04 %
 D_BORE = Path(__file__).parents[1] / "meshes" / "d_bore.stl"
-
-
-@pytest.fixture(autouse=True)
-def _double_precision():
-    with jax.enable_x64(True):
-        yield
 
 
 def round_tube(bore=BORE, wall=WALL, length=LENGTH, along=4):
