@@ -17,7 +17,8 @@ from acoustube.air import air_at
 from acoustube.base.errors import SimulationError
 from acoustube.waves import cut_cells
 from acoustube.waves.grid.small_cells import share_small_volumes
-from acoustube.waves.scattering import _Part, straight_ends_cut
+from acoustube.waves.grid.straight_part import straight_ends_cut
+from acoustube.waves.port_waves import PortProblem
 from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 from acoustube.waves.scheme.leapfrog import initial_state, march
 from acoustube.waves.scheme.problem import prepare
@@ -111,7 +112,7 @@ def test_a_march_goes_on_from_either_form(pinched, lossy_band):
 def test_antisymmetric_halves_march_as_jax_does(lossy):
     """The plane x = 0 has open faces towards zero pressure; the source has the mode's shape."""
     cells = straight_ends_cut(cut_cells(pinched_tube(0.02, 0.5, width=2e-3), 2 * BORE / 16))
-    part = _Part(cells, AIR, np.array([42e3]), (8e3, 60e3), True, lossy, 0.005)
+    part = PortProblem(cells, AIR, np.array([42e3]), (8e3, 60e3), True, lossy, 0.005)
     modes, setup = part.modes, part.setup
     assert np.any(np.asarray(setup.scheme.operator.area_x[0]) > 0)
     weights = np.tile(modes.weights, (4, 1, 1)).transpose(1, 2, 0)

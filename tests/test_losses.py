@@ -9,7 +9,9 @@ from acoustube.air import Air, air_at, viscous_thickness
 from acoustube.base.errors import ConfigError
 from acoustube.waves import ModalProbe, Pulse, attenuation, cut_cells, grid_spacing, propagate
 from acoustube.waves.grid.small_cells import share_small_volumes
-from acoustube.waves.scattering import _Part, scatter, straight_ends_cut
+from acoustube.waves.grid.straight_part import straight_ends_cut
+from acoustube.waves.port_waves import PortProblem
+from acoustube.waves.scattering import scatter
 from acoustube.waves.scheme.leapfrog import initial_state, march
 from acoustube.waves.scheme.losses import half_integral, wetted_area
 from acoustube.waves.scheme.problem import prepare
@@ -127,7 +129,7 @@ def test_every_mode_is_attenuated_as_its_boundary_layers_say(resolution):
     frequency = np.array([42e3, 50e3])
     found = {}
     for odd in (False, True, None) if resolution == 16 else (False, True):
-        part = _Part(cells, AIR, frequency, (8e3, 60e3), odd, True, 0.02)
+        part = PortProblem(cells, AIR, frequency, (8e3, 60e3), odd, True, 0.02)
         decay = -part.phases.theta.imag / part.spacing
         found |= {(odd, name): decay[:, i] for i, name in enumerate(part.names)}
     plane, second = (

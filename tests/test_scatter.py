@@ -15,7 +15,8 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.surfaces import read_lumen
 from acoustube.runs.scattering_file import read
 from acoustube.waves import cut_cells
-from acoustube.waves.scattering import is_symmetric, scatter, straight_ends_cut
+from acoustube.waves.grid.straight_part import is_symmetric, straight_ends_cut
+from acoustube.waves.scattering import scatter
 
 AIR = Air(sound_speed=343.2, density=1.204)
 

@@ -21,7 +21,8 @@ from acoustube.base.surfaces import read_lumen
 from acoustube.runs.config import CELLS_PER_WAVELENGTH
 from acoustube.runs.scattering_file import to_dataset
 from acoustube.waves.grid.cells import CutCells, cut_cells
-from acoustube.waves.scattering import Scattering, scatter, straight_ends_cut
+from acoustube.waves.grid.straight_part import straight_ends_cut
+from acoustube.waves.scattering import Scattering, scatter
 
 NARROWEST = 2
 """Cells across the narrowest place."""

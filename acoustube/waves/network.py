@@ -32,7 +32,8 @@ from acoustube.waves import network_checks as checks
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.scattering import Complex, ModalScattering, Scattering
+from acoustube.waves.port_waves import Complex
+from acoustube.waves.scattering import ModalScattering, Scattering
 from acoustube.waves.scheme.pulse import check_duration
 
 Signal = Callable[[Array], ArrayLike]

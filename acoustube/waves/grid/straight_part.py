@@ -1,0 +1,95 @@
+"""The part of a lumen between its straight ends, and its symmetries."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.waves.grid.cells import CutCells
+from acoustube.waves.grid.polyhedron import Array
+
+STRAIGHT_TOLERANCE = 1e-4
+"""Largest difference between the volume fractions of layers that count as straight."""
+SYMMETRY_TOLERANCE = 0.02
+"""Largest difference between volume fractions of cells that count as equal, or as mirror images.
+
+The diagonals of two triangles are not mirrored, which moves the wall by a hundredth of a cell.
+"""
+
+
+def is_symmetric(cells: CutCells) -> bool:
+    """Return whether a lumen is mirror symmetric about x = 0."""
+    mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[::-1])
+    return bool(cells.origin[0] < 0 and mirrored.max() < SYMMETRY_TOLERANCE)
+
+
+def is_reversible(cells: CutCells) -> bool:
+    """Return whether a lumen is mirror symmetric along z."""
+    mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[..., ::-1])
+    return bool(mirrored.max() < SYMMETRY_TOLERANCE)
+
+
+def straight_ends_cut(cells: CutCells) -> CutCells:
+    """Return the part of a lumen between its straight ends, with one layer of each.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The whole lumen.
+
+    Returns
+    -------
+    CutCells
+
+    Raises
+    ------
+    ConfigError
+        If an end is not straight over three layers, the ends differ, or are not symmetric about
+        x = 0.
+    """
+    volume = cells.volume_fraction
+    last = int(np.floor(cells.length / cells.spacing[2] - 0.5 + 1e-6))
+    first, end = (_last_straight_layer(cells, last, inwards) for inwards in (1, -1))
+    _check_sections(volume[..., first], volume[..., end])
+    layers = slice(first, end + 1)
+    dz = cells.spacing[2]
+    return replace(
+        cells,
+        origin=(*cells.origin[:2], cells.origin[2] + first * dz),
+        length=(end - first + 0.5) * dz,
+        volume_fraction=volume[..., layers],
+        open_x=cells.open_x[..., layers],
+        open_y=cells.open_y[..., layers],
+        open_z=cells.open_z[..., first : end + 2],
+    )
+
+
+def _last_straight_layer(cells: CutCells, last: int, inwards: int) -> int:
+    """Return the innermost straight layer of the end from which z runs inwards, or outwards."""
+    volume, rim = cells.volume_fraction, 1 if inwards > 0 else last - 1
+    off = np.abs(volume - volume[..., [rim]]).max(axis=(0, 1)) > STRAIGHT_TOLERANCE
+    inside = np.arange(rim, last if inwards > 0 else 0, inwards)
+    changed = inside[off[inside]]
+    straight = abs(int(changed[0]) - rim) if len(changed) else len(inside) // 2
+    if straight < 3:
+        raise ConfigError(
+            f"The lumen is not straight at its end of {'low' if inwards > 0 else 'high'} z; let it "
+            f"end in at least {3e3 * cells.spacing[2]:.2g} mm of straight tube."
+        )
+    return rim + inwards * (straight - 1)
+
+
+def _check_sections(first: Array, second: Array) -> None:
+    """Validate that two sections are the same, and symmetric about x = 0."""
+    if np.abs(first - second).max() > SYMMETRY_TOLERANCE:
+        raise ConfigError(
+            "The lumen's two ends differ in section, so that their modes have no common names; "
+            "let both ends have the same section."
+        )
+    if np.abs(first - first[::-1]).max() > SYMMETRY_TOLERANCE:
+        raise ConfigError(
+            "The lumen's ends are not symmetric about x = 0, which the names of their modes "
+            "require; move or turn it so that they are."
+        )
