@@ -189,7 +189,7 @@ def test_flattened_straight_bore_delays_its_modes_as_their_cut_ons_move(side):
 
 
 def test_flattening_that_is_none_is_refused():
-    with pytest.raises(ConfigError, match="is no bend"):
+    with pytest.raises(ConfigError, match="must be positive and curvature"):
         Bent(length=0.0, curvature=1.0)
 
 

@@ -11,7 +11,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.sleeve import Frame, Helix, design, layout, nearest, spacing
 from acoustube.sleeve.ovalisation import cut_on_shift, ovality
 from acoustube.tube import Tube
-from acoustube.waves.bends import bore_modes
+from acoustube.waves.modes.bore_couplings import bore_modes
 
 FOREARM = {"radius": 0.0326, "taper": 0.057, "length": 0.25, "loops": 9, "lead": 0.15}
 ASKEW = Frame(
