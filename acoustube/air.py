@@ -1,4 +1,4 @@
-"""Air: its sound speed, density, transport properties [2]_ and absorption [1]_.
+"""Air: sound speed, density, transport properties [2]_ and absorption [1]_.
 
 References
 ----------
@@ -29,8 +29,8 @@ REFERENCE_TEMPERATURE = 293.15  # K, of the absorption formulas
 TRIPLE_POINT = 273.16  # K
 HUMIDITY = 50.0  # per cent
 TEMPERATURES = (-20.0, 60.0)  # degC, where the formulas are stated or were checked
-LAYERS_OF_A_GAP = 10
-"""Openings of a lumen under so many viscous boundary layers are warned of."""
+NARROW_GAP_LAYERS = 10
+"""Opening of a lumen, in viscous boundary layers, below which a warning is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +49,10 @@ class Air:
         Ratio of viscous to thermal diffusivity.
     heat_capacity_ratio : float
     classical_absorption : float
-        Attenuation in the bulk by viscosity, heat conduction and rotation, over the frequency
-        squared, in Np s2/m.
+        Attenuation in the bulk by viscosity, heat conduction and rotational relaxation, divided by
+        the frequency squared, in Np s2/m.
     relaxations : tuple of Relaxation
-        Vibration of oxygen and of nitrogen.
+        Vibrational relaxations of oxygen and of nitrogen.
     """
 
     sound_speed: float
@@ -64,7 +64,7 @@ class Air:
     relaxations: tuple[Relaxation, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse values that no gas has."""
+        """Validate sound speed and density."""
         for name in ("sound_speed", "density"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(
@@ -79,11 +79,11 @@ class Air:
 
     @property
     def thermal_diffusivity(self) -> float:
-        """In m2/s."""
+        """Thermal diffusivity in m2/s."""
         return self.viscous_diffusivity / self.prandtl
 
     def absorption(self, frequency: Frequency) -> Frequency:
-        """Return the attenuation of a free plane wave in Np/m at a frequency, or several, in Hz."""
+        """Return the attenuation of a free plane wave in Np/m at frequencies in Hz."""
         relaxing = sum(
             r.strength * frequency**2 / (r.frequency + frequency**2 / r.frequency)
             for r in self.relaxations
@@ -92,7 +92,7 @@ class Air:
 
 
 class Relaxation(NamedTuple):
-    """A relaxation whose attenuation is strength f^2 / (f_r + f^2 / f_r) in Np/m.
+    """A relaxation process with the attenuation strength f^2 / (f_r + f^2 / f_r) in Np/m.
 
     Attributes
     ----------
@@ -130,14 +130,14 @@ def sound_speed(temperature: float) -> float:
 def air_at(
     temperature: float, *, humidity: float = HUMIDITY, pressure: float = STANDARD_PRESSURE
 ) -> Air:
-    """Return air at a temperature.
+    """Return the acoustic properties of air at a temperature.
 
     Parameters
     ----------
     temperature : float
         Temperature in degC.
     humidity : float, optional
-        Relative humidity in per cent; it enters the absorption only.
+        Relative humidity in per cent; it affects the absorption only.
     pressure : float, optional
         In Pa.
 
@@ -150,12 +150,13 @@ def air_at(
     Raises
     ------
     ConfigError
-        If the temperature is outside -20 to 60 degC, or humidity or pressure are impossible.
+        If the temperature is outside -20 to 60 degC, the humidity outside 0 to 100 %, or the
+        pressure outside 10 to 200 kPa.
 
     Notes
     -----
-    At 20 degC saturated air carries sound 0.35 % faster than dry air, at 50 % humidity 0.17 %: a
-    ranging that needs better has to be calibrated.
+    At 20 degC the speed of sound is 0.35 % higher in saturated air than in dry air, at 50 %
+    humidity 0.17 %: ranging that needs better has to be calibrated.
     """
     low, high = TEMPERATURES
     if not low <= temperature <= high:
@@ -164,9 +165,9 @@ def air_at(
             "properties of air are known"
         )
     if not 0.0 <= humidity <= 100.0:
-        raise ConfigError(f"humidity = {humidity:g} % is outside 0 to 100 %")
+        raise ConfigError(f"humidity = {humidity:g} % is outside 0 to 100 %; give per cent")
     if not 1e4 <= pressure <= 2e5:
-        raise ConfigError(f"pressure = {pressure:g} Pa is outside 10 to 200 kPa")
+        raise ConfigError(f"pressure = {pressure:g} Pa is outside 10 to 200 kPa; give Pa")
     kelvin = _absolute(temperature)
     density = pressure / (SPECIFIC_GAS_CONSTANT * kelvin)
     viscosity = 1.458e-6 * kelvin**1.5 / (kelvin + 110.4)
@@ -185,20 +186,21 @@ def air_at(
 
 
 def _classical(kelvin: float, pressure: float) -> float:
+    """Return the classical absorption over f^2, first term of equation 5 of ISO 9613-1."""
     return 1.84e-11 * STANDARD_PRESSURE / pressure * sqrt(kelvin / REFERENCE_TEMPERATURE)
 
 
 def _relaxations(kelvin: float, humidity: float, pressure: float) -> tuple[Relaxation, Relaxation]:
-    """Return the vibrational relaxations of oxygen and nitrogen, equations 3 to 5 of the ISO."""
-    share, warmth = pressure / STANDARD_PRESSURE, kelvin / REFERENCE_TEMPERATURE
+    """Return the relaxations of oxygen and nitrogen, equations 3 to 5 of ISO 9613-1."""
+    p_ratio, t_ratio = pressure / STANDARD_PRESSURE, kelvin / REFERENCE_TEMPERATURE
     saturation = 10 ** (-6.8346 * (TRIPLE_POINT / kelvin) ** 1.261 + 4.6151)
-    moles = humidity * saturation / share  # of water vapour, in per cent
-    oxygen = share * (24 + 4.04e4 * moles * (0.02 + moles) / (0.391 + moles))
-    slowing = exp(-4.170 * (warmth ** (-1 / 3) - 1))
-    nitrogen = share / sqrt(warmth) * (9 + 280 * moles * slowing)
+    molar = humidity * saturation / p_ratio  # of water vapour, in per cent
+    oxygen = p_ratio * (24 + 4.04e4 * molar * (0.02 + molar) / (0.391 + molar))
+    slowing = exp(-4.170 * (t_ratio ** (-1 / 3) - 1))
+    nitrogen = p_ratio / sqrt(t_ratio) * (9 + 280 * molar * slowing)
     return (
-        Relaxation(oxygen, warmth**-2.5 * 0.01275 * exp(-2239.1 / kelvin)),
-        Relaxation(nitrogen, warmth**-2.5 * 0.1068 * exp(-3352.0 / kelvin)),
+        Relaxation(oxygen, t_ratio**-2.5 * 0.01275 * exp(-2239.1 / kelvin)),
+        Relaxation(nitrogen, t_ratio**-2.5 * 0.1068 * exp(-3352.0 / kelvin)),
     )
 
 

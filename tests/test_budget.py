@@ -15,7 +15,7 @@ from acoustube.waves import (
     propagate,
     section_cut_ons,
 )
-from acoustube.waves.budget import WITH_LOSSES, delay_bias, over_cut_on
+from acoustube.waves.budget import LOSSY_REFLECTION, absorber_reflection, delay_bias
 
 AIR = air_at(20.0)
 PULSE = Pulse(frequency=42e3)
@@ -98,7 +98,7 @@ def returned(lossy_band):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("lossy_band", "stated"), [(None, over_cut_on()), ((20e3, 60e3), WITH_LOSSES)]
+    ("lossy_band", "stated"), [(None, absorber_reflection()), ((20e3, 60e3), LOSSY_REFLECTION)]
 )
 def test_absorbing_end_returns_no_more_than_is_stated(lossy_band, stated):
     """Of a mode 1 % over its cut-on; the path of 4 cm takes some of it too, with losses 10 dB."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from acoustube.air import LAYERS_OF_A_GAP, Air, air_at, viscous_thickness
+from acoustube.air import NARROW_GAP_LAYERS, Air, air_at, viscous_thickness
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
@@ -164,7 +164,7 @@ def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
         )
     gap = float(_openings(straight_ends_cut(cells)).min())
     layers = gap / viscous_thickness(air, float(low))
-    if layers < LAYERS_OF_A_GAP:
+    if layers < NARROW_GAP_LAYERS:
         notes.append(
             f"The lumen is {1e6 * gap:.0f} um wide at its narrowest, {layers:.0f} viscous boundary "
             f"layers at {1e-3 * low:g} kHz: the losses there are more than first order."

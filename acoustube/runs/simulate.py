@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from acoustube.air import LAYERS_OF_A_GAP, viscous_thickness
+from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
 from acoustube.base.errors import SimulationError
 from acoustube.base.limits import LARGEST_CLOSING
 from acoustube.base.rules import filled
@@ -139,7 +139,7 @@ def _narrow(config: Config, indentation: Indentation) -> list[str]:
         f"The lumen is {1e6 * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
         "layers: the losses there are more than first order."
     )
-    return [warning] if layers < LAYERS_OF_A_GAP else []
+    return [warning] if layers < NARROW_GAP_LAYERS else []
 
 
 def _silent(_stage: str, _fraction: float) -> None:

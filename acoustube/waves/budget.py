@@ -1,4 +1,4 @@
-"""What a run on a grid can be trusted with: its known errors, as numbers."""
+"""Error budget of a run on a grid."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from acoustube.waves.grid.section import section_cut_ons
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.scheme.pml import REFLECTION
 
-PLANE_WAVE = -60.0
-"""What an absorbing end returns of the plane wave in dB, at most; without losses under -86 dB."""
-WITH_LOSSES = -14.0
-"""What one returns of a mode 1 % over its cut-on where losses fade out before it, as measured.
+PLANE_WAVE_REFLECTION = -60.0
+"""Upper bound in dB of an absorbing end's reflection of the plane wave; without losses -86 dB."""
+LOSSY_REFLECTION = -14.0
+"""Reflection in dB of a mode 1 % above cut-on where losses fade out before the absorber, measured.
 
-2, 3 and 5 % over it -27, -34 and -39 dB.
+2, 3 and 5 % above cut-on -27, -34 and -39 dB.
 """
-OVER_CUT_ON = 1.01
-"""How far over its cut-on a mode is for which the absorber's reflection is given."""
-LAST = 0.05
-"""Share of a recording at its end in which what still rings is measured."""
+CUT_ON_RATIO = 1.01
+"""Frequency over cut-on of the mode for which the absorber's reflection is stated."""
+TAIL_FRACTION = 0.05
+"""Fraction of a recording, at its end, in which the residual ringing is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,16 +36,17 @@ class Budget:
     cells_per_wavelength : float
         At the highest frequency of the pulse's band.
     delay_bias : float
-        What the grid adds to the group delay of the plane wave at the carrier, relative.
+        Relative error of the plane wave's group delay at the carrier by the grid's dispersion.
     section_error : float
-        Of the straight bore's cross-section on the grid, relative.
+        Relative error of the straight bore's cross-section on the grid.
     cut_on_error : float
-        Of the cut-on of (1,1) on the grid, relative.
+        Relative error of the cut-on frequency of (1,1) on the grid.
     absorption : float or None
-        What an absorbing end sends back of a mode 1 % over its cut-on, in dB; of modes farther
-        over it less. None where no such end is in the recording.
+        Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; of modes
+        farther above it is less. None where the recording has no such end.
     ringing : float
-        Highest pressure in the last twentieth of the recording, in dB of the highest of all.
+        Highest pressure in the last twentieth of the recording, in dB relative to the highest of
+        all.
     """
 
     cells_per_wavelength: float
@@ -56,9 +57,9 @@ class Budget:
     ringing: float
 
     def in_words(self, path: float) -> str:
-        """Return the budget as a sentence, for an echo's path in m."""
+        """Return the budget as a sentence, for the length of an echo's path in m."""
         absorbing = (
-            f"an absorbing end returns under {PLANE_WAVE:.0f} dB of the plane wave, "
+            f"an absorbing end returns under {PLANE_WAVE_REFLECTION:.0f} dB of the plane wave, "
             f"{self.absorption:.0f} dB of a mode 1 % over its cut-on; "
             if self.absorption is not None
             else ""
@@ -83,7 +84,7 @@ def error_budget(
     lossy: bool,
     pressure: Array,
 ) -> Budget:
-    """Return the known errors of a run.
+    """Return the error budget of a run.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ def error_budget(
     radius : float
         Of the bore in m.
     time_step : float or None
-        In s; None where straight tube is not marched, its dispersion and its ends exact.
+        In s; None where straight tube is not marched: its dispersion and its ends are exact then.
     lossy : bool
         With losses at the wall and in the air.
     pressure : ndarray
@@ -111,8 +112,8 @@ def error_budget(
     exact = cut_on_frequency(1, 1, radius, air.sound_speed)
     lowest = section_cut_ons(cells, 1, air.sound_speed, 2)[1]
     spacing = cells.spacing[2]
-    tail = pressure[..., -max(1, int(LAST * pressure.shape[-1])) :]
-    quiet = max(float(np.abs(tail).max() / np.abs(pressure).max()), 1e-12)
+    tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
+    level = max(float(np.abs(tail).max() / np.abs(pressure).max()), 1e-12)
     return Budget(
         cells_per_wavelength=air.sound_speed / (highest * max(cells.spacing)),
         delay_bias=0.0
@@ -120,21 +121,25 @@ def error_budget(
         else delay_bias(frequency, spacing, time_step, air.sound_speed),
         section_error=float(area / (pi * radius**2) - 1),
         cut_on_error=float(lowest / exact - 1),
-        absorption=None if time_step is None else WITH_LOSSES if lossy else over_cut_on(),
-        ringing=20 * log10(quiet),
+        absorption=None
+        if time_step is None
+        else LOSSY_REFLECTION
+        if lossy
+        else absorber_reflection(),
+        ringing=20 * log10(level),
     )
 
 
-def over_cut_on() -> float:
-    """Return what an absorbing end sends back of a mode 1 % over its cut-on, in dB, lossless.
+def absorber_reflection() -> float:
+    """Return the lossless absorber's reflection of a mode 1 % above cut-on, in dB.
 
-    The layer's profile is made for the plane wave; a slanted one meets the power kz / k of it.
+    A mode with axial wavenumber kz meets the power kz / k of the plane wave's attenuation.
     """
-    return 20 * log10(REFLECTION) * sqrt(1 - OVER_CUT_ON**-2)
+    return 20 * log10(REFLECTION) * sqrt(1 - CUT_ON_RATIO**-2)
 
 
 def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: float) -> float:
-    """Return what a grid adds to the group delay of a plane wave along it, relative.
+    """Return the relative error of a plane wave's group delay along a grid.
 
     Parameters
     ----------
@@ -155,7 +160,7 @@ def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: 
     """
     nu = sound_speed * time_step / spacing
     beta, turn = (1 - nu**2) / 12, 2 * pi * frequency * time_step
-    bent = 4 * sin(turn / 2) ** 2 / nu**2
-    x = 2 * bent / (1 + sqrt(1 + 4 * beta * bent))
+    square = 4 * sin(turn / 2) ** 2 / nu**2
+    x = 2 * square / (1 + sqrt(1 + 4 * beta * square))
     theta = 2 * asin(sqrt(x) / 2)
     return sin(turn) / (nu * sin(theta) * (1 + 2 * beta * x)) - 1

@@ -1,4 +1,4 @@
-"""Propagation of a pulse through a lumen by finite differences in the time domain."""
+"""Propagation of a pulse through a lumen by finite differences in the time domain (FDTD)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Recording:
 def grid_spacing(
     inner_diameter: float, resolution: int, probe: float = 0.02
 ) -> tuple[float, float, float]:
-    """Return cells that fit the bore across and put a layer of cell centres on the probe plane.
+    """Return a cell size that divides the bore and puts cell centres on the probe plane.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def grid_spacing(
     Returns
     -------
     tuple of float
-        (dx, dy, dz) in m with dx = dy, and dz at most that and as near to it as the probe allows.
+        (dx, dy, dz) in m with dx = dy, and dz the largest value up to dx that divides the probe's
+        distance.
 
     Raises
     ------
@@ -95,7 +96,7 @@ def propagate(
     lossy_band: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Recording:
-    """Send a pulse into a lumen and record what passes the probes.
+    """March a pulse through a lumen and record the pressure at probes.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def propagate(
     probes : tuple of Probe
         Distances in m of planes over which the pressure is averaged; or `ModalProbe`, `PointProbe`.
     source_mode : str
-        The mode that the absorbing end launches, as ``11c``; see `ModalProbe`.
+        Mode launched by the absorbing end, as ``11c``; see `ModalProbe`.
     source_end, far_end, absorber_thickness, time_step, lossy_band
         See `prepare`. With the release end the pressure at z = 0 is the pulse, afterwards 0; with
         the absorbing end the plane wave launched at z = 0 has the pulse's pressure.
@@ -120,15 +121,15 @@ def propagate(
     Returns
     -------
     Recording
-        What each probe heard.
+        Pressure at each probe.
 
     Raises
     ------
     SimulationError
-        If the pressure stops being finite.
+        If the pressure is no longer finite.
     ValueError
-        If the pulse is longer than the run, or another end is to launch a higher mode; see also
-        `prepare` and `with_probes`.
+        If the pulse is longer than the run, or `source_mode` is not ``00`` at another than the
+        absorbing end; see also `prepare` and `with_probes`.
 
     Notes
     -----
@@ -137,7 +138,9 @@ def propagate(
     """
     check_duration(pulse, duration)
     if source_mode != "00" and source_end != "absorbing":
-        raise ValueError(f'source_mode = "{source_mode}" needs source_end = "absorbing"')
+        raise ValueError(
+            f'source_mode = "{source_mode}" needs source_end = "absorbing", not "{source_end}"'
+        )
     setup = prepare(
         cells, air, probes=tuple(height_of(probe) for probe in probes), source_end=source_end,
         far_end=far_end, absorber_thickness=absorber_thickness, time_step=time_step,
@@ -166,7 +169,7 @@ def propagate(
 
 
 def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
-    """Return the pressure to add at z = 0 in each step to launch a given plane wave.
+    """Return the source increments at z = 0 that launch a given plane wave.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
 """The lumen on a Cartesian grid of cells cut by the wall.
 
-Read `polyhedron`, then `section`, `cells` and `small_cells`.
+Reading order: `polyhedron`, `cells`, `straight_part`, `section`, `small_cells`.
 """

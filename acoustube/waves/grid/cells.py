@@ -1,4 +1,21 @@
-"""A tube's lumen on a Cartesian grid whose wall cells are cut exactly."""
+"""A tube's lumen on a Cartesian grid of cut cells.
+
+Each cell holds the exact fractions of its volume and faces that are open. With pressures in the
+cells and velocities on the faces this is the conformal (cut-cell) form of the FDTD method, known
+from electromagnetics [1]_ and acoustics [2]_, and a finite-volume method as in room acoustics [3]_.
+
+References
+----------
+.. [1] Dey, S. and Mittra, R. (1997). A locally conformal finite-difference time-domain (FDTD)
+   algorithm for modeling three-dimensional perfectly conducting objects. IEEE Microwave and Guided
+   Wave Letters 7, 273-275.
+.. [2] Tolan, J. G. and Schneider, J. B. (2003). Locally conformal method for acoustic
+   finite-difference time-domain modeling of rigid surfaces. Journal of the Acoustical Society of
+   America 114, 2575-2581.
+.. [3] Bilbao, S. (2013). Modeling of complex geometries and boundary conditions in finite
+   difference/finite volume time domain room acoustics simulation. IEEE Transactions on Audio,
+   Speech, and Language Processing 21, 1524-1533. doi:10.1109/TASL.2013.2256897
+"""
 
 from __future__ import annotations
 
@@ -26,9 +43,9 @@ class CutCells:
     length : float
         Axial length L of the lumen in m; the lumen ends there, on a grid plane or not.
     volume_fraction : ndarray
-        Open share of each cell, (nx, ny, nz).
+        Open fraction of each cell, (nx, ny, nz).
     open_x, open_y, open_z : ndarray
-        Open share of the faces normal to x, y, z, shapes (nx+1, ny, nz), (nx, ny+1, nz) and
+        Open fraction of the faces normal to x, y, z, shapes (nx+1, ny, nz), (nx, ny+1, nz) and
         (nx, ny, nz+1). A zero is a rigid wall or a symmetry plane.
     """
 
@@ -61,7 +78,7 @@ class CutCells:
 def cut_cells(
     surface: trimesh.Trimesh, spacing: float | ArrayLike, *, half: bool = False
 ) -> CutCells:
-    """Cut a tube's lumen into Cartesian cells.
+    """Return the cut cells of a tube's lumen.
 
     Parameters
     ----------
@@ -77,8 +94,8 @@ def cut_cells(
     -------
     CutCells
         Exact fractions. x = 0 and y = 0 are grid planes; cell centres lie at z = k dz. The first
-        layer reaches from -dz/2 to dz/2; its outer half mirrors the inner one. The number of
-        cells across is even (in the half model along x, too), so that few array shapes occur.
+        layer spans -dz/2 to dz/2; its outer half mirrors the inner one. The number of cells across
+        is even (in the half model along x, too), so that few array shapes occur.
 
     Raises
     ------
@@ -105,7 +122,7 @@ def cut_cells(
 
 
 def _check(surface: trimesh.Trimesh, steps: Array) -> None:
-    """Refuse surfaces and spacings for which the fractions would mean nothing."""
+    """Validate that the surface is closed and starts at z = 0, and the spacing positive."""
     if not np.all(steps > 0.0):
         raise ValueError(f"spacing = {steps} m must be positive")
     if not surface.is_watertight or surface.volume <= 0.0:
@@ -132,7 +149,7 @@ def _triple(values: Array) -> Spacing:
 
 
 def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCells:
-    """Continue the lumen straight beyond its ends.
+    """Return a lumen with straight continuations of its ends.
 
     Parameters
     ----------
@@ -147,7 +164,7 @@ def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCe
     Returns
     -------
     CutCells
-        The longer lumen; its outermost faces are those of an endless continuation.
+        Its outermost faces are those of an endless continuation.
     """
     dz = cells.spacing[2]
     last = cells.shape[2] - 1
@@ -155,7 +172,7 @@ def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCe
         last = int(np.floor(cells.length / dz - 0.5 + 1e-6))
     section = np.arange(-before, last + 1 + (after or 0)).clip(0, last)
     take = {n: getattr(cells, n)[..., section] for n in ("volume_fraction", "open_x", "open_y")}
-    # A face between two copies opens the copy's whole section, which keeps the plane wave plane.
+    # Faces between two copies are as open as the copied section, which keeps the plane wave plane.
     volume = take["volume_fraction"]
     open_z = np.concatenate([volume, volume[..., -1:]], axis=2)
     open_z[..., before + 1 : before + last + 1] = cells.open_z[..., 1 : last + 1]

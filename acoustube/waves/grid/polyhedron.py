@@ -1,9 +1,9 @@
 """Exact volume and face fractions of Cartesian cells inside a closed polyhedron.
 
-The triangles are cut along all grid planes, so that every piece belongs to one cell. The
-divergence theorem does the rest: the vector area of a closed surface vanishes, so the open area
-of a cell's lower face follows from that of its upper face and the pieces between them, and the
-volume from the pieces' moments. Nothing is approximated beyond rounding.
+The triangles are cut along all grid planes, so that every piece belongs to one cell. By the
+divergence theorem the vector area of a closed surface vanishes, so the open area of a cell's lower
+face follows from that of its upper face and the pieces between them, and the volume from the
+pieces' moments. The fractions are exact to rounding.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.int64]
 
-ROUNDING = 1e-12  # fractions below this are noise of the cumulative sums
-SNAP = 1e-10  # grid units; a cap meant to lie in a grid plane shall lie in it exactly
-BATCH = 50_000  # triangle parts clipped at a time
+ROUNDING = 1e-12
+"""Fraction below which a cell or face counts as closed: rounding of the cumulative sums."""
+SNAP = 1e-10
+"""Distance in cells within which vertices are moved onto a grid plane."""
+BATCH = 50_000
+"""Number of triangle parts that are clipped at once, so that they stay in the processor's cache."""
 
 
 class Fractions(NamedTuple):
@@ -45,8 +48,8 @@ def cut_polyhedron(
     spacing : (3,) array_like
         Cell size in m.
     shape : tuple of int
-        Number of cells. The grid must reach beyond the polyhedron, except below x: what lies
-        there is cut off, and the first x faces then hold the cut's open area.
+        Number of cells. The grid must enclose the polyhedron, except below x: the part there is cut
+        off, and the first x faces then hold the cut's open area.
 
     Returns
     -------
@@ -82,7 +85,7 @@ def cut_polyhedron(
 
 
 def _split_at_planes(triangles: Array, axis: int) -> Array:
-    """Cut the triangles that cross integer planes into the parts between neighbouring planes."""
+    """Return the triangles cut along the integer planes of an axis."""
     along = triangles[:, :, axis]
     first = np.floor(along.min(axis=1))
     slabs = (np.ceil(along.max(axis=1)) - first).astype(np.int64)
@@ -97,13 +100,13 @@ def _split_at_planes(triangles: Array, axis: int) -> Array:
 
 
 def _batches(owner: Indices, lower: Array) -> Iterator[tuple[Indices, Array]]:
-    """Hand out the triangles and their slabs in portions that stay in the processor's cache."""
+    """Iterate over the triangles and their slabs in batches."""
     for begin in range(0, len(owner), BATCH):
         yield owner[begin : begin + BATCH], lower[begin : begin + BATCH]
 
 
 def _clip(triangles: Array, lower: Array, axis: int) -> Array:
-    """Return each triangle's part between two planes, lower and lower + 1, as triangles.
+    """Return the parts of triangles between two planes, lower and lower + 1, as triangles.
 
     With corners sorted along the axis, the part is the polygon between the long edge bottom-top
     and the chain bottom-middle-top; it is cut into a fan.
@@ -141,15 +144,15 @@ def _chain(bottom: Array, middle: Array, top: Array, height: Array, axis: int) -
 def _point(start: Array, end: Array, height: Array, axis: int) -> Array:
     """Return the point of an edge at a height, exactly in the plane despite rounding."""
     rise = end[:, axis] - start[:, axis]
-    share = (height - start[:, axis]) / np.where(rise > 0.0, rise, 1.0)
-    point = start + share[:, None] * (end - start)
+    ratio = (height - start[:, axis]) / np.where(rise > 0.0, rise, 1.0)
+    point = start + ratio[:, None] * (end - start)
     point = np.where((height == end[:, axis])[:, None] & (rise > 0.0)[:, None], end, point)
     point[:, axis] = height
     return point
 
 
 def _twice_area(triangles: Array) -> Array:
-    """Return twice the vector areas, written out because numpy.cross is slow on many."""
+    """Return twice the vector areas; written out, because numpy.cross is slower on many."""
     (ux, uy, uz), (vx, vy, vz) = (
         (triangles[:, i] - triangles[:, 0]).T for i in (1, 2)
     )  # fmt: skip
@@ -157,7 +160,7 @@ def _twice_area(triangles: Array) -> Array:
 
 
 def _owning_cell(pieces: Array, area: Array) -> Indices:
-    """Return the cell of each piece; one lying in a grid plane belongs to the lumen's side."""
+    """Return the cell of each piece; a piece in a grid plane belongs to the lumen's side."""
     cell = np.floor(pieces.mean(axis=1)).astype(np.int64)
     plane = pieces[:, 0]
     flat = np.all(pieces == plane[:, None], axis=1) & (plane == np.rint(plane))
@@ -172,14 +175,14 @@ def _per_cell(flat: Indices, value: Array, shape: tuple[int, int, int]) -> Array
 
 
 def _accumulate_from_above(wall: Array, axis: int) -> Array:
-    """Return the open faces along an axis; beyond the last cell everything is closed."""
+    """Return the open areas of the faces along an axis, summed from the closed upper end."""
     closed = np.zeros_like(np.take(wall, [0], axis=axis))
     padded = np.concatenate([wall, closed], axis=axis)
     return np.flip(np.cumsum(np.flip(padded, axis), axis=axis), axis)
 
 
 def _clean(fraction: Array) -> Array:
-    """Remove rounding noise and refuse fractions that no solid has."""
+    """Return fractions without rounding noise, validated to lie in [0, 1]."""
     if fraction.min() < -1e-6 or fraction.max() > 1.0 + 1e-6:
         raise ValueError(
             f"cell fractions reach [{fraction.min():.3g}, {fraction.max():.3g}] instead of "

@@ -1,4 +1,4 @@
-"""The cross-section of a grid: how its cells are joined, and its cut-on frequencies."""
+"""The cross-section of a grid: stiffness matrix and cut-on frequencies."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from acoustube.waves.grid.cells import CutCells
 
 
 def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp.csr_matrix:
-    """Return the matrix of minus the flow across a layer, ``sum A (p - p')`` of its open cells.
+    """Return the stiffness matrix ``sum A (p - p')`` of the open cells of a layer.
 
     Parameters
     ----------
     area_x, area_y : ndarray
-        Open faces with the weight that a flow through them has, (nx+1, ny) and (nx, ny+1). Beyond
-        an open face at the rim of the grid the pressure is zero.
+        Weighted open areas of the faces, (nx+1, ny) and (nx, ny+1). Beyond an open face at the rim
+        of the grid the pressure is zero.
     inside : ndarray of bool
         The open cells, (nx, ny).
 
     Returns
     -------
     sparse matrix of shape (n, n)
-        Over the open cells in the order of ``inside.ravel()``.
+        Rows and columns in the order of the open cells in ``inside.ravel()``.
     """
     n = int(inside.sum())
     number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
@@ -49,19 +49,19 @@ def section_cut_ons(
 ) -> NDArray[np.float64]:
     """Return the cut-on frequencies of the cross-section at one layer of cells.
 
-    Where the section changes slowly, a mode travels where its local cut-on is below its frequency
-    and decays elsewhere.
+    Where the section changes slowly, a mode propagates where its local cut-on is below its
+    frequency and is evanescent elsewhere.
 
     Parameters
     ----------
     cells : CutCells
-        The lumen. Of a half model only the modes symmetric about x = 0 are found.
+        The lumen. A half model has the modes symmetric about x = 0 only.
     layer : int
         Index of the layer along z.
     sound_speed : float
         In m/s.
     n_modes : int
-        How many.
+        Number of modes.
 
     Returns
     -------
@@ -70,8 +70,8 @@ def section_cut_ons(
 
     Notes
     -----
-    The eigenvalue problem ``sum A (p - p') = (2 pi f h / c)^2 V p`` of the wave stage's own cut
-    cells across the tube, by shift-inverted Lanczos iteration.
+    The eigenvalue problem ``sum A (p - p') = (2 pi f h / c)^2 V p`` of the cut cells across the
+    tube, by shift-inverted Lanczos iteration.
     """
     dx, dy, _ = cells.spacing
     volume = cells.volume_fraction[:, :, layer]

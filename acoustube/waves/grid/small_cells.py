@@ -1,4 +1,14 @@
-"""Sharing volume with the smallest cut cells, so that they do not dictate the time step."""
+"""Redistribution of volume to the smallest cut cells, which would limit the time step.
+
+The enlarged cell technique of electromagnetics [1]_ lets small faces borrow area from their
+neighbours; here small cells borrow volume, by rules chosen for second order (see
+`share_small_volumes`).
+
+References
+----------
+.. [1] Xiao, T. and Liu, Q. H. (2004). Enlarged cells for the conformal FDTD method to avoid the
+   time step reduction. IEEE Microwave and Wireless Components Letters 14, 551-553.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +20,13 @@ import numpy as np
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
 
-DEAD = 1e-6  # a cell this empty is wall: its volume is nothing, its stiffness anything
-LEND = 1.25  # open faces over volume (full cell: 1) above which a cell borrows
-FLOOR = 1.5  # the same ratio above which the few hopeless cells are padded
-ROUNDS = 2
+CLOSED_FRACTION = 1e-6
+"""Volume fraction up to which a cell is closed: its ratio of faces to volume is undefined."""
+BORROWING_RATIO = 1.25
+"""Open faces over volume, relative to a full cell, above which a cell borrows volume."""
+PADDING_RATIO = 1.5
+"""The same ratio above which a cell is padded that could not borrow enough."""
+BORROWING_ROUNDS = 2
 
 
 class _Side(NamedTuple):
@@ -25,7 +38,7 @@ class _Side(NamedTuple):
 
 
 def share_small_volumes(cells: CutCells) -> CutCells:
-    """Let small cells borrow volume from the neighbour behind their largest open face.
+    """Return cut cells whose small cells have borrowed volume across their largest open face.
 
     Parameters
     ----------
@@ -35,19 +48,20 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     Returns
     -------
     CutCells
-        The same faces across; volumes and axial faces moved between neighbours. Their sums are
-        kept but for cells emptier than 1e-6 and, where a lumen is narrower than a cell, padding.
+        The same transverse faces; volumes and axial faces moved between neighbours. Their sums are
+        conserved except for cells emptier than 1e-6 and, where a lumen is narrower than a cell,
+        padding.
 
     Notes
     -----
     A cell limits the time step by its open faces over its volume. A cell of more than 1.25 times
-    the full cell's ratio borrows what it lacks. Its donor lies across the largest open face, that
-    is along the wall's normal, where the pressure gradient vanishes: the move changes the energy
-    by O(h^2), whereas a floor adds volume and a cap on the faces takes mobility, both O(h).
-    Axial faces move with the volumes: in a straight tube they stay equal, and the plane wave
+    the full cell's ratio borrows the missing volume. Its donor lies across the largest open face,
+    that is along the wall's normal, where the pressure gradient vanishes: the move changes the
+    energy by O(h^2), whereas a floor adds volume and a cap on the faces removes mobility, both
+    O(h). Axial faces move with the volumes: in a straight tube they stay equal, and the plane wave
     stays plane.
 
-    Tried on the circle's cross-section, worst of five (borrow: six) positions within a cell, at
+    Measured on the circle's cross-section, worst of five (borrow: six) positions within a cell, at
     16, 32 and 64 cells per diameter; the step is the smallest, relative to an uncut grid's:
 
     ==================== ===================== ===================== ===== ==========
@@ -64,16 +78,16 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     by up to 90 %, is 0.93 to 0.94 of the uncut grid's, of which 0.98 is the safety factor and
     0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
     """
-    cells = _without_dead_cells(cells)
-    for _ in range(ROUNDS):
+    cells = _without_closed_cells(cells)
+    for _ in range(BORROWING_ROUNDS):
         cells = _borrow(cells)
-    floor = _crowding(cells) / FLOOR
+    floor = _cfl_volume(cells) / PADDING_RATIO
     volume = np.where(cells.volume_fraction > 0.0, np.maximum(cells.volume_fraction, floor), 0.0)
     return replace(cells, volume_fraction=volume)
 
 
 def _sides(cells: CutCells) -> list[_Side]:
-    """List the faces of every cell, low side before high side."""
+    """Return the faces of every cell, low side before high side."""
     x, y, z = cells.open_x, cells.open_y, cells.open_z
     return [
         _Side(0, -1, x[:-1]), _Side(0, 1, x[1:]),
@@ -83,7 +97,7 @@ def _sides(cells: CutCells) -> list[_Side]:
 
 
 def _neighbour(values: Array, side: _Side) -> Array:
-    """Return what lies beyond a side of each cell; nothing beyond the grid."""
+    """Return the values of the neighbours across a side of each cell; 0 beyond the grid."""
     shifted = np.roll(values, -side.step, axis=side.axis)
     edge = [slice(None)] * values.ndim
     edge[side.axis] = slice(-1, None) if side.step > 0 else slice(0, 1)
@@ -91,16 +105,16 @@ def _neighbour(values: Array, side: _Side) -> Array:
     return shifted
 
 
-def _crowding(cells: CutCells) -> Array:
-    """Return the volume at which a cell would limit the step like a full cell does."""
+def _cfl_volume(cells: CutCells) -> Array:
+    """Return the volume fraction at which a cut cell has a full cell's CFL limit."""
     weights = 1.0 / np.asarray(cells.spacing) ** 2
     total = sum(side.area * weights[side.axis] for side in _sides(cells))
     return np.asarray(total / (2.0 * weights.sum()))
 
 
-def _without_dead_cells(cells: CutCells) -> CutCells:
-    """Close the faces of cells that are all but empty."""
-    alive = cells.volume_fraction > DEAD
+def _without_closed_cells(cells: CutCells) -> CutCells:
+    """Return cut cells in which all but empty cells are closed."""
+    alive = cells.volume_fraction > CLOSED_FRACTION
     faces = []
     for axis, area in enumerate((cells.open_x, cells.open_y, cells.open_z)):
         padding = [(1, 1) if i == axis else (0, 0) for i in range(3)]
@@ -113,19 +127,21 @@ def _without_dead_cells(cells: CutCells) -> CutCells:
 
 
 def _borrow(cells: CutCells) -> CutCells:
-    """Move volume once, and axial face area in the same proportion."""
+    """Return cut cells after one round of borrowing volume and, in proportion, axial faces."""
     volume, sides = cells.volume_fraction, _sides(cells)
-    need = np.where(volume > 0.0, np.maximum(_crowding(cells) / LEND - volume, 0.0), 0.0)
+    need = np.where(
+        volume > 0.0, np.maximum(_cfl_volume(cells) / BORROWING_RATIO - volume, 0.0), 0.0
+    )
     # Rounded, because equal faces must give the same choice in every layer of a straight tube.
     choice = np.argmax([np.round(side.area, 9) for side in sides], axis=0)
     asked = [np.where(choice == i, need, 0.0) for i in range(len(sides))]
     demand = sum(_neighbour(a, _opposite(s)) for a, s in zip(asked, sides, strict=True))
-    # A donor keeps at least half of its volume, whoever asks.
+    # A donor keeps at least half of its volume.
     granted = np.minimum(1.0, 0.5 * volume / np.maximum(demand, 1e-300))
-    share = granted / np.maximum(volume, 1e-300)
+    granted_per_volume = granted / np.maximum(volume, 1e-300)
     open_z = cells.open_z.copy()
     for side, ask in zip(sides, asked, strict=True):
-        ratio = ask * _neighbour(share, side)  # of the donor's volume
+        ratio = ask * _neighbour(granted_per_volume, side)  # fraction of the donor's volume
         moved = ratio * _neighbour(cells.volume_fraction, side)
         volume = volume + moved - _neighbour(moved, _opposite(side))
         if side.axis != 2:
@@ -134,7 +150,7 @@ def _borrow(cells: CutCells) -> CutCells:
 
 
 def _opposite(side: _Side) -> _Side:
-    """Look the other way."""
+    """Return the same face as seen from the neighbour."""
     return side._replace(step=-side.step)
 
 

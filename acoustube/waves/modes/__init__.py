@@ -1,6 +1,6 @@
-"""Modes of ducts: of the round bore by Bessel functions, of any section on its grid, and probes.
+"""Modes of ducts: of the round bore in closed form, of any section on its grid, and probes.
 
-Read `round_duct`, then `grid_modes` and `probes`.
+Reading order: `round_duct`, `bore_couplings` (for bends), `grid_modes`, `probes`.
 """
 
 from acoustube.waves.modes.round_duct import (

@@ -1,15 +1,16 @@
-"""Modes of a straight duct on the grid: their shapes, and how they travel along it.
+"""Modes of a straight duct on the grid: shapes, cut-ons and axial phases.
 
-A straight part of the grid repeats one layer of cells, whose axial faces are as open as its cells
-are full. A field that is a mode of the layer then stays one: its amplitude obeys the scheme of a
-single line of cells, with Omega = omega dt, theta the phase per layer, nu = c dt / dz, k^2 the
-layer's eigenvalue times (c dt)^2 and s = 4 sin^2(Omega/2), X = 4 sin^2(theta/2),
+A straight part of the grid repeats one layer of cells, whose axial faces have the open fractions of
+its volumes. The modes of the layer then propagate without coupling: the amplitude of each obeys the
+scheme of a single line of cells. With Omega = omega dt, theta the phase per layer, nu = c dt / dz,
+k^2 the layer's eigenvalue times (c dt)^2 and s = 4 sin^2(Omega/2), X = 4 sin^2(theta/2),
 
     s (1 + kappa h) = b (k^2 (1 - d h) + nu^2 X (1 + beta X) (1 - d_z h)).
 
-h takes the pressure to its half-integral; kappa, d and d_z are the wall's losses, to first order in
-the boundary layers, and b those of the air. Without losses all of this is exact on the grid: waves
-can be separated from their echoes, or moved to another plane, without an error of discretisation.
+h is the transfer function from the pressure to its half-integral; kappa, d and d_z are the wall's
+losses, to first order in the boundary layers, and b those of the air. Without losses this
+dispersion relation is exact on the grid: ingoing and outgoing waves can be separated, or moved to
+another plane, without an error of discretisation.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from acoustube.waves.scheme.losses import Losses
 from acoustube.waves.scheme.operator import Operator
 from acoustube.waves.scheme.problem import Scheme
 
-MIRROR = 1e-6
-"""Trace of the mirror image that sets symmetric and antisymmetric modes apart."""
+MIRROR_PERTURBATION = 1e-6
+"""Weight of the mirror operator that separates degenerate symmetric and antisymmetric modes."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 
@@ -48,11 +49,13 @@ class DuctModes:
     shapes : ndarray
         Pressures with a mean square of one over the section, (n_modes, nx, ny).
     weights : ndarray
-        What projects a layer of pressures onto the modes, (n_modes, nx, ny).
+        Projection weights: their products with a layer of pressures sum to the modal amplitudes,
+        (n_modes, nx, ny).
     odd : ndarray of bool
         Whether antisymmetric about x = 0, (n_modes,).
     losses : dict of ndarray
-        kappa, d k^2 and d_z of each mode, (n_modes,); empty without losses.
+        kappa, d k^2 and d_z of each mode as ``compliance``, ``across`` and ``along``, (n_modes,);
+        empty without losses.
     """
 
     squares: Array
@@ -77,7 +80,7 @@ def duct_modes(
     layer : int
         In a straight part.
     highest : float
-        Frequency in Hz up to which cut-ons are returned.
+        Largest cut-on in Hz of the modes that are returned.
     whole : bool
         Whether the grid is that of the whole tube, rather than of the half x > 0.
     odd : bool
@@ -95,10 +98,10 @@ def duct_modes(
     matrix = _across(operator, layer, filled > 0) / root[:, None] / root
     parity = np.full(len(mass), -1.0 if odd else 1.0)
     if whole:
-        # A pair of modes of a round bore mixes at will; a trace of the mirror sets the two apart.
+        # Degenerate pairs mix arbitrarily; a small multiple of the mirror operator separates them.
         number = np.cumsum(filled > 0).reshape(filled.shape) - 1
         image, here = number[::-1][filled > 0], np.arange(len(mass))
-        trace = MIRROR * (2 * np.pi * highest) ** 2
+        trace = MIRROR_PERTURBATION * (2 * np.pi * highest) ** 2
         matrix[here, image] += trace
         matrix[image, here] += trace
     squares, vectors = eigh(matrix)
@@ -112,13 +115,13 @@ def duct_modes(
     # The plane mode's eigenvalue is zero but for rounding.
     squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
     shapes = np.zeros((len(vectors), *filled.shape))
-    # Of either sign; the first cell that is loud shall be positive.
-    loud = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
-    vectors = vectors * np.sign(vectors[np.arange(len(vectors)), loud])[:, None]
+    # The sign is arbitrary; the first cell of more than half the peak shall be positive.
+    first = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
+    vectors = vectors * np.sign(vectors[np.arange(len(vectors)), first])[:, None]
     shapes[:, filled > 0] = vectors
     found: dict[str, Array] = {}
     if scheme.losses is not None:
-        found = _lossy(scheme.losses, layer, filled, vectors)
+        found = _modal_losses(scheme.losses, layer, filled, vectors)
     dt = float(np.sqrt(scheme.step_squared))
     half_turns = np.arcsin(np.sqrt(np.maximum(squares, 0.0)) * dt / 2)
     return DuctModes(
@@ -137,13 +140,13 @@ def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> Array:
     return np.asarray(section_stiffness(*faces, inside).toarray())
 
 
-def _lossy(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[str, Array]:
-    """Return the wall's losses of each mode, from its own shape."""
+def _modal_losses(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[str, Array]:
+    """Return the wall's loss coefficients of each mode, by first-order perturbation."""
     inside = filled > 0
     mass = filled[inside]
     across = _across(losses.drag, layer, inside)
     compliance = np.asarray(losses.compliance[:, :, layer], float)[inside]
-    # The axial faces of a straight part are as open as the cells, times (c / dz)^2.
+    # The axial faces of a straight part have the cells' open fractions, times (c / dz)^2.
     along = np.asarray(losses.drag.area_z[:, :, layer + 1], float)[inside]
     return {
         "compliance": vectors**2 @ (mass * compliance) / mass.sum(),
@@ -153,7 +156,7 @@ def _lossy(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[st
 
 
 def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c: float) -> Phases:
-    """Return how the modes travel along a straight part.
+    """Return the axial phases of the modes along a straight part.
 
     Parameters
     ----------
@@ -174,10 +177,10 @@ def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c
     beta = float(scheme.operator.beta)
     turn = np.exp(2j * np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None]
     nu2 = dt2 * (c / spacing) ** 2
-    # Real, so that what neither grows nor decays is not taken for the one or the other.
+    # Real, so that rounding does not make a propagating mode grow or decay.
     inertia = 4 * np.sin(np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None] ** 2
     lossless = (inertia - dt2 * modes.squares) / nu2
-    stiffness, axial, inertia_share = dt2 * modes.squares, np.ones(1), np.ones(1)
+    stiffness, axial, added = dt2 * modes.squares, np.ones(1), np.ones(1)
     if scheme.losses is not None:
         lost = scheme.losses
         decay, gain, wall, bulk = (
@@ -187,30 +190,31 @@ def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c
         response = gain * (1 + 1 / turn) / 2 / (1 - decay / turn)
         h = response @ wall[:, None]
         air = 1 + float(lost.rate) * (1 - 1 / turn) - response @ bulk[:, None]
-        inertia_share = 1 + modes.losses["compliance"] * h
+        added = 1 + modes.losses["compliance"] * h
         stiffness = air * dt2 * (modes.squares - h * modes.losses["across"])
         axial = air * (1 - h * modes.losses["along"] * (spacing / c) ** 2)
-    bent = (inertia * inertia_share - stiffness) / (nu2 * axial)
+    square = (inertia * added - stiffness) / (nu2 * axial)
     return Phases(
-        theta=_phase(bent, beta),
-        slope=nu2 * axial * _slope(bent, beta),
+        theta=_phase(square, beta),
+        slope=nu2 * axial * _slope(square, beta),
         power=_slope(lossless, beta),
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Phases:
-    """How modes travel, at frequencies (n_frequencies, n_modes).
+    """Axial phases of modes, and their derivatives, each (n_frequencies, n_modes).
 
     Attributes
     ----------
     theta : ndarray
-        Complex phase per layer: a wave goes as exp(-j theta m), time as exp(+j omega t).
+        Complex phase per layer: a wave over m layers is exp(-j theta m), for time dependence
+        exp(+j omega t).
     slope : ndarray
-        Derivative of the axial term by theta, which a source meets.
+        Derivative of the axial term by theta: the impedance of a source in one layer.
     power : ndarray
-        The same without losses: what the power carried is proportional to; real where the mode
-        propagates, imaginary where it does not.
+        The same without losses, to which the transmitted power is proportional; real where the mode
+        propagates, imaginary where it is evanescent.
     """
 
     theta: Complex
@@ -218,25 +222,26 @@ class Phases:
     power: Complex
 
 
-def _bend(bent: Complex, beta: float) -> Complex:
-    """Return X from X (1 + beta X)."""
-    return np.asarray(2 * bent / (1 + np.sqrt(1 + 4 * beta * bent + 0j)))
+def _second_difference(square: Complex, beta: float) -> Complex:
+    """Return X of X (1 + beta X) = square."""
+    return np.asarray(2 * square / (1 + np.sqrt(1 + 4 * beta * square + 0j)))
 
 
-def _phase(bent: Complex, beta: float) -> Complex:
-    """Return theta with a wave that decays, or else travels, towards positive z."""
-    theta = 2 * np.arcsin(np.sqrt(_bend(bent, beta) + 0j) / 2)
+def _phase(square: Complex, beta: float) -> Complex:
+    """Return the theta whose wave decays, or else propagates, towards positive z."""
+    theta = 2 * np.arcsin(np.sqrt(_second_difference(square, beta) + 0j) / 2)
     theta = np.where(theta.imag > 0, -theta, theta)
     return np.asarray(np.where((theta.imag == 0) & (theta.real < 0), -theta, theta))
 
 
-def _slope(bent: Complex, beta: float) -> Complex:
-    theta = _phase(bent, beta)
-    return np.asarray(2 * np.sin(theta) * (1 + 2 * beta * _bend(bent, beta)))
+def _slope(square: Complex, beta: float) -> Complex:
+    """Return the derivative of X (1 + beta X) by theta."""
+    theta = _phase(square, beta)
+    return np.asarray(2 * np.sin(theta) * (1 + 2 * beta * _second_difference(square, beta)))
 
 
 def labels(modes: DuctModes, radius: float, c: float) -> tuple[str, ...]:
-    """Name modes after those of a round bore of the same symmetry, in the order of their cut-ons.
+    """Return names of modes: those of a round bore of equal symmetry and order of the cut-ons.
 
     Parameters
     ----------
@@ -264,11 +269,12 @@ def labels(modes: DuctModes, radius: float, c: float) -> tuple[str, ...]:
 
 
 def _label(mode: Mode, odd: bool) -> str:
+    """Return the name of a mode, as ``11c``."""
     symmetry = "" if mode.m == 0 else "s" if odd else "c"
     return f"{mode.m}{mode.n}{symmetry}"
 
 
 def mode_numbers(label: str) -> tuple[int, int]:
-    """Return the nodal diameters and circles that a label tells."""
+    """Return the nodal diameters and circles of a mode's name."""
     digits = label.rstrip("cs")
     return int(digits[:-1]), int(digits[-1])

@@ -1,4 +1,4 @@
-"""What is heard in a layer of cells, its mean, a mode or a point; and how a mode is launched."""
+"""Probes of the mean pressure, of a mode or at a point of a layer; and modal sources."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phas
 from acoustube.waves.scheme.problem import Setup
 
 CELLS_PER_RADIAN = 1.5
-"""Least resolution of the modes that have a name on a grid, at their cut-on."""
+"""Smallest resolution, at their cut-on, of the modes that can be probed on a grid."""
 
 
 class ModalProbe(NamedTuple):
-    """The amplitude of a mode of the section at a height, where the tube should be straight.
+    """Probe of the amplitude of a duct mode, where the tube should be straight.
 
     Attributes
     ----------
@@ -35,12 +35,12 @@ class ModalProbe(NamedTuple):
 
 
 class PointProbe(NamedTuple):
-    """The pressure at a point, interpolated across the tube.
+    """Probe of the pressure at a point, interpolated across the tube.
 
     Attributes
     ----------
     position, x, y : float
-        Distance from the source end, and place across, in m.
+        Distance from the source end, and transverse coordinates, in m.
     """
 
     position: float
@@ -49,7 +49,7 @@ class PointProbe(NamedTuple):
 
 
 Probe = float | ModalProbe | PointProbe
-"""A height in m stands for the mean over its plane, which is the plane mode's amplitude."""
+"""A distance in m stands for the mean over its plane, which is the plane mode's amplitude."""
 
 
 def height_of(probe: Probe) -> float:
@@ -58,30 +58,35 @@ def height_of(probe: Probe) -> float:
 
 
 def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
-    """Return a setup that hears what each probe does, at the heights that it has already.
+    """Return a setup with the weights of modal and point probes.
 
     Parameters
     ----------
     setup : Setup
-        Prepared with a plane at the height of each probe.
+        Prepared with a plane at the position of each probe.
     probes : tuple of Probe
     air : Air
+
+    Returns
+    -------
+    Setup
 
     Raises
     ------
     ValueError
-        If there is no such mode, or the point is not in the air.
+        If a mode is not resolved by the grid, or a point is not in the air.
     """
     scheme = setup.scheme
     weights = [
         _weights(probe, setup, int(layer), air)
         for probe, layer in zip(probes, scheme.probe_layers, strict=True)
     ]
-    heard = jnp.asarray(np.stack(weights, axis=-1), scheme.probe_weights.dtype)
-    return replace(setup, scheme=scheme._replace(probe_weights=heard))
+    stacked = jnp.asarray(np.stack(weights, axis=-1), scheme.probe_weights.dtype)
+    return replace(setup, scheme=scheme._replace(probe_weights=stacked))
 
 
 def _weights(probe: Probe, setup: Setup, layer: int, air: Air) -> Array:
+    """Return the weights of a probe over its layer, (nx, ny)."""
     volume = setup.cells.volume_fraction[:, :, layer]
     if isinstance(probe, ModalProbe):
         modes, which = named_mode(setup, layer, probe.mode, air)
@@ -92,12 +97,12 @@ def _weights(probe: Probe, setup: Setup, layer: int, air: Air) -> Array:
 
 
 def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes, int]:
-    """Return the modes of a layer that the grid carries, and the number of one among them.
+    """Return the modes of a layer that the grid resolves, and the index of one among them.
 
     Raises
     ------
     ValueError
-        If there is none of that name.
+        If the grid resolves no mode of that name.
     """
     dx, dy, _ = setup.cells.spacing
     half = setup.cells.origin[0] == 0.0
@@ -108,29 +113,31 @@ def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes
     names = labels(modes, radius, air.sound_speed)
     if name not in names:
         raise ValueError(
-            f'mode = "{name}" is not one of {", ".join(names)}, which this grid carries'
+            f'mode = "{name}" is not one of {", ".join(names)}, which this grid '
+            "resolves; use one of these or a finer grid"
         )
     return modes, names.index(name)
 
 
 def _at_point(probe: PointProbe, setup: Setup, volume: Array) -> Array:
-    """Return bilinear weights of the cell centres around a point; those in the wall have none."""
-    # The half x > 0 stands for both.
+    """Return the bilinear weights of the open cells around a point."""
+    # A half model stands for both halves.
     x = abs(probe.x) if setup.cells.origin[0] == 0.0 else probe.x
-    shares = [
+    weights_of_axes = [
         np.clip(1 - np.abs(setup.cells.centres(axis) - value) / setup.cells.spacing[axis], 0, 1)
         for axis, value in enumerate((x, probe.y))
     ]
-    weights = np.where(volume > 0, np.outer(*shares), 0.0)
+    weights = np.where(volume > 0, np.outer(*weights_of_axes), 0.0)
     if not weights.sum() > 0:
         raise ValueError(
-            f"the point at x = {probe.x:.4g} m, y = {probe.y:.4g} m is not in the air; move it"
+            f"the point at x = {probe.x:.4g} m, y = {probe.y:.4g} m is not in the air; move "
+            "it into the lumen"
         )
     return np.asarray(weights / weights.sum())
 
 
 def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Array]:
-    """Return a setup and a source that launch a mode into the tube.
+    """Return a setup and source increments that launch a mode into the tube.
 
     Parameters
     ----------
@@ -150,20 +157,20 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
 
     Notes
     -----
-    A unit source in a layer sends exp(-i theta n) / (i slope) over n layers both ways, `slope` the
-    derivative of the axial term by theta; what it is driven with is the wave divided by that, for
-    each frequency. At the cut-on the slope vanishes, and little is driven. The source layer and its
-    neighbours also hold a near field of a few per cent.
+    A unit source in a layer radiates exp(-i theta n) / (i slope) over n layers in both directions,
+    with `slope` the derivative of the axial term by theta. The increments are the wave divided by
+    this response, frequency by frequency; at the cut-on, where the slope vanishes, they vanish too.
+    The source layer and its neighbours also hold a near field of a few per cent.
     """
     modes, which = named_mode(setup, setup.source_layer, mode, air)
-    # The filter's response fades slowly at a cut-on; what comes round the cycle is too late.
+    # Padded against wrap-around: the filter's response decays slowly at a cut-on.
     n = 4 * len(wave)
     omega = 2 * pi * np.fft.rfftfreq(n)[1:]
     slope = phases(
         modes, setup.scheme, setup.cells.spacing[2], omega / (2 * pi * setup.time_step),
         air.sound_speed,
     ).slope[:, which]  # fmt: skip
-    # The second difference of the pressure is driven by the first of the increments.
+    # The second difference of the pressure follows the first difference of the increments.
     gain = 1j * slope / (1 - np.exp(-1j * omega))
     spectrum = np.fft.rfft(wave, n)
     spectrum[0], spectrum[1:] = 0.0, spectrum[1:] * gain

@@ -1,4 +1,14 @@
-"""Modes of a circular duct: cut-on frequencies and boundary-layer attenuation."""
+"""Modes of a circular duct: cut-on frequencies and viscothermal propagation.
+
+References
+----------
+.. [1] Zwikker, C. and Kosten, C. W. (1949). Sound Absorbing Materials. Elsevier, New York.
+.. [2] Tijdeman, H. (1975). On the propagation of sound waves in cylindrical tubes. Journal of Sound
+   and Vibration 39, 1-33. doi:10.1016/S0022-460X(75)80206-9
+.. [3] Bruneau, A. M., Bruneau, M., Herzog, P. and Kergomard, J. (1987). Boundary layer attenuation
+   of higher order modes in waveguides. Journal of Sound and Vibration 119, 15-27.
+   doi:10.1016/0022-460X(87)90186-6
+"""
 
 from __future__ import annotations
 
@@ -28,13 +38,13 @@ def bessel_zero(m: int, n: int) -> float:
     Raises
     ------
     ValueError
-        If there is no such mode: for m > 0 counting starts at n = 1.
+        If m is negative, or n < 1 except in (0, 0).
     """
     if (m, n) == (0, 0):
         return 0.0
     if m < 0 or n < 1:
         raise ValueError(
-            f"there is no mode ({m}, {n}); the plane mode is (0, 0), all others have n >= 1"
+            f"mode ({m}, {n}) does not exist; the plane mode is (0, 0), all others have n >= 1"
         )
     return float(jnp_zeros(m, n)[-1])
 
@@ -45,7 +55,7 @@ def cut_on_frequency(m: int, n: int, radius: float, sound_speed: float) -> float
 
 
 def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mode]:
-    """List the modes that propagate at a frequency.
+    """Return the modes that propagate at a frequency.
 
     Parameters
     ----------
@@ -59,7 +69,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
     Returns
     -------
     list of Mode
-        In the order of their cut-ons, the plane mode first. Modes with m > 0 stand for a pair.
+        In the order of their cut-ons, the plane mode first. A mode with m > 0 is a degenerate pair.
     """
     highest = 2.0 * pi * frequency * radius / sound_speed
     modes = [Mode(m=0, n=0, cut_on=0.0)]
@@ -75,7 +85,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
 
 
 def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float) -> list[Mode]:
-    """List the modes whose cut-on lies in a band, where a small error decides what propagates.
+    """Return the modes whose cut-on lies in a band: a small error decides whether they propagate.
 
     Parameters
     ----------
@@ -96,36 +106,38 @@ def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float
 def axial_wavenumber(
     m: int, n: int, frequency: ArrayLike, radius: float, air: Air, *, lossy: bool = True
 ) -> NDArray[np.complex128]:
-    """Return how a mode travels along a round bore, as exp(+j omega t - j kz z).
+    """Return the axial wavenumber kz of a mode of a round bore, for exp(+j omega t - j kz z).
 
     Parameters
     ----------
     m, n : int
         Mode; (0, 0) is the plane mode.
     frequency : array_like
-        In Hz; with a negative imaginary part it is that of sound that decays.
+        In Hz; a negative imaginary part stands for a decaying exponential.
     radius : float
         Bore radius in m.
     air : Air
         Gas in the lumen.
     lossy : bool
-        With the losses at a smooth isothermal wall and in the air.
+        With the losses at a smooth isothermal wall and the absorption in the air.
 
     Returns
     -------
     ndarray
-        kz in 1/m, of the shape of `frequency`. Below cut-on it is imaginary but for the losses;
+        kz in 1/m, of the shape of `frequency`. Below cut-on it is imaginary except for the losses;
         minus its imaginary part is the attenuation in Np/m.
 
     Notes
     -----
-    The plane mode has Zwikker and Kosten's solution: with F(s) = 1 - 2 J1(s) / (s J0(s)),
+    The plane mode has the solution of Zwikker and Kosten [1]_, the low reduced frequency limit of
+    Kirchhoff's [2]_: with F(s) = 1 - 2 J1(s) / (s J0(s)),
     s_v = R sqrt(-j omega / nu) and s_t = sqrt(Pr) s_v,
 
         kz^2 = k^2 (gamma - (gamma - 1) F(s_t)) / F(s_v).
 
-    The others have the boundary layers to first order: with D_v = sqrt(nu / (j omega)),
-    D_t = D_v / sqrt(Pr) and Q = 2/R for m = 0, otherwise 2 / (R (1 - m^2/j'^2)),
+    Higher-order modes have the boundary layers to first order [3]_: with
+    D_v = sqrt(nu / (j omega)), D_t = D_v / sqrt(Pr) and Q = 2/R for m = 0, otherwise
+    2 / (R (1 - m^2/j'^2)),
 
         kz^2 (1 - D_v Q) = k^2 (1 + (gamma - 1) D_t Q) - (j'/R)^2 + D_v Q m^2/R^2.
 
@@ -148,9 +160,9 @@ def axial_wavenumber(
 
 
 def _zwikker_kosten(omega: NDArray[Any], radius: float, air: Air) -> NDArray[np.complex128]:
-    """Return (kz / k)^2 of the plane mode."""
+    """Return (kz / k)^2 of the plane mode after Zwikker and Kosten."""
     viscous = radius * np.sqrt(-1j * omega / air.viscous_diffusivity)
-    # The scaled functions: those of a large imaginary argument leave the range of numbers.
+    # Scaled Bessel functions: the plain ones overflow at large imaginary arguments.
     part_v, part_t = (
         1 - 2 * jve(1, s) / (s * jve(0, s)) for s in (viscous, sqrt(air.prandtl) * viscous)
     )
@@ -159,7 +171,7 @@ def _zwikker_kosten(omega: NDArray[Any], radius: float, air: Air) -> NDArray[np.
 
 
 def _root(square: NDArray[Any]) -> NDArray[np.complex128]:
-    """Return the root of a wave that decays, or else travels, towards positive z."""
+    """Return the root whose wave decays, or else propagates, towards positive z."""
     root = np.sqrt(square)
     return np.where(root.imag > 0, -root, root)
 
@@ -177,5 +189,9 @@ def attenuation(m: int, n: int, frequency: float, radius: float, air: Air) -> fl
         Bore radius in m.
     air : Air
         Gas in the lumen.
+
+    Returns
+    -------
+    float
     """
     return -float(axial_wavenumber(m, n, frequency, radius, air).imag)
