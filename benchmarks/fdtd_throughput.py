@@ -139,7 +139,7 @@ def dense_traffic(setup: Setup) -> float:
 
 def traffic(setup: Setup) -> float:
     """Return the bytes that a step of the compiled columns moves."""
-    from acoustube.waves.scheme.cpu_kernel import CORE, CUT
+    from acoustube.waves.scheme.cpu_layout import CORE, CUT
     from acoustube.waves.scheme.cpu_leapfrog import ABSORBING, _kinds
 
     kinds = _kinds(setup, setup.state)

@@ -19,8 +19,12 @@ from acoustube.waves import cut_cells
 from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.grid.straight_part import straight_ends_cut
 from acoustube.waves.port_waves import PortProblem
+from acoustube.waves.scheme import cpu_layout
 from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 from acoustube.waves.scheme.leapfrog import initial_state, march
+from acoustube.waves.scheme.losses import Losses, Memory
+from acoustube.waves.scheme.operator import Operator
+from acoustube.waves.scheme.pml import Absorber
 from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
@@ -195,3 +199,22 @@ def test_numba_is_imported_by_a_march_only():
     code = "import sys, acoustube.waves, acoustube.waves.scattering; print('numba' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    ("scheme", "columns", "apart"),
+    [
+        # 1 / volume becomes the weight with the time step; response and rate are the scalars. The
+        # number one is for JAX's compiler.
+        (Operator, cpu_layout.Stencil, {"inverse_volume"}),
+        (
+            Losses, cpu_layout.LossCoefficients,
+            {"yielding", "share", "response", "rate", "one"},
+        ),
+        (Memory, cpu_layout.Fields, set()),
+        (Absorber, cpu_layout.AbsorberColumns, set()),
+    ],
+)  # fmt: skip
+def test_both_schemes_have_the_same_coefficients_and_states(scheme, columns, apart):
+    """A field added to one implementation alone fails here; `apart` lists those named otherwise."""
+    assert set(scheme._fields) - set(columns._fields) == apart

@@ -1,26 +1,23 @@
-"""The leapfrog scheme over columns of cells along the tube, compiled by numba.
+"""Leapfrog step over columns of cells along the tube, compiled by numba.
 
-Importing this module imports numba, so it is imported only where a march starts. All arrays have
-the tube's axis z last. A loop over z writes to few arrays, for it becomes vector code only if the
-compiler can check that none overlaps another.
+Importing this module imports numba, so it is imported only where a march starts. The arrays are
+those of `cpu_layout`, with z last. A loop over z writes to few arrays, because it is vectorised
+only if the compiler can check that none overlaps another.
 """
 
 from __future__ import annotations
 
 import os
-from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating[Any]]
-Integers = NDArray[np.integer[Any]]
+from acoustube.waves.scheme.cpu_layout import CORE, CUT
 
-CORE, CUT = 0, 1  # spans of full cells without losses at the wall, and all others
-POLLS = 2000  # of a barrier, before the thread yields its core
+BARRIER_POLLS = 2000
+"""Number of polls of the barrier before a thread yields its core."""
 # Indices are unsigned, as only those need no check whether they count from the end.
 _NONE, _ONE, _TWO, _THREE, _FOUR = (np.uint64(i) for i in range(5))
 # Sums may be regrouped, but what is not a number must stay so. References are not counted: the
@@ -34,155 +31,9 @@ _yield_core = types.ExternalFunction(
 )
 
 
-class Columns(NamedTuple):
-    """The open cells, column by column.
-
-    Attributes
-    ----------
-    place : ndarray
-        x and y of each column, (n, 2).
-    first : ndarray
-        Its first span, (n+1,).
-    spans : ndarray
-        First layer, last layer plus one, and `CORE` or `CUT`, (n_spans, 3).
-    shares : ndarray
-        First column of each thread, (n_threads+1,).
-    """
-
-    place: Integers
-    first: Integers
-    spans: Integers
-    shares: Integers
-
-
-class Stencil(NamedTuple):
-    """Coefficients as in `wave_operator.Operator`.
-
-    Attributes
-    ----------
-    weight : ndarray
-        Inverse volume times the time step squared, (nx, ny, nz).
-    area_x, area_y, area_z : ndarray
-    full : ndarray
-        Areas of the three full faces, times the time step squared, (3,).
-    beta : ndarray
-        (1,).
-    """
-
-    weight: Array
-    area_x: Array
-    area_y: Array
-    area_z: Array
-    full: Array
-    beta: Array
-
-
-class Lossy(NamedTuple):
-    """Those of `losses.Losses`; without losses all are empty.
-
-    Attributes
-    ----------
-    drag : Stencil
-        Acts in cut spans only.
-    compliance, yielding : ndarray
-    share : ndarray
-        How much the air absorbs in each layer, (nz,).
-    decay, gain, wall, bulk : ndarray
-        Of the relaxations, those of the air first, (n_poles,); `wall` is what a relaxation gives
-        to the half-integral within a step, `bulk` of those of the air only.
-    scalars : ndarray
-        Response and rate, (2,).
-    """
-
-    drag: Stencil
-    compliance: Array
-    yielding: Array
-    share: Array
-    decay: Array
-    gain: Array
-    wall: Array
-    bulk: Array
-    scalars: Array
-
-
-class Fields(NamedTuple):
-    """What changes from step to step.
-
-    Attributes
-    ----------
-    ahead : ndarray
-        What the Laplacian is taken of: the pressure and what the air's absorption adds to it. At
-        two times, (2, nx+2, ny+2, nz+4).
-    change : ndarray
-        (nx, ny, nz).
-    pressure : ndarray
-        (nx+2, ny+2, nz+4); empty without losses, as are all that follow.
-    relaxed : ndarray
-        (nx, ny, n_poles, nz).
-    relaxing : ndarray
-        What the relaxations give to the half-integral within a step, (nx, ny, nz).
-    integral : ndarray
-        At two times.
-    increment : ndarray
-    """
-
-    ahead: Array
-    change: Array
-    pressure: Array
-    relaxed: Array
-    relaxing: Array
-    integral: Array
-    increment: Array
-
-
-class Layer(NamedTuple):
-    """An absorber: coefficients and state as in `absorber.Absorber`, in n layers; n may be 0.
-
-    Attributes
-    ----------
-    cells, faces : ndarray
-        Decay, gain and inverse, (3, n) and (3, n+3).
-    transverse, velocity, face_memory, cell_memory : ndarray
-    """
-
-    cells: Array
-    faces: Array
-    transverse: Array
-    velocity: Array
-    face_memory: Array
-    cell_memory: Array
-
-
-class Ends(NamedTuple):
-    """What is driven and heard.
-
-    Attributes
-    ----------
-    shape : ndarray
-        Of the source, (nx, ny).
-    keep : ndarray
-        (1,).
-    layer : int
-        Of the source.
-    planes : ndarray
-        Probed layers, (n_planes,).
-    plane_of : ndarray
-        First probe of each plane, (n_planes+1,).
-    weights : ndarray
-        (nx, ny, n_probes), the probes in the order of their planes.
-    """
-
-    shape: Array
-    keep: Array
-    layer: int
-    planes: Integers
-    plane_of: Integers
-    weights: Array
-
-
 @intrinsic
-def _arrive(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG001
-    """Add one to the first entry of an array of int64, as seen by all threads."""
+def _barrier_arrive(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """Increment the first entry of an array of int64 atomically."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -194,8 +45,8 @@ def _arrive(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG001
 
 
 @intrinsic
-def _arrived(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG001
-    """Return the first entry of an array of int64, read anew."""
+def _barrier_count(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """Return the first entry of an array of int64 by an atomic load."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -205,19 +56,19 @@ def _arrived(typingctx, counter):  # type: ignore[no-untyped-def]  # noqa: ARG00
 
 
 @_compiled
-def _meet(counter, total):  # type: ignore[no-untyped-def]
-    """Wait until the threads have arrived as often as given."""
-    _arrive(counter)
+def _barrier_wait(counter, total):  # type: ignore[no-untyped-def]
+    """Wait until the number of arrivals of all threads has reached a total."""
+    _barrier_arrive(counter)
     polls = 0
-    while _arrived(counter) < total:
+    while _barrier_count(counter) < total:
         polls += 1
-        if polls > POLLS:
+        if polls > BARRIER_POLLS:
             _yield_core()
 
 
 @_compiled
-def _full_balance(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the balance of a cell all of whose faces are full."""
+def _full_divergence(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
+    """Return the divergence of a cell all of whose faces are full."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     twice = q[i, j, m] + q[i, j, m]
     across = full[0] * ((q[i + _ONE, j, m] + q[x, j, m]) - twice)
@@ -229,7 +80,7 @@ def _full_balance(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the balance of a cell over its faces across."""
+    """Return the divergence of a cell over its transverse faces."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     here, area_x, area_y = q[i, j, m], operator.area_x, operator.area_y
     flow_x = area_x[i, y, k] * (q[i + _ONE, j, m] - here) - area_x[x, y, k] * (here - q[x, j, m])
@@ -239,7 +90,7 @@ def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_along(velocities, areas, beta):  # type: ignore[no-untyped-def]
-    """Return the balance over the axial faces, as `wave_operator.axial_divergence`."""
+    """Return the divergence over the axial faces, as `operator.axial_divergence`."""
     before, below, above, behind = velocities
     a, b, c, d = areas
     low, here, high = (
@@ -257,8 +108,8 @@ def _axial_areas(operator, x, y, k):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _cut_balance(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the balance of a cell, each face with its own area."""
+def _cut_divergence(q, operator, x, y, k):  # type: ignore[no-untyped-def]
+    """Return the divergence of a cell, each face with its own area."""
     i, j = x + _ONE, y + _ONE
     a, b, c, d, e = (
         q[i, j, k],
@@ -277,7 +128,7 @@ def _lossless_core(operator, q, following, change, x, y, begin, end):  # type: i
     full = operator.full[0], operator.full[1], operator.full[2]
     bent = operator.beta[0] * full[2]
     for k in range(begin, end):
-        moved = change[x, y, k] + _full_balance(q, full, bent, x, y, k)
+        moved = change[x, y, k] + _full_divergence(q, full, bent, x, y, k)
         change[x, y, k] = moved
         following[x + _ONE, y + _ONE, k + _TWO] = q[x + _ONE, y + _ONE, k + _TWO] + moved
 
@@ -285,25 +136,25 @@ def _lossless_core(operator, q, following, change, x, y, begin, end):  # type: i
 @_compiled
 def _lossless_cut(operator, q, following, change, x, y, begin, end):  # type: ignore[no-untyped-def]
     for k in range(begin, end):
-        force = operator.weight[x, y, k] * _cut_balance(q, operator, x, y, k)
+        force = operator.weight[x, y, k] * _cut_divergence(q, operator, x, y, k)
         moved = change[x, y, k] + force
         change[x, y, k] = moved
         following[x + _ONE, y + _ONE, k + _TWO] = q[x + _ONE, y + _ONE, k + _TWO] + moved
 
 
 @_compiled
-def _relax(lossy, relaxed, middle, following, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance the air's relaxations, by which the pressure is ahead of itself."""
+def _update_air_memory(lossy, relaxed, middle, following, x, y, begin, end):  # type: ignore[no-untyped-def]
+    """Advance the air's relaxations, and subtract them from the Laplacian's argument."""
     for j in range(np.uint64(lossy.bulk.size)):
         decay, gain, lag = lossy.decay[j], lossy.gain[j], lossy.bulk[j]
         for k in range(begin, end):
             new = decay * relaxed[x, y, j, k] + gain * middle[k]
             relaxed[x, y, j, k] = new
-            following[x + _ONE, y + _ONE, k + _TWO] -= lossy.share[k] * lag * new
+            following[x + _ONE, y + _ONE, k + _TWO] -= lossy.weight[k] * lag * new
 
 
 @_compiled
-def _relax_wall(lossy, relaxed, relaxing, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
+def _update_wall_memory(lossy, relaxed, relaxing, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
     """Advance the wall's relaxations."""
     for j in range(np.uint64(lossy.bulk.size), np.uint64(lossy.decay.size)):
         decay, gain, part = lossy.decay[j], lossy.gain[j], lossy.wall[j]
@@ -318,36 +169,36 @@ def _core_force(operator, q, moved, x, y, begin, end):  # type: ignore[no-untype
     full = operator.full[0], operator.full[1], operator.full[2]
     bent = operator.beta[0] * full[2]
     for k in range(begin, end):
-        moved[k] = _full_balance(q, full, bent, x, y, k)
+        moved[k] = _full_divergence(q, full, bent, x, y, k)
 
 
 @_compiled
 def _cut_force(operator, q, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
     for k in range(begin, end):
-        moved[k] = operator.weight[x, y, k] * _cut_balance(q, operator, x, y, k)
+        moved[k] = operator.weight[x, y, k] * _cut_divergence(q, operator, x, y, k)
 
 
 @_compiled
 def _subtract_drag(weight, drag, integral, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
     for k in range(begin, end):
-        moved[k] -= weight[x, y, k] * _cut_balance(integral, drag, x, y, k)
+        moved[k] -= weight[x, y, k] * _cut_divergence(integral, drag, x, y, k)
 
 
 @_compiled
-def _yield_to_wall(lossy, fields, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Turn the force, less the last change, into the change; advance the half-integral's."""
+def _wall_step(lossy, fields, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
+    """Turn the increment without the wall's thermal losses into that with them."""
     response, half = lossy.scalars[0], np.float32(0.5) * lossy.scalars[0]
     change, pressure, increment = fields.change, fields.pressure, fields.increment
     for k in range(begin, end):
         expected = response * pressure[x + _ONE, y + _ONE, k + _TWO] + fields.relaxing[x, y, k]
         stiff = lossy.compliance[x, y, k] * (expected - increment[x, y, k])
-        new = lossy.yielding[x, y, k] * (change[x, y, k] - stiff + moved[k])
+        new = lossy.implicit_factor[x, y, k] * (change[x, y, k] - stiff + moved[k])
         increment[x, y, k] = expected + half * new
         moved[k] = new - change[x, y, k]
 
 
 @_compiled
-def _integrate(integral, later, increment, relaxing, x, y, begin, end):  # type: ignore[no-untyped-def]
+def _update_integral(integral, later, increment, relaxing, x, y, begin, end):  # type: ignore[no-untyped-def]
     i, j = x + _ONE, y + _ONE
     for k in range(begin, end):
         later[i, j, k + _TWO] = integral[i, j, k + _TWO] + increment[x, y, k]
@@ -355,8 +206,8 @@ def _integrate(integral, later, increment, relaxing, x, y, begin, end):  # type:
 
 
 @_compiled
-def _settle(lossy, fields, following, moved, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance change and pressure."""
+def _update_pressure(lossy, fields, following, moved, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
+    """Advance change, pressure and the Laplacian's argument."""
     half, rate = np.float32(0.5), lossy.scalars[1]
     i, j, pressure, change = x + _ONE, y + _ONE, fields.pressure, fields.change
     for k in range(begin, end):
@@ -365,12 +216,12 @@ def _settle(lossy, fields, following, moved, middle, x, y, begin, end):  # type:
         change[x, y, k] = new
         middle[k] = now + half * new
         pressure[i, j, k + _TWO] = now + new
-        following[i, j, k + _TWO] = now + new + lossy.share[k] * rate * new
+        following[i, j, k + _TWO] = now + new + lossy.weight[k] * rate * new
 
 
 @_compiled
-def _absorb(operator, layer, q, following, change, first, x, y):  # type: ignore[no-untyped-def]
-    """Advance an absorber's column, as `absorber.absorb`."""
+def _pml_step(operator, layer, q, following, change, first, x, y):  # type: ignore[no-untyped-def]
+    """Advance an absorber's column, as `pml.pml_step`."""
     i, j, n = x + _ONE, y + _ONE, np.uint64(layer.cells.shape[1])
     faces, velocity, memory, weight = (
         layer.faces,
@@ -405,19 +256,19 @@ def _absorb(operator, layer, q, following, change, first, x, y):  # type: ignore
 
 
 @_compiled
-def _drive(ends, field, x, y, sample):  # type: ignore[no-untyped-def]
-    """Return by how much the source moves a cell of its layer."""
+def _source_increment(ends, field, x, y, sample):  # type: ignore[no-untyped-def]
+    """Return the pressure increment of a cell of the source layer."""
     now = field[x + _ONE, y + _ONE, np.uint64(ends.layer) + _TWO]
     return (ends.keep[0] - np.float32(1)) * now + sample * ends.shape[x, y]
 
 
 @_compiled
-def _probe(ends, field, x, y, heard):  # type: ignore[no-untyped-def]
-    """Add a column's share to what the probes hear."""
+def _probe(ends, field, x, y, recorded):  # type: ignore[no-untyped-def]
+    """Add a column's contribution to the probes' pressures."""
     for i in range(ends.planes.size):
         now = field[x + _ONE, y + _ONE, ends.planes[i] + _TWO]
         for j in range(ends.plane_of[i], ends.plane_of[i + 1]):
-            heard[j] += ends.weights[x, y, j] * now
+            recorded[j] += ends.weights[x, y, j] * now
 
 
 @_compiled
@@ -442,16 +293,16 @@ def _lossy_column(problem, q, following, integral, later, work, c, x, y):  # typ
         else:
             _cut_force(operator, q, moved, x, y, begin, end)
             _subtract_drag(operator.weight, lossy.drag, integral, moved, x, y, begin, end)
-            _yield_to_wall(lossy, fields, moved, x, y, begin, end)
-            _integrate(integral, later, fields.increment, fields.relaxing, x, y, begin, end)
-        _settle(lossy, fields, following, moved, middle, x, y, begin, end)
-        _relax(lossy, fields.relaxed, middle, following, x, y, begin, end)
+            _wall_step(lossy, fields, moved, x, y, begin, end)
+            _update_integral(integral, later, fields.increment, fields.relaxing, x, y, begin, end)
+        _update_pressure(lossy, fields, following, moved, middle, x, y, begin, end)
+        _update_air_memory(lossy, fields.relaxed, middle, following, x, y, begin, end)
         if kind == CUT:
-            _relax_wall(lossy, fields.relaxed, fields.relaxing, middle, x, y, begin, end)
+            _update_wall_memory(lossy, fields.relaxed, fields.relaxing, middle, x, y, begin, end)
 
 
 @_compiled
-def _step(problem, now, begin, end, sample, work, heard):  # type: ignore[no-untyped-def]
+def _step(problem, now, begin, end, sample, work, recorded):  # type: ignore[no-untyped-def]
     """Advance some columns by one step."""
     columns, operator, lossy, fields, before, behind, ends = problem
     q, following = fields.ahead[now], fields.ahead[1 - now]
@@ -464,43 +315,46 @@ def _step(problem, now, begin, end, sample, work, heard):  # type: ignore[no-unt
             _lossy_column(problem, q, following, integral, later, work, c, x, y)
         else:
             _lossless_column(problem, q, following, c, x, y)
-        _absorb(operator, before, q, following, fields.change, _NONE, x, y)
-        _absorb(operator, behind, q, following, fields.change, last, x, y)
+        _pml_step(operator, before, q, following, fields.change, _NONE, x, y)
+        _pml_step(operator, behind, q, following, fields.change, last, x, y)
         if lossy.decay.size > 0:
-            added = _drive(ends, fields.pressure, x, y, sample)
+            added = _source_increment(ends, fields.pressure, x, y, sample)
             fields.pressure[x + _ONE, y + _ONE, layer] += added
             following[x + _ONE, y + _ONE, layer] += added
-            _probe(ends, fields.pressure, x, y, heard)
+            _probe(ends, fields.pressure, x, y, recorded)
         else:
-            following[x + _ONE, y + _ONE, layer] += _drive(ends, following, x, y, sample)
-            _probe(ends, following, x, y, heard)
+            following[x + _ONE, y + _ONE, layer] += _source_increment(ends, following, x, y, sample)
+            _probe(ends, following, x, y, recorded)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def advance(problem, thread, now, samples, work, heard, counter):  # type: ignore[no-untyped-def]
-    """Advance a thread's columns by some steps, in step with the other threads.
+def advance(problem, thread, now, samples, work, recorded, counter):  # type: ignore[no-untyped-def]
+    """Advance a thread's columns by several steps, synchronised with the other threads.
 
     Parameters
     ----------
     problem : tuple
-        `Columns`, `Stencil`, `Lossy`, `Fields`, two `Layer` and `Ends`.
+        `Columns`, `Stencil`, `LossCoefficients`, `Fields`, two `AbsorberColumns` and
+        `SourceAndProbes`.
     thread : int
+        Index of the thread.
     now : int
-        Where `Fields.ahead` and `Fields.integral` hold the present, 0 or 1.
+        Index of the present in `Fields.ahead` and `Fields.integral`, 0 or 1.
     samples : ndarray
-        Of the source, one a step, (n,).
+        Source signal, one sample per step, (n,).
     work : ndarray
         For intermediate values, (n_threads, 2, nz).
-    heard : ndarray
-        Receives the thread's share of what the probes hear, (n_threads, n, n_probes); zero before.
+    recorded : ndarray
+        Receives the threads' contributions to the probes' pressures, (n_threads, n, n_probes);
+        initially zero.
     counter : ndarray
-        Of int64, (1,), zero before.
+        Of int64, (1,), initially zero.
     """
-    shares = problem[0].shares
-    n_threads = shares.size - 1
+    bounds = problem[0].bounds
+    n_threads = bounds.size - 1
     for step in range(samples.size):
-        begin, end = shares[thread], shares[thread + 1]
-        _step(problem, now, begin, end, samples[step], work[thread], heard[thread, step])
+        begin, end = bounds[thread], bounds[thread + 1]
+        _step(problem, now, begin, end, samples[step], work[thread], recorded[thread, step])
         now = 1 - now
         if n_threads > 1:
-            _meet(counter, n_threads * (step + 1))
+            _barrier_wait(counter, n_threads * (step + 1))

@@ -1,12 +1,12 @@
-"""Leapfrog marching on the CPU, over columns of cells that are open.
+"""Leapfrog marching on the CPU, over columns of open cells.
 
-The same scheme as that of `marching`, in the same numbers but for rounding. One pass over the grid
-advances a column of cells by all that acts in it, and writes the next pressure into a second
-array, so that threads meet once a step. Cells that are full, with full faces all around and
-without losses at the wall, need no coefficients and no memory of the wall.
+The same scheme as `leapfrog`, with the same results except for rounding. One pass over the grid
+applies operator, losses, absorbers and source to a column of cells, and writes the next pressure
+into a second array, so that threads synchronise once per step. Cells that are full, with full faces
+all around and without losses at the wall, need no coefficients and no memory of the wall.
 
-What is stored is not the pressure but what its Laplacian is taken of: the pressure and what the
-air's absorption adds to it, which depends on the cell alone.
+The stored field is the argument of the Laplacian: the pressure plus the terms of the air's
+absorption, which depend on the cell alone.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.errors import SimulationError
 from acoustube.base.types import Mask
-from acoustube.waves.scheme.cpu_kernel import (
+from acoustube.waves.scheme.cpu_kernel import advance
+from acoustube.waves.scheme.cpu_layout import (
     CORE,
     CUT,
+    AbsorberColumns,
     Columns,
-    Ends,
     Fields,
-    Layer,
-    Lossy,
+    LossCoefficients,
+    SourceAndProbes,
     Stencil,
-    advance,
 )
 from acoustube.waves.scheme.losses import Losses, Memory
 from acoustube.waves.scheme.operator import INTERIOR, Operator
@@ -42,13 +42,13 @@ from acoustube.waves.scheme.problem import Scheme, Setup, State
 Array = NDArray[np.floating[Any]]
 
 WALL, ABSORBING = -1, 2
-"""Kinds of cells that are in no span."""
-SHORTEST = 32
-"""Cells of a span below which it is not worth a loop of its own."""
-COSTS = 1.0, 4.0, 4.0
-"""Time of a cell in a core span, a cut span and an absorber, by which threads share the columns."""
+"""Kinds of cells that belong to no span."""
+SHORTEST_CORE = 32
+"""Number of cells of a core span below which it is merged with the cut spans beside it."""
+CELL_COSTS = 1.0, 4.0, 4.0
+"""Relative time of a cell in a core span, a cut span and an absorber, for balancing threads."""
 MOST_THREADS = 4
-"""More were not measured."""
+"""Largest number of threads; more were not measured."""
 
 
 class CompiledMarcher:
@@ -59,7 +59,7 @@ class CompiledMarcher:
     setup : Setup
         The discrete problem.
     state : State
-        Where to start; it stays as it is.
+        Initial state; it is not changed.
     n_threads : int, optional
         See `default_threads`.
     """
@@ -76,7 +76,7 @@ class CompiledMarcher:
             _fields(scheme, state, lossy, dtype),
             _layer(state.before, dtype),
             _layer(state.behind, dtype),
-            _ends(setup, self._order, dtype),
+            _source_and_probes(setup, self._order, dtype),
         )
 
     @property
@@ -94,30 +94,30 @@ class CompiledMarcher:
         Returns
         -------
         ndarray
-            What the probes hear after each step, (n, n_probes).
+            Pressures at the probes after each step, (n, n_probes).
 
         Raises
         ------
         SimulationError
-            If a thread cannot be started; the state is as it was.
+            If a thread cannot be started; the state is unchanged then.
         """
         change, columns = self._fields.change, self._problem[0]
-        n_threads = len(columns.shares) - 1
+        n_threads = len(columns.bounds) - 1
         samples = _copy(source, change.dtype)
         work = np.empty((n_threads, 2, change.shape[2]), change.dtype)
-        heard = np.zeros((n_threads, len(samples), len(self._order)), change.dtype)
+        recorded = np.zeros((n_threads, len(samples), len(self._order)), change.dtype)
         counter = np.zeros(1, np.int64)
 
         def run(thread: int) -> None:
-            advance(self._problem, thread, self._now, samples, work, heard, counter)
+            advance(self._problem, thread, self._now, samples, work, recorded, counter)
 
         if n_threads == 1:
             run(0)
         else:
             _run_together(run, n_threads)
         self._now = (self._now + len(samples)) % 2
-        record = np.empty(heard.shape[1:], float)
-        record[:, self._order] = heard.sum(axis=0)
+        record = np.empty(recorded.shape[1:], float)
+        record[:, self._order] = recorded.sum(axis=0)
         return record
 
     def is_finite(self) -> bool:
@@ -127,8 +127,8 @@ class CompiledMarcher:
     def state(self) -> State:
         """Return a copy of the state.
 
-        What is remembered where it acts on nothing - of the air within an absorber, of the wall
-        away from it - is not kept up.
+        Memory variables that act on nothing - of the air within an absorber, of the wall away from
+        it - are not advanced.
         """
         _, _, lossy, fields, before, behind, _ = self._problem
         return State(
@@ -146,7 +146,7 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
     Raises
     ------
     SimulationError
-        If a thread cannot be started; the function has not run then.
+        If a thread cannot be started; the function was not called then.
     """
     gate = Barrier(n_threads)
 
@@ -158,7 +158,7 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
         try:
             jobs = [pool.submit(begin, thread) for thread in range(n_threads)]
         except BaseException as error:
-            gate.abort()  # or those that have started would wait for the others for ever
+            gate.abort()  # otherwise the threads that have started would wait for ever
             if not isinstance(error, RuntimeError):
                 raise
             raise SimulationError(
@@ -170,9 +170,9 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
 
 
 def default_threads() -> int:
-    """Return how many threads march: numba's own number, up to a few.
+    """Return the number of threads: numba's own, up to `MOST_THREADS`.
 
-    That is ``NUMBA_NUM_THREADS`` or one a core, unless ``numba.set_num_threads`` lowered it.
+    Numba's is ``NUMBA_NUM_THREADS`` or one per core, unless ``numba.set_num_threads`` lowered it.
     """
     return min(get_num_threads(), MOST_THREADS)
 
@@ -186,7 +186,7 @@ def _scalar(*values: ArrayLike, dtype: Any) -> Array:
 
 
 def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
-    """Return an operator's coefficients."""
+    """Return the coefficients of an operator."""
     step_squared = float(scheme.step_squared)
     area_x, area_y, area_z = (_copy(area, dtype) for area in operator[1:4])
     return Stencil(
@@ -200,7 +200,7 @@ def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
 
 
 def _full(operator: Operator) -> Mask:
-    """Return which cells are full, with full faces, along the tube one beyond their own."""
+    """Return a mask of cells that are full, with full faces, axially also those one cell beyond."""
     x, y, z = (np.asarray(area) for area in operator[1:4])
     x, y, z = (area == face for area, face in zip((x, y, z), _full_faces(operator), strict=True))
     across = x[1:] & x[:-1] & y[:, 1:] & y[:, :-1]
@@ -221,7 +221,7 @@ def _full_faces(operator: Operator) -> tuple[Any, ...]:
 
 
 def _acts_at_wall(losses: Losses | None, shape: tuple[int, ...]) -> Mask:
-    """Return in which cells the wall's losses act."""
+    """Return a mask of the cells in which the wall's losses act."""
     if losses is None:
         return np.zeros(shape, bool)
     x, y, z = (np.asarray(area) != 0 for area in losses.drag[1:4])
@@ -230,7 +230,7 @@ def _acts_at_wall(losses: Losses | None, shape: tuple[int, ...]) -> Mask:
 
 
 def _kinds(setup: Setup, state: State) -> NDArray[np.integer[Any]]:
-    """Return of which kind each cell is: of a core or a cut span, in an absorber, or wall."""
+    """Return the kind of each cell: of a core or a cut span, in an absorber, or wall."""
     scheme = setup.scheme
     wall = _acts_at_wall(scheme.losses, state.change.shape)
     open_cells = (np.asarray(scheme.operator.inverse_volume) > 0) | wall
@@ -243,25 +243,25 @@ def _kinds(setup: Setup, state: State) -> NDArray[np.integer[Any]]:
 
 
 def _columns(setup: Setup, state: State, n_threads: int) -> Columns:
-    """List the columns that hold open cells, and their spans that are not in an absorber."""
+    """Return the columns that hold open cells, and their spans outside the absorbers."""
     kinds = _kinds(setup, state)
     _, ny, nz = kinds.shape
     kinds = kinds.reshape(-1, nz)
     rows, begins, ends = _runs(kinds)
-    short = (kinds[rows, begins] == CORE) & (ends - begins < SHORTEST)
+    short = (kinds[rows, begins] == CORE) & (ends - begins < SHORTEST_CORE)
     for row, begin, end in zip(rows[short], begins[short], ends[short], strict=True):
         kinds[row, begin:end] = CUT
     rows, begins, ends = _runs(kinds)
     kind = kinds[rows, begins]
     marched = (kind == CORE) | (kind == CUT)
     listed = np.flatnonzero((kinds != WALL).any(axis=1))
-    total = np.cumsum(np.array([0.0, *COSTS])[kinds[listed] - WALL].sum(axis=1))
-    shares = np.searchsorted(total, np.linspace(0.0, total[-1], n_threads + 1)[1:-1])
+    total = np.cumsum(np.array([0.0, *CELL_COSTS])[kinds[listed] - WALL].sum(axis=1))
+    bounds = np.searchsorted(total, np.linspace(0.0, total[-1], n_threads + 1)[1:-1])
     return Columns(
         place=np.stack(np.divmod(listed, ny), axis=1).astype(np.uint64),
         first=np.searchsorted(rows[marched], [*listed, len(kinds)]),
         spans=np.stack([begins, ends, kind], axis=1)[marched].astype(np.uint64),
-        shares=np.array([0, *shares, len(listed)]),
+        bounds=np.array([0, *bounds, len(listed)]),
     )
 
 
@@ -270,7 +270,7 @@ def _n_layers(absorber: Absorber | None) -> int:
 
 
 def _runs(values: NDArray[np.integer[Any]]) -> tuple[NDArray[np.integer[Any]], ...]:
-    """Return row, begin and end of all runs of equal values in the rows of a table."""
+    """Return row, begin and end of all runs of equal values in the rows of an array."""
     starts = np.pad(values[:, 1:] != values[:, :-1], ((0, 0), (1, 1)), constant_values=True)
     rows, places = np.nonzero(starts)
     within = rows[1:] == rows[:-1]
@@ -278,36 +278,38 @@ def _runs(values: NDArray[np.integer[Any]]) -> tuple[NDArray[np.integer[Any]], .
 
 
 def _air_first(losses: Losses) -> tuple[NDArray[np.integer[Any]], int]:
-    """Return the order in which the relaxations of the air come first, and their number."""
+    """Return the permutation that puts the air's relaxations first, and their number."""
     of_air = np.array([float(lag) != 0 for lag in losses.bulk])
     return np.argsort(~of_air, kind="stable"), int(of_air.sum())
 
 
-def _lossy(scheme: Scheme, state: State, dtype: Any) -> Lossy:
+def _lossy(scheme: Scheme, state: State, dtype: Any) -> LossCoefficients:
     """Return the coefficients of the losses, or empty ones."""
     losses, shape = scheme.losses, state.change.shape
     if losses is None:
         none, nowhere = np.zeros(0, dtype), np.zeros((0, 0, 0), dtype)
         still = Stencil(nowhere, nowhere, nowhere, nowhere, none, none)
-        share = np.zeros(shape[2], dtype)
-        return Lossy(still, nowhere, nowhere, share, none, none, none, none, np.zeros(2, dtype))
+        weight = np.zeros(shape[2], dtype)
+        return LossCoefficients(
+            still, nowhere, nowhere, weight, none, none, none, none, np.zeros(2, dtype)
+        )
     order, n_air = _air_first(losses)
     decay, gain, wall, bulk = (
         _scalar(*values, dtype=dtype)[order]
         for values in (losses.decay, losses.gain, losses.wall, losses.bulk)
     )
-    return Lossy(
+    return LossCoefficients(
         drag=_stencil(losses.drag, scheme, dtype),
         compliance=_copy(losses.compliance, dtype),
-        yielding=_copy(losses.yielding, dtype),
-        share=_copy(losses.share, dtype).ravel(),
+        implicit_factor=_copy(losses.yielding, dtype),
+        weight=_copy(losses.share, dtype).ravel(),
         decay=decay, gain=gain, wall=wall * (decay - 1), bulk=bulk[:n_air].copy(),
         scalars=_scalar(losses.response, losses.rate, dtype=dtype),
     )  # fmt: skip
 
 
-def _fields(scheme: Scheme, state: State, lossy: Lossy, dtype: Any) -> Fields:
-    """Return the fields of a state."""
+def _fields(scheme: Scheme, state: State, lossy: LossCoefficients, dtype: Any) -> Fields:
+    """Return the arrays of a state."""
     memory, nowhere = state.memory, np.zeros((0, 0, 0), dtype)
     ahead, change = _twice(state.pressure), _copy(state.change, dtype)
     if scheme.losses is None or memory is None:
@@ -318,7 +320,7 @@ def _fields(scheme: Scheme, state: State, lossy: Lossy, dtype: Any) -> Fields:
     order, n_air = _air_first(scheme.losses)
     relaxed = np.stack([np.asarray(memory.relaxed[i]) for i in order], axis=2)
     lagging = np.einsum("j,xyjz->xyz", lossy.bulk, relaxed[:, :, :n_air])
-    ahead[(0, *INTERIOR)] += lossy.share * (lossy.scalars[1] * change - lagging)
+    ahead[(0, *INTERIOR)] += lossy.weight * (lossy.scalars[1] * change - lagging)
     return Fields(
         ahead, change,
         pressure=_copy(state.pressure, dtype),
@@ -330,26 +332,26 @@ def _fields(scheme: Scheme, state: State, lossy: Lossy, dtype: Any) -> Fields:
 
 
 def _twice(field: ArrayLike) -> Array:
-    """Return a field at two times, of which the second is still to come."""
+    """Return an array for a field at two times, of which the second is not yet set."""
     field = np.asarray(field)
     both = np.zeros((2, *field.shape), field.dtype)
     both[0] = field
     return both
 
 
-def _pressure(lossy: Lossy, fields: Fields, now: int) -> Array:
-    """Return the pressure, which is kept up only where something is added to it."""
+def _pressure(lossy: LossCoefficients, fields: Fields, now: int) -> Array:
+    """Return the pressure, which is advanced separately only where the air absorbs."""
     ahead = fields.ahead[now]
     if fields.pressure.size == 0:
         return ahead
-    absorbs = np.pad(lossy.share != 0, 2)
+    absorbs = np.pad(lossy.weight != 0, 2)
     return np.where(absorbs, fields.pressure, ahead)
 
 
 def _memory(
     memory: Memory | None, losses: Losses | None, fields: Fields, now: int
 ) -> Memory | None:
-    """Return what the losses remember."""
+    """Return the memory variables of the losses."""
     if memory is None or losses is None:
         return memory
     place = np.argsort(_air_first(losses)[0])
@@ -357,27 +359,29 @@ def _memory(
     return Memory(relaxed, jnp.array(fields.integral[now]), jnp.array(fields.increment))
 
 
-def _layer(layer: Absorber | None, dtype: Any) -> Layer:
-    """Return a copy of an absorber, or one without layers."""
+def _layer(layer: Absorber | None, dtype: Any) -> AbsorberColumns:
+    """Return the arrays of an absorber, or empty ones."""
     if layer is None:
         nothing = np.zeros((0, 0, 0), dtype)
-        return Layer(*(np.zeros((3, 0), dtype),) * 2, *(nothing,) * 4)
+        return AbsorberColumns(*(np.zeros((3, 0), dtype),) * 2, *(nothing,) * 4)
     stretches = (np.stack([np.asarray(c).ravel() for c in stretch]) for stretch in layer[:2])
-    return Layer(*stretches, *(_copy(part, dtype) for part in layer[2:]))
+    return AbsorberColumns(*stretches, *(_copy(part, dtype) for part in layer[2:]))
 
 
-def _absorber(before: Absorber | None, layer: Layer) -> Absorber | None:
-    """Return an absorber with its new state."""
+def _absorber(before: Absorber | None, layer: AbsorberColumns) -> Absorber | None:
+    """Return an absorber with its advanced state."""
     if before is None:
         return None
     return Absorber(before.cells, before.faces, *(jnp.array(part) for part in layer[2:]))
 
 
-def _ends(setup: Setup, order: NDArray[np.integer[Any]], dtype: Any) -> Ends:
-    """Return source and probes."""
+def _source_and_probes(
+    setup: Setup, order: NDArray[np.integer[Any]], dtype: Any
+) -> SourceAndProbes:
+    """Return source layer and probe weights."""
     scheme = setup.scheme
     planes, counts = np.unique(np.asarray(scheme.probe_layers, np.uint64), return_counts=True)
-    return Ends(
+    return SourceAndProbes(
         shape=_copy(scheme.source, dtype),
         keep=_scalar(scheme.keep, dtype=dtype),
         layer=setup.source_layer,

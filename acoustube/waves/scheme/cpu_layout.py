@@ -1,0 +1,167 @@
+"""Arrays of the compiled leapfrog scheme: columns of open cells, coefficients, state.
+
+All arrays have the tube's axis z last. Coefficients and states bear the names that they have in
+`operator`, `losses` and `pml`; a test lists the exceptions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating[Any]]
+Integers = NDArray[np.integer[Any]]
+
+CORE, CUT = 0, 1
+"""Kinds of spans: of full cells without losses at the wall, and all others."""
+
+
+class Columns(NamedTuple):
+    """Columns of open cells along z, and their spans.
+
+    Attributes
+    ----------
+    place : ndarray
+        Indices x and y of each column, (n, 2).
+    first : ndarray
+        First span of each column, (n+1,).
+    spans : ndarray
+        First layer, last layer plus one, and `CORE` or `CUT`, (n_spans, 3).
+    bounds : ndarray
+        First column of each thread, (n_threads+1,).
+    """
+
+    place: Integers
+    first: Integers
+    spans: Integers
+    bounds: Integers
+
+
+class Stencil(NamedTuple):
+    """Coefficients of the spatial operator, as in `operator.Operator`.
+
+    Attributes
+    ----------
+    weight : ndarray
+        Inverse volume times the time step squared, (nx, ny, nz).
+    area_x, area_y, area_z : ndarray
+    full : ndarray
+        Areas of the three full faces, times the time step squared, (3,).
+    beta : ndarray
+        (1,).
+    """
+
+    weight: Array
+    area_x: Array
+    area_y: Array
+    area_z: Array
+    full: Array
+    beta: Array
+
+
+class LossCoefficients(NamedTuple):
+    """Coefficients of the losses, as in `losses.Losses`; without losses all are empty.
+
+    Attributes
+    ----------
+    drag : Stencil
+        Acts in cut spans only.
+    compliance, implicit_factor : ndarray
+        (nx, ny, nz).
+    weight : ndarray
+        Weight of the air's absorption in each layer, (nz,).
+    decay, gain, wall, bulk : ndarray
+        Of the relaxations, those of the air first, (n_poles,); `wall` is the contribution of a
+        relaxation to the half-integral within a step, `bulk` that of the air's relaxations only.
+    scalars : ndarray
+        Response and rate, (2,).
+    """
+
+    drag: Stencil
+    compliance: Array
+    implicit_factor: Array
+    weight: Array
+    decay: Array
+    gain: Array
+    wall: Array
+    bulk: Array
+    scalars: Array
+
+
+class Fields(NamedTuple):
+    """State of a march.
+
+    Attributes
+    ----------
+    ahead : ndarray
+        Argument of the Laplacian: the pressure plus the terms of the air's absorption. At two
+        times, (2, nx+2, ny+2, nz+4).
+    change : ndarray
+        Pressure change over the last step, (nx, ny, nz).
+    pressure : ndarray
+        (nx+2, ny+2, nz+4); empty without losses, as are all that follow.
+    relaxed : ndarray
+        Relaxation states, (nx, ny, n_poles, nz).
+    relaxing : ndarray
+        Sum of the relaxations' contributions to the half-integral, (nx, ny, nz).
+    integral : ndarray
+        Half-integral of the pressure at two times, (2, nx+2, ny+2, nz+4).
+    increment : ndarray
+        Its change over the last step, (nx, ny, nz).
+    """
+
+    ahead: Array
+    change: Array
+    pressure: Array
+    relaxed: Array
+    relaxing: Array
+    integral: Array
+    increment: Array
+
+
+class AbsorberColumns(NamedTuple):
+    """Coefficients and state of an absorber of n layers, as in `pml.Absorber`; n may be 0.
+
+    Attributes
+    ----------
+    cells, faces : ndarray
+        Decay, gain and inverse, (3, n) and (3, n+3).
+    transverse, velocity, face_memory, cell_memory : ndarray
+        (nx, ny, n), (nx, ny, n+3), (nx, ny, n+3) and (nx, ny, n).
+    """
+
+    cells: Array
+    faces: Array
+    transverse: Array
+    velocity: Array
+    face_memory: Array
+    cell_memory: Array
+
+
+class SourceAndProbes(NamedTuple):
+    """Source layer and probe weights.
+
+    Attributes
+    ----------
+    shape : ndarray
+        Shape of the source over its layer, (nx, ny).
+    keep : ndarray
+        Factor of the pressure that the source replaces, or adds to, (1,).
+    layer : int
+        Index of the source layer.
+    planes : ndarray
+        Probed layers, (n_planes,).
+    plane_of : ndarray
+        First probe of each plane, (n_planes+1,).
+    weights : ndarray
+        (nx, ny, n_probes), the probes in the order of their planes.
+    """
+
+    shape: Array
+    keep: Array
+    layer: int
+    planes: Integers
+    plane_of: Integers
+    weights: Array
