@@ -1,4 +1,4 @@
-"""The excitation: a sine of a few cycles under a Gaussian envelope, or any that was sampled."""
+"""Excitation pulses: a sine under a Gaussian envelope, or any sampled waveform."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Pulse:
     cycles: float = 11.0
 
     def __post_init__(self) -> None:
-        """Refuse pulses that do not exist."""
+        """Validate frequency and cycles."""
         for name in ("frequency", "cycles"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)} must be positive")
@@ -55,7 +55,7 @@ class Pulse:
         return np.where(np.abs(since_centre) <= 0.5 * self.duration, envelope * carrier, 0.0)
 
     def band(self, level: float = -20.0) -> tuple[float, float]:
-        """Return where the spectrum falls to a level.
+        """Return the band in which the spectrum is above a level.
 
         Parameters
         ----------
@@ -65,8 +65,8 @@ class Pulse:
         Returns
         -------
         lowest, highest : float
-            Frequencies in Hz. The spectrum is exp(-(2 pi sigma (f - f0))^2 / 2), the cut of the
-            envelope neglected.
+            Frequencies in Hz. The spectrum is exp(-(2 pi sigma (f - f0))^2 / 2), neglecting the
+            truncation of the envelope.
         """
         if not level < 0.0:
             raise ValueError(f"level = {level} dB must be negative")
@@ -96,11 +96,12 @@ class SampledPulse:
     rate: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no pulse."""
+        """Validate samples and rate."""
         samples = np.asarray(self.pressure, dtype=float)
         if samples.ndim != 1 or samples.size < 4 or not np.all(np.isfinite(samples)):
             raise ValueError(
-                f"pressure of shape {samples.shape} is no pulse; give four or more finite samples"
+                f"pressure of shape {samples.shape} is not a pulse; give four or more finite "
+                "samples"
             )
         if not 0.0 < self.rate < np.inf:
             raise ValueError(f"rate = {self.rate} Hz must be positive and finite")
@@ -118,11 +119,12 @@ class SampledPulse:
 
 
 def check_duration(pulse: object, duration: float) -> None:
-    """Refuse a pulse that is longer than the run that is to record it.
+    """Validate that a pulse is not longer than the run.
 
     Raises
     ------
     ValueError
+        If it is.
     """
     lasting = float(getattr(pulse, "duration", 0.0))
     if lasting > duration:
