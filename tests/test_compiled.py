@@ -204,12 +204,11 @@ def test_numba_is_imported_by_a_march_only():
 @pytest.mark.parametrize(
     ("scheme", "columns", "apart"),
     [
-        # 1 / volume becomes the weight with the time step; response and rate are the scalars. The
-        # number one is for JAX's compiler.
+        # 1 / volume becomes the weight with the time step; response and rate are the scalars.
         (Operator, cpu_layout.Stencil, {"inverse_volume"}),
         (
             Losses, cpu_layout.LossCoefficients,
-            {"yielding", "share", "response", "rate", "one"},
+            {"yielding", "share", "response", "rate"},
         ),
         (Memory, cpu_layout.Fields, set()),
         (Absorber, cpu_layout.AbsorberColumns, set()),
