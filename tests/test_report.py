@@ -23,8 +23,7 @@ def test_time_left_of_a_steady_rate_is_exact_after_a_slow_compiler():
     left, times = TimeLeft(), []
     times.append(left.update(0.0, 0.0))
     times.append(left.update(10.0, 0.0))
-    for step in range(1, 11):
-        times.append(left.update(20.0 + step, step / 10))
+    times.extend(left.update(20.0 + step, step / 10) for step in range(1, 11))
     assert times[:3] == [None, None, None]
     assert times[3:] == pytest.approx([8, 7, 6, 5, 4, 3, 2, 1, 0])
 
@@ -61,7 +60,7 @@ def test_lines_come_every_ten_seconds_and_start_without_a_time_left(monkeypatch)
 def test_lines_become_rarer_in_work_of_hours(monkeypatch):
     clock, text = Clock(monkeypatch), StringIO()
     with ConsoleReporter(Console(file=text, width=200)).progress() as show:
-        for second in range(0, 36_000):
+        for second in range(36_000):
             clock.now = float(second)
             show("path", 3, 7, "")
             show("cases", 5, 100, "3 h left")
