@@ -178,7 +178,7 @@ def cluster(tmp_path, port):
 def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
     with cluster(tmp_path, 18786) as (_, workers, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"])
-        time.sleep(8)
+        _await_first_press(tmp_path)
         workers[0].kill()
         assert sweep.wait(timeout=300) == 0
     assert_same(finished, tmp_path / "cluster")
@@ -188,7 +188,7 @@ def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_pa
 def test_a_sweep_whose_scheduler_is_killed_is_finished_by_another(finished, tmp_path):
     with cluster(tmp_path, 18788) as (scheduler, _, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"], stderr=subprocess.PIPE, text=True)
-        time.sleep(8)
+        _await_first_press(tmp_path)
         scheduler.kill()
         _, error = sweep.communicate(timeout=300)
     assert sweep.returncode == 1
@@ -203,6 +203,14 @@ def _await_workers(address, count):
 
     with Client(address, timeout=60) as client:
         client.wait_for_workers(count, timeout=60)
+
+
+def _await_first_press(tmp_path):
+    """Wait until the cluster has remembered its press, and computes the scattering."""
+    deadline = time.monotonic() + 240
+    while not list((tmp_path / "cluster's").glob("*.npz")):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
