@@ -17,14 +17,14 @@ import numpy as np
 
 import acoustube
 from acoustube import estimation
-from acoustube.estimation import Describing
+from acoustube.estimation import FeatureSettings
 from acoustube.estimation.model import TARGETS
 from acoustube.reports.studies.flat import processing_of
 from acoustube.runs.sweep.cycles import Recipe
 from acoustube.runs.sweep.dataset import run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
-from acoustube.runs.training import HUMAN
+from acoustube.runs.training import DISPLAY_UNITS
 
 OVER = {
     "indenter_mm": ["25"], "depth_mm": ["1:7:1"], "position_cm": ["20:180:10"],
@@ -61,7 +61,7 @@ def splits(cycles):
 
 def line(new, by, target, found):
     """Print a row of the table."""
-    unit, scale = HUMAN[target]
+    unit, scale = DISPLAY_UNITS[target]
     sizes = [f"{scale * value:.3g}" for value in (found.median, found.rmse, found.iqr)]
     shares = [
         "" if np.isnan(value) else f"{100 * value:.0f} %"
@@ -78,8 +78,8 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     cycles, how = recorded(parser.parse_args().folder)
-    describings = {kind: Describing(kind=kind, processing=how) for kind in ("paper", "echo")}
-    tables = {kind: estimation.described(cycles, each) for kind, each in describings.items()}
+    describings = {kind: FeatureSettings(kind=kind, processing=how) for kind in ("paper", "echo")}
+    tables = {kind: estimation.feature_table(cycles, each) for kind, each in describings.items()}
     near = cycles["true_distance"].values < FARTHEST
     print("| new | by | target | median | RMSE | IQR | relative | in 68 % | in 90 % |")
     print("|---|---|---|---|---|---|---|---|---|")

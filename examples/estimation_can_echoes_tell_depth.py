@@ -49,11 +49,11 @@ with tempfile.TemporaryDirectory() as folder:
 # All cycles of a press are on the same side. The rangefinder rings twice as long at 20 kHz as at
 # 42 kHz: the first 40 cm are not searched.
 how = Processing(frequency=20e3, nearest=0.4)
-describing = estimation.Describing(kind="echo", processing=how)
-table = estimation.described(cycles, describing)
+feature_settings = estimation.FeatureSettings(kind="echo", processing=how)
+table = estimation.feature_table(cycles, feature_settings)
 _, press = np.unique(table["press"].values, return_inverse=True)
 learned, asked = estimation.split(press, share=0.25)
-model = estimation.train(table.isel(cycle=learned), "echo", describing, epochs=100)
+model = estimation.train(table.isel(cycle=learned), "echo", feature_settings, epochs=100)
 
 # %%
 # Ask about the others

@@ -14,15 +14,15 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from acoustube import estimation, signals
 from acoustube.base.errors import ConfigError
 from acoustube.cli.cite import OF_ESTIMATORS, topics_of
-from acoustube.estimation import Boosting, Describing, EchoEnsemble, errors, uncertainty
+from acoustube.estimation import Boosting, EchoEnsemble, FeatureSettings, errors, uncertainty
 from acoustube.estimation.trees import exported, summed
 from acoustube.ranging import blockage, record
 
-ECHO = Describing(kind="echo", processing=HOW)
+ECHO = FeatureSettings(kind="echo", processing=HOW)
 QUICK = {
     "network": {"n_folds": 3, "epochs": 3},
     "echo": {"n_folds": 3, "epochs": 3},
-    "boosting": {"n_folds": 3, "iterations": 10},
+    "boosting": {"n_folds": 3, "max_iter": 10},
 }
 
 
@@ -34,7 +34,7 @@ def recorded():
 @pytest.fixture(scope="module")
 def tables(recorded):
     return {
-        kind: estimation.described(recorded, Describing(kind=kind, processing=HOW))
+        kind: estimation.feature_table(recorded, FeatureSettings(kind=kind, processing=HOW))
         for kind in ("paper", "echo")
     }
 
@@ -44,7 +44,7 @@ def models(tables):
     kinds = {"network": "paper", "echo": "echo", "boosting": "echo"}
     return {
         name: estimation.train(
-            tables[kind], name, Describing(kind=kind, processing=HOW), **QUICK[name]
+            tables[kind], name, FeatureSettings(kind=kind, processing=HOW), **QUICK[name]
         )
         for name, kind in kinds.items()
     }
@@ -170,8 +170,8 @@ def uneven(count, seed):
 @pytest.mark.parametrize(
     "estimator",
     [
-        EchoEnsemble(n_folds=5, epochs=15, added_to=(3, None)),
-        Boosting(iterations=40, added_to=(3, None)),
+        EchoEnsemble(n_folds=5, epochs=15, offset_columns=(3, None)),
+        Boosting(max_iter=40, offset_columns=(3, None)),
     ],
 )
 def test_estimators_with_several_targets_state_intervals_that_hold(estimator):
@@ -198,7 +198,7 @@ def test_a_target_learned_as_an_addition_is_exact_where_nothing_is_to_be_added()
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, (200, 3))
     y = np.stack([x[:, 1] + 1e-3 * x[:, 0], x[:, 0]], axis=-1)
-    model = EchoEnsemble(n_folds=2, epochs=5, added_to=(1, None)).fit(x, y)
+    model = EchoEnsemble(n_folds=2, epochs=5, offset_columns=(1, None)).fit(x, y)
     far = x + np.array([0, 1e3, 0])
     assert model.predict(far)[:, 0] == pytest.approx(far[:, 1], abs=2e-3)
     assert model.predict(far)[:, 1] == pytest.approx(model.predict(x)[:, 1])
@@ -227,7 +227,7 @@ def test_level_of_a_closure_is_the_same_wherever_and_however_warm_it_is():
     found = []
     for place, warmth in ((0.3, 18.0), (0.3, 30.0), (0.75, 18.0), (1.2, 18.0), (1.2, 30.0)):
         data = record([blockage(BAND[[0, -1]], place)], SENSOR, temperature=warmth)
-        features = estimation.described(data, ECHO)["features"].to_series().unstack().iloc[0]
+        features = estimation.feature_table(data, ECHO)["features"].to_series().unstack().iloc[0]
         found.append([features["level"], features["spectrum_42.0_khz"], features["distance"]])
         middle = [features[f"spectrum_{f:.1f}_khz"] for f in (41.0, 42.0, 43.0)]
         found[-1] += [middle[2] - middle[0]]
@@ -240,7 +240,7 @@ def test_level_of_a_closure_is_the_same_wherever_and_however_warm_it_is():
 
 def test_features_of_pieces_are_those_of_single_cycles(recorded, tables):
     some = recorded.isel(cycle=slice(3, 5))
-    alone = estimation.described(some, ECHO)["features"]
+    alone = estimation.feature_table(some, ECHO)["features"]
     assert alone.values == pytest.approx(tables["echo"]["features"].values[3:5], abs=1e-9)
     assert list(alone["feature"].values) == list(estimation.features.names(ECHO))
 
@@ -262,7 +262,7 @@ def test_a_cycle_without_an_echo_has_no_features_and_no_estimate(models):
         {"signal": (("cycle", "time"), quiet), "temperature": ("cycle", [20.0])}, {"time": time}
     )
     for name, model in models.items():
-        found = estimation.estimate(model, estimation.described(data, model.describing))
+        found = estimation.estimate(model, estimation.feature_table(data, model.feature_settings))
         assert np.isnan(found["force"]).all(), name
 
 
@@ -274,7 +274,7 @@ def test_echo_estimators_tell_distance_and_depth_of_new_presses(tables):
     """Presses of another seed: to a third of the spread of their depths, and two centimetres."""
     model = estimation.train(tables["echo"], "echo", ECHO, n_folds=5, epochs=60)
     fresh = cycles(25, seed=9)
-    found = estimation.estimate(model, estimation.described(fresh, ECHO))
+    found = estimation.estimate(model, estimation.feature_table(fresh, ECHO))
     depth = errors(fresh["depth"], found["depth"])
     assert depth.median < np.std(fresh["depth"].values) / 3
     assert errors(fresh["true_distance"], found["distance"]).median < 0.02
@@ -287,7 +287,7 @@ def test_a_saved_model_tells_the_same(name, models, tables):
     estimation.save(model, "a.model")
     loaded = estimation.load("a.model")
     assert loaded.targets == model.targets
-    assert loaded.describing == model.describing
+    assert loaded.feature_settings == model.feature_settings
     assert loaded.estimator.get_params() == model.estimator.get_params()
     table = tables["paper" if name == "network" else "echo"]
     before, after = (estimation.estimate(m, table) for m in (model, loaded))

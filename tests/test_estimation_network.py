@@ -76,8 +76,8 @@ def test_training_takes_adams_steps_by_hand_on_each_folds_own_standards():
     keys = jax.random.split(jax.random.key(5), 2)
     for k in range(2):
         a, b = x[fold != k], y[fold != k]
-        assert fitted.standards.x_mean[k] == pytest.approx(a.mean(axis=0))
-        assert fitted.standards.y_deviation[k] == pytest.approx(b.std())
+        assert fitted.scaler.x_mean[k] == pytest.approx(a.mean(axis=0))
+        assert fitted.scaler.y_deviation[k] == pytest.approx(b.std())
         first, zero = network.initial(keys[k], (2, 1))[0]
         a, b = (a - a.mean(axis=0)) / a.std(axis=0), (b - b.mean()) / b.std()
         wanted = adam_by_hand(a, b, np.asarray(first, float)[:, 0], np.asarray(zero, float), 7)
@@ -129,7 +129,7 @@ def test_validation_loss_is_the_mean_square_of_the_held_out_rows():
     fold = folds(np.arange(103), 4)
     fitted = network.train(x, y[:, None], fold, epochs=2)
     own = network.own_outputs(fitted, x, fold)[:, 0]
-    scales = fitted.standards
+    scales = fitted.scaler
     truth = (y - scales.y_mean[fold, 0]) / scales.y_deviation[fold, 0]
     wanted = [np.mean((own - truth)[fold == k] ** 2) for k in range(4)]
     assert fitted.validation[:, -1] == pytest.approx(wanted, rel=1e-4)
@@ -160,7 +160,7 @@ def test_prediction_is_the_weighted_mean_of_the_folds():
     x, y = forces(200)
     model = ForceNetwork(epochs=3, n_folds=4).fit(x, y)
     out = network.predict(model.networks_, x[:6])[..., 0]
-    each = model.networks_.standards.y_mean + model.networks_.standards.y_deviation * out
+    each = model.networks_.scaler.y_mean + model.networks_.scaler.y_deviation * out
     assert model.predict(x[:6]) == pytest.approx(model.weights_ @ each)
     assert model.weights_ == pytest.approx(network.weights(model.networks_.validation))
     assert model.networks_.training.shape == model.networks_.validation.shape == (4, 3)

@@ -35,10 +35,11 @@ COMMAND = str(Path(sys.executable).with_name("acoustube"))
 CARRIER, SPEED = 42e3, 343.24
 PULSE_LENGTH = 11 / CARRIER
 TIME = np.arange(HEAD, FRAME_BYTES) / RATE
-HOW = signals.suited(Processing(prominence=0.05), RATE)
+HOW = signals.without_aliased_template(Processing(prominence=0.05), RATE)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
 
-# What is lost between the samples of 42 kHz at 80 kHz moves a peak by up to 9 mm (`suited`).
+# What is lost between the samples of 42 kHz at 80 kHz moves a peak by up to 9 mm, as
+# `without_aliased_template` states.
 TOLERANCE = 0.012
 
 
@@ -97,12 +98,12 @@ def test_undersampled_carrier_is_located_without_the_matched_filter():
     assert abs(np.mean(error)) < 1e-3
     assert np.std(error) == pytest.approx(4e-3, abs=1e-3)
     assert np.max(np.abs(error)) < TOLERANCE
-    assert signals.suited(Processing(), 200e3) == Processing()
+    assert signals.without_aliased_template(Processing(), 200e3) == Processing()
     assert Processing(prominence=0.05, template_cycles=None) == HOW
 
 
 def test_template_at_the_alias_frequency_would_be_worse():
-    """Why `suited` goes without: at 38 kHz the filter scatters distances 1.8 times as much."""
+    """At 38 kHz a template would scatter distances 1.8 times as much as no template."""
     distances = np.linspace(0.3, 2.0, 300)
     share = 38 / 42
     alias = Processing(

@@ -20,7 +20,7 @@ from acoustube.base.files import partial_file
 from acoustube.base.version import __version__
 from acoustube.estimation import Model
 from acoustube.estimation.model import TARGETS
-from acoustube.runs.training import HUMAN, Row, error_rows, table_of
+from acoustube.runs.training import DISPLAY_UNITS, Row, error_rows, table_of
 
 COLUMNS = (
     "target", "unit", "by", "from", "to", "cycles", "estimated", "median", "rmse", "iqr",
@@ -63,7 +63,7 @@ def run_evaluate(
     start = time.perf_counter()
     model = estimation.load(path)
     with watched_interrupts() as check, ConsoleReporter(console).progress(check) as report:
-        table = table_of(paths, model.describing, report)
+        table = table_of(paths, model.feature_settings, report)
         estimates = estimation.estimate(model, table)
     rows = list(error_rows(model, table, estimates))
     if not rows:
@@ -94,7 +94,7 @@ def run_evaluate(
 def _written(row: Row) -> list[object]:
     """Return a row of :data:`COLUMNS`, in human units."""
     target, by, low, high, count, found = row
-    unit, scale = HUMAN[target]
+    unit, scale = DISPLAY_UNITS[target]
     edge = {"distance": 100.0, "depth": 1e3}.get(by, 1.0)
     sizes = [scale * v for v in (found.median, found.rmse, found.iqr)]
     rest = [100 * found.relative, scale * found.bias, 100 * found.covered, 100 * found.covered_wide]
@@ -115,7 +115,7 @@ def _print_errors(rows: list[Row], table: xr.Dataset, model: Model, console: Con
         shown.add_column(column, justify="left" if column == names[0] else "right", no_wrap=True)
     for target, by, *_, found in rows:
         if by == "all":
-            unit, scale = HUMAN[target]
+            unit, scale = DISPLAY_UNITS[target]
             sizes = [f"{scale * v:.3g}" for v in (found.median, found.rmse, found.iqr)]
             shares = (found.relative, found.covered, found.covered_wide)
             percent = [f"{100 * v:.3g} %" for v in shares]

@@ -127,7 +127,7 @@ def run_live(
     rate : float
         Samples per second. Where the carrier does not lie below half of it, as with EchoTube's
         80 kHz, the cycles are processed without the matched filter and good to several mm:
-        :func:`acoustube.signals.suited`.
+        :func:`acoustube.signals.without_aliased_template`.
     frame_bytes : int
         See :class:`acoustube.recordings.echotube_stream.Decoder`.
     baud : int
@@ -193,7 +193,7 @@ def _tracker(
     """Return the processing of the board's cycles, tried with a silent one."""
     known, how = chosen(calibration, prominence)
     check_rate(rate, known, port)
-    how = signals.suited(how, rate)
+    how = signals.without_aliased_template(how, rate)
     try:
         # The first samples gave their place to the pulse width.
         tracker = Tracker(np.arange(HEAD, frame_bytes) / rate, how)

@@ -16,7 +16,7 @@ from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.runs.recordings import (
     COLUMNS,
-    TRUE,
+    LABEL_COLUMNS,
     check_rate,
     chosen,
     opened,
@@ -77,7 +77,7 @@ def run_process(
     failures, n_cycles, n_found, drawn = 0, 0, 0, False
     with watched_interrupts() as check, opened(out) as file:
         writer = csv.writer(file, lineterminator="\n")
-        header = [[*COLUMNS, *(name for name, _ in TRUE.values())]]
+        header = [[*COLUMNS, *(name for name, _ in LABEL_COLUMNS.values())]]
         for path, data in recordings.read_all(
             paths, rate=rate, temperature=temperature, channel=channel, samples=samples
         ):
@@ -144,7 +144,10 @@ def _draw(data: xr.Dataset, how: Processing, first: int, ranging: Ranging, figur
     time, cycle = data["time"].values, data["signal"].values[index]
     warmth = float(data["temperature"].values[index])
     one = signals.locate(
-        time, cycle, signals.suited(how, float(data.attrs["sampling_rate"])), temperature=warmth
+        time,
+        cycle,
+        signals.without_aliased_template(how, float(data.attrs["sampling_rate"])),
+        temperature=warmth,
     )
     sheet = Figure(figsize=(9, 8), layout="constrained")
     above, below = sheet.subplots(2, 1)

@@ -15,7 +15,7 @@ from rich.markup import escape
 from acoustube import estimation
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.version import __version__
-from acoustube.estimation import Describing, Model
+from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.model import ESTIMATORS, TARGETS, kind_of_features, targets_of, usable
 from acoustube.runs.recordings import check_rate, chosen
 from acoustube.runs.training import table_of
@@ -67,14 +67,14 @@ def run_train(
     """
     start = time.perf_counter()
     known, processing = chosen(calibration, prominence)
-    describing = Describing(kind=kind_of_features(name), processing=processing)
+    feature_settings = FeatureSettings(kind=kind_of_features(name), processing=processing)
     settings: dict[str, Any] = {} if folds is None else {"n_folds": folds}
     if epochs is not None:
-        settings["iterations" if name == "boosting" else "epochs"] = epochs
+        settings["max_iter" if name == "boosting" else "epochs"] = epochs
     with watched_interrupts() as check:
         with ConsoleReporter(console).progress(check) as report:
             table = table_of(
-                paths, describing, report, lambda path, rate: check_rate(rate, known, path)
+                paths, feature_settings, report, lambda path, rate: check_rate(rate, known, path)
             )
         _print_cycles(table, name, console)
         with ConsoleReporter(console).progress(check) as report:
@@ -88,7 +88,7 @@ def run_train(
                     )
 
             model = estimation.train(
-                table, name, describing, by=by, seed=seed, progress=learned, **settings
+                table, name, feature_settings, by=by, seed=seed, progress=learned, **settings
             )
         estimation.save(model, out)
     _print_overfitting(model, console)

@@ -1,15 +1,19 @@
-"""From echoes to presses: estimators of position, depth and force, each with its uncertainty.
+"""Estimators of position, depth and force from echoes, each with its uncertainty.
 
-Cycles come as of :mod:`acoustube.recordings`, with their labels. :func:`described` makes features
-of them, :func:`train` a :class:`Model`, :func:`estimate` asks it. The estimators themselves,
-:class:`ForceNetwork` as published, :class:`EchoEnsemble` and :class:`Boosting`, take arrays and
-follow scikit-learn's convention: ``fit(X, y)``, ``predict(X, return_std=True)``, and besides
-``half_width(X, coverage)``.
+Cycles come from :mod:`acoustube.recordings`, with their labels. :func:`feature_table` computes
+their features, :func:`train` fits a :class:`Model` and :func:`estimate` evaluates it. The
+estimators themselves, :class:`ForceNetwork` as published, :class:`EchoEnsemble` and
+:class:`Boosting`, take arrays and follow scikit-learn's convention: ``fit(X, y)`` and
+``predict(X, return_std=True)``, with a further method ``half_width(X, coverage)``.
+
+Reading order: features, inputs, splits; network, force_network, echo; trees, boosting; uncertainty,
+metrics; model, model_file.
 """
 
+from acoustube.base.moved import renamed
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
-from acoustube.estimation.features import Describing, described, echo_features
+from acoustube.estimation.features import FeatureSettings, echo_features, feature_table
 from acoustube.estimation.force_network import ForceNetwork
 from acoustube.estimation.metrics import Errors, bins, errors
 from acoustube.estimation.model import Model, estimate, train
@@ -18,16 +22,16 @@ from acoustube.estimation.splits import folds, groups, split
 
 __all__ = [
     "Boosting",
-    "Describing",
     "EchoEnsemble",
     "Errors",
+    "FeatureSettings",
     "ForceNetwork",
     "Model",
     "bins",
-    "described",
     "echo_features",
     "errors",
     "estimate",
+    "feature_table",
     "folds",
     "groups",
     "load",
@@ -35,3 +39,5 @@ __all__ = [
     "split",
     "train",
 ]
+
+__getattr__ = renamed(__name__, {"described": "feature_table", "Describing": "FeatureSettings"})

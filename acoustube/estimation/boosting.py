@@ -12,7 +12,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
-from acoustube.estimation.inputs import added, checked, checked_inputs
+from acoustube.estimation.inputs import check_inputs, check_rows, offsets
 from acoustube.estimation.splits import folds
 from acoustube.estimation.trees import exported, summed
 
@@ -27,12 +27,12 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     ----------
     n_folds : int
         Models, each of which holds out one fold of the rows.
-    iterations : int
+    max_iter : int
         Trees of a model.
     learning_rate : float
-    leaves : int
+    max_leaf_nodes : int
         Of a tree, at most.
-    added_to : tuple of int or None
+    offset_columns : tuple of int or None
         For each target the column of X that it is learned as an addition to, if any.
     seed : int
 
@@ -61,17 +61,17 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         self,
         *,
         n_folds: int = 5,
-        iterations: int = 150,
+        max_iter: int = 150,
         learning_rate: float = 0.1,
-        leaves: int = 31,
-        added_to: tuple[int | None, ...] | None = None,
+        max_leaf_nodes: int = 31,
+        offset_columns: tuple[int | None, ...] | None = None,
         seed: int = 0,
     ):
         self.n_folds = n_folds
-        self.iterations = iterations
+        self.max_iter = max_iter
         self.learning_rate = learning_rate
-        self.leaves = leaves
-        self.added_to = added_to
+        self.max_leaf_nodes = max_leaf_nodes
+        self.offset_columns = offset_columns
         self.seed = seed
 
     def fit(
@@ -101,7 +101,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         ConfigError
             If rows are too few or not finite, or a target is constant.
         """
-        x, targets = checked(X, y)
+        x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
         fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
 
@@ -109,7 +109,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
             if progress is not None:
                 progress((part + share) / 2)
 
-        rest = targets - added(x, self.added_to, self.n_targets_)
+        rest = targets - offsets(x, self.offset_columns, self.n_targets_)
         means = self._grown(x, rest, fold, lambda share: report(0, share))
         self.means_ = exported(means)
         residual = rest - self._own(self.means_, x, fold)
@@ -121,8 +121,8 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
-        x = checked_inputs(X, self.n_features_in_)
-        estimate = added(x, self.added_to, self.n_targets_) + self._mean(self.means_, x)
+        x = check_inputs(X, self.n_features_in_)
+        estimate = offsets(x, self.offset_columns, self.n_targets_) + self._mean(self.means_, x)
         return estimate, np.maximum(self._mean(self.scales_, x), self.narrowest_)
 
     def _grown(
@@ -133,8 +133,9 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         for target in targets.T:
             for k in range(self.n_folds):
                 model = HistGradientBoostingRegressor(
-                    max_iter=self.iterations, learning_rate=self.learning_rate,
-                    max_leaf_nodes=self.leaves, early_stopping=False, random_state=self.seed,
+                    max_iter=self.max_iter, learning_rate=self.learning_rate,
+                    max_leaf_nodes=self.max_leaf_nodes, early_stopping=False,
+                    random_state=self.seed,
                 )  # fmt: skip
                 models.append(model.fit(x[fold != k], target[fold != k]))
                 report(len(models) / (targets.shape[1] * self.n_folds))

@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import added, checked, checked_inputs
+from acoustube.estimation.inputs import check_inputs, check_rows, offsets
 from acoustube.estimation.splits import folds
 
 
@@ -30,14 +30,14 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         See :func:`acoustube.estimation.network.optimiser`.
     hidden : tuple of int
         Widths of the hidden layers.
-    added_to : tuple of int or None
+    offset_columns : tuple of int or None
         For each target the column of X that it is learned as an addition to, if any. These columns
         are no inputs of the networks.
     seed : int
 
     Attributes
     ----------
-    networks_ : acoustube.estimation.network.Fitted
+    networks_ : acoustube.estimation.network.FittedNetworks
     quantiles_ : array of shape (level, target)
         See :mod:`acoustube.estimation.uncertainty`.
 
@@ -63,7 +63,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-4,
         hidden: tuple[int, ...] = (64, 64),
-        added_to: tuple[int | None, ...] | None = None,
+        offset_columns: tuple[int | None, ...] | None = None,
         seed: int = 0,
     ):
         self.n_folds = n_folds
@@ -72,7 +72,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         self.learning_rate = learning_rate
         self.weight_decay = weight_decay
         self.hidden = hidden
-        self.added_to = added_to
+        self.offset_columns = offset_columns
         self.seed = seed
 
     def fit(
@@ -102,10 +102,10 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         ConfigError
             If rows are too few or not finite, or a target is constant.
         """
-        x, targets = checked(X, y)
+        x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
         fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
-        rest = targets - added(x, self.added_to, self.n_targets_)
+        rest = targets - offsets(x, self.offset_columns, self.n_targets_)
         self.networks_ = network.train(
             self._inputs(x), rest, fold, hidden=tuple(self.hidden), loss="laplace",
             epochs=self.epochs, batch_size=self.batch_size, learning_rate=self.learning_rate,
@@ -118,14 +118,14 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
-        x = checked_inputs(X, self.n_features_in_)
+        x = check_inputs(X, self.n_features_in_)
         median, deviation = self._every(x)
         scale = np.sqrt(np.mean(deviation**2, axis=0) + np.var(median, axis=0))
-        return added(x, self.added_to, self.n_targets_) + median.mean(axis=0), scale
+        return offsets(x, self.offset_columns, self.n_targets_) + median.mean(axis=0), scale
 
     def _every(self, x: Array) -> tuple[Array, Array]:
         """Return medians and deviations of all networks, (fold, row, target)."""
-        scales = self.networks_.standards
+        scales = self.networks_.scaler
         out, log_scale = np.split(network.predict(self.networks_, self._inputs(x)), 2, axis=-1)
         unit = scales.y_deviation[:, None]
         # A Laplace distribution of scale b has the deviation sqrt(2) b.
@@ -133,4 +133,4 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return scales.y_mean[:, None] + unit * out, unit * width
 
     def _inputs(self, x: Array) -> Array:
-        return np.delete(x, sorted({c for c in self.added_to or () if c is not None}), axis=1)
+        return np.delete(x, sorted({c for c in self.offset_columns or () if c is not None}), axis=1)

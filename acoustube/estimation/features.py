@@ -30,9 +30,9 @@ from acoustube.signals import (
     remove_offset,
     sampling_rate,
     speed_of_sound,
-    suited,
+    without_aliased_template,
 )
-from acoustube.signals.peaks import highest
+from acoustube.signals.peaks import strongest_echo
 from acoustube.waves.modes import axial_wavenumber
 
 PAPER = ("amplitude", "distance")
@@ -75,7 +75,7 @@ DECIBEL = 20 / np.log(10)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Describing:
+class FeatureSettings:
     """How cycles become features.
 
     Attributes
@@ -93,8 +93,8 @@ class Describing:
     radius: float = 3.95e-3
 
 
-def described(
-    cycles: xr.Dataset, how: Describing, progress: Callable[[float], None] | None = None
+def feature_table(
+    cycles: xr.Dataset, how: FeatureSettings, progress: Callable[[float], None] | None = None
 ) -> xr.Dataset:
     """Return what estimators are told of cycles, beside what they are to tell.
 
@@ -103,7 +103,7 @@ def described(
     cycles : xarray.Dataset
         ``signal`` (cycle, time) and ``temperature`` (cycle) in degC, as of
         :func:`acoustube.recordings.read`; :data:`LABELS` as far as they are known.
-    how : Describing
+    how : FeatureSettings
     progress : callable, optional
         Called with the finished fraction.
 
@@ -115,7 +115,7 @@ def described(
     """
     time, signal = cycles["time"].values, cycles["signal"].values
     warmth, count = cycles["temperature"].values, cycles.sizes["cycle"]
-    processing = suited(how.processing, sampling_rate(time))
+    processing = without_aliased_template(how.processing, sampling_rate(time))
     radii = _radii(cycles, how.radius)
 
     def piece(start: int) -> Array:
@@ -143,7 +143,7 @@ def described(
     )
 
 
-def names(how: Describing) -> tuple[str, ...]:
+def names(how: FeatureSettings) -> tuple[str, ...]:
     """Return the names of the features."""
     return PAPER if how.kind == "paper" else echo_names(how.processing.frequency)
 
@@ -224,7 +224,7 @@ def echo_features(
         time, over, start=start, stop=send[:, 0] + 2 * how.farthest / speed[:, 0],
         prominence=OVER_BACKGROUND,
     )  # fmt: skip
-    back, height, _ = highest(echoes)
+    back, height, _ = strongest_echo(echoes)
     distance = speed[:, 0] / 2 * (back - send[:, 0])
     amplitude = _sampled(ranging.envelope, time, back[:, None])[:, 0]
     way = lost * 2 * distance[:, None]

@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import checked, checked_inputs
+from acoustube.estimation.inputs import check_inputs, check_rows
 from acoustube.estimation.splits import folds
 
 
@@ -34,7 +34,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
 
     Attributes
     ----------
-    networks_ : acoustube.estimation.network.Fitted
+    networks_ : acoustube.estimation.network.FittedNetworks
         With the losses (fold, epoch) of training and validation.
     weights_ : array of shape (fold,)
         Normalised inverse validation losses after the last epoch.
@@ -95,7 +95,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         ConfigError
             If rows are too few or not finite, or the target is constant.
         """
-        x, targets = checked(X, y)
+        x, targets = check_rows(X, y)
         if targets.shape[1] != 1:
             raise ConfigError(
                 f"the force network has one target, not {targets.shape[1]}; train one for each"
@@ -117,13 +117,13 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
-        every = self._every(checked_inputs(X, self.n_features_in_))
+        every = self._every(check_inputs(X, self.n_features_in_))
         estimate = self.weights_ @ every
         return estimate, self._deviation(estimate, every)
 
     def _every(self, x: Array) -> Array:
         """Return the estimates of all networks, (fold, row)."""
-        scales = self.networks_.standards
+        scales = self.networks_.scaler
         out = network.predict(self.networks_, x)[..., 0]
         return np.asarray(scales.y_mean + scales.y_deviation * out)
 

@@ -18,7 +18,7 @@ def is_constant(values: Array) -> bool:
     return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
 
 
-def checked(X: Any, y: Any) -> tuple[Array, Array]:
+def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
     """Return inputs (row, input) and targets (row, target) as float64.
 
     Raises
@@ -26,7 +26,7 @@ def checked(X: Any, y: Any) -> tuple[Array, Array]:
     ConfigError
         If they do not fit each other, are not finite or too few, or a target is constant.
     """
-    x, targets = checked_inputs(X), np.asarray(y, float)
+    x, targets = check_inputs(X), np.asarray(y, float)
     targets = targets[:, None] if targets.ndim == 1 else targets
     if targets.ndim != 2 or len(targets) != len(x):
         raise ConfigError(
@@ -50,7 +50,7 @@ def checked(X: Any, y: Any) -> tuple[Array, Array]:
     return x, targets
 
 
-def checked_inputs(X: Any, columns: int | None = None) -> Array:
+def check_inputs(X: Any, columns: int | None = None) -> Array:
     """Return inputs (row, input) as float64.
 
     Raises
@@ -69,7 +69,7 @@ def checked_inputs(X: Any, columns: int | None = None) -> Array:
     return x
 
 
-def added(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) -> Array:
+def offsets(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) -> Array:
     """Return what each target is learned as an addition to, (row, target).
 
     Parameters
@@ -87,6 +87,6 @@ def added(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) -> A
     chosen = (None,) * n_targets if columns is None else tuple(columns)
     if len(chosen) != n_targets:
         raise ConfigError(
-            f"added_to has {len(chosen)} entries for {n_targets} targets; give one for each"
+            f"offset_columns has {len(chosen)} entries for {n_targets} targets; give one for each"
         )
     return np.stack([np.zeros(len(x)) if c is None else x[:, c] for c in chosen], axis=-1)

@@ -13,7 +13,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.estimation import splits
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
-from acoustube.estimation.features import Describing
+from acoustube.estimation.features import FeatureSettings
 from acoustube.estimation.force_network import ForceNetwork
 from acoustube.estimation.inputs import FEWEST_ROWS, is_constant
 
@@ -42,7 +42,7 @@ class Model:
     estimator : ForceNetwork, EchoEnsemble or Boosting
     targets : tuple of str
         Labels that it estimates, of :data:`TARGETS`.
-    describing : Describing
+    feature_settings : FeatureSettings
         How cycles become its inputs.
     sampling_rate : float
         Of the cycles that it knows, in Hz.
@@ -53,13 +53,13 @@ class Model:
     name: str
     estimator: Any
     targets: tuple[str, ...]
-    describing: Describing
+    feature_settings: FeatureSettings
     sampling_rate: float
     origin: Mapping[str, Any] = field(default_factory=dict)
 
 
 def kind_of_features(name: str) -> str:
-    """Return which features an estimator takes; see :class:`Describing`."""
+    """Return which features an estimator takes; see :class:`FeatureSettings`."""
     return "paper" if name == "network" else "echo"
 
 
@@ -92,7 +92,7 @@ def usable(table: xr.Dataset, targets: tuple[str, ...]) -> Any:
 def train(
     table: xr.Dataset,
     name: str,
-    describing: Describing,
+    feature_settings: FeatureSettings,
     *,
     by: str = "cycle",
     seed: int = 0,
@@ -104,11 +104,11 @@ def train(
     Parameters
     ----------
     table : xarray.Dataset
-        From :func:`acoustube.estimation.features.described`; cycles without an echo or a label are
-        left out.
+        From :func:`acoustube.estimation.feature_table`; cycles without an echo or a label are left
+        out.
     name : str
         ``network``, ``echo`` or ``boosting``.
-    describing : Describing
+    feature_settings : FeatureSettings
         How the features were made.
     by : str
         What is held out together; see :func:`acoustube.estimation.splits.groups`.
@@ -144,7 +144,9 @@ def train(
             )
     if name != "network":
         distance = int(np.flatnonzero(rows["feature"].values == "distance")[0])
-        settings["added_to"] = tuple(distance if t == "true_distance" else None for t in targets)
+        settings["offset_columns"] = tuple(
+            distance if t == "true_distance" else None for t in targets
+        )
     estimator = ESTIMATORS[name](seed=seed, **settings)
     labels = y[:, 0] if name == "network" else y
     estimator.fit(rows["features"].values, labels, splits.groups(rows, by), progress)
@@ -152,7 +154,7 @@ def train(
         name=name,
         estimator=estimator,
         targets=targets,
-        describing=describing,
+        feature_settings=feature_settings,
         sampling_rate=float(table.attrs["sampling_rate"]),
         origin={"cycles": int(used.size), "trained": int(used.sum()), "by": by},
     )
@@ -165,7 +167,7 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     ----------
     model : Model
     table : xarray.Dataset
-        From :func:`acoustube.estimation.features.described`, as the model's ``describing`` has it.
+        From :func:`acoustube.estimation.feature_table` with the model's ``feature_settings``.
 
     Returns
     -------

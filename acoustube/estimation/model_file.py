@@ -17,9 +17,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
 from acoustube.base.version import __version__
 from acoustube.estimation.boosting import Boosting
-from acoustube.estimation.features import Describing, names
+from acoustube.estimation.features import FeatureSettings, names
 from acoustube.estimation.model import ESTIMATORS, TARGETS, Estimator, Model, kind_of_features
-from acoustube.estimation.network import Fitted, Standards
+from acoustube.estimation.network import FittedNetworks, Scaler
 from acoustube.estimation.trees import Trees
 from acoustube.estimation.uncertainty import LEVELS
 from acoustube.signals import Processing, TimeGain
@@ -29,6 +29,12 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = 1
 """Of the file; raised when what is stored, or what features mean, changes."""
 KIND = "acoustube model"
+FILE_NAMES = {
+    "max_iter": "iterations",
+    "max_leaf_nodes": "leaves",
+    "offset_columns": "added_to",
+}
+"""Names in files of settings that are called otherwise in Python."""
 
 
 def save(model: Model, path: str | Path) -> None:
@@ -50,11 +56,14 @@ def save(model: Model, path: str | Path) -> None:
         "format": FORMAT,
         "acoustube_version": __version__,
         "estimator": model.name,
-        "settings": model.estimator.get_params(),
+        "settings": {
+            FILE_NAMES.get(name, name): value
+            for name, value in model.estimator.get_params().items()
+        },
         "targets": model.targets,
-        "features": model.describing.kind,
-        "radius": model.describing.radius,
-        "processing": asdict(model.describing.processing),
+        "features": model.feature_settings.kind,
+        "radius": model.feature_settings.radius,
+        "processing": asdict(model.feature_settings.processing),
         "sampling_rate": model.sampling_rate,
         "origin": dict(model.origin),
     }
@@ -113,23 +122,28 @@ def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
     gain = header["processing"]["gain"]
     gain = None if gain is None else TimeGain(*(float(c) for c in gain))
     processing = Processing(**(header["processing"] | {"gain": gain}))
-    describing = Describing(
+    feature_settings = FeatureSettings(
         kind=header["features"], processing=processing, radius=float(header["radius"])
     )
-    if describing.kind != kind_of_features(name) or not targets or set(targets) - set(TARGETS):
-        raise ValueError(f"{name} does not tell {', '.join(targets)} from {describing.kind}")
+    if (
+        feature_settings.kind != kind_of_features(name)
+        or not targets
+        or set(targets) - set(TARGETS)
+    ):
+        raise ValueError(f"{name} does not tell {', '.join(targets)} from {feature_settings.kind}")
+    python_names = {file_name: name for name, file_name in FILE_NAMES.items()}
     settings = {
-        key: tuple(value) if isinstance(value, list) else value
+        python_names.get(key, key): tuple(value) if isinstance(value, list) else value
         for key, value in header["settings"].items()
     }
     make: Any = ESTIMATORS[name]
     estimator = make(**settings)
-    _restore(estimator, arrays, len(names(describing)), len(targets))
+    _restore(estimator, arrays, len(names(feature_settings)), len(targets))
     return Model(
         name=name,
         estimator=estimator,
         targets=targets,
-        describing=describing,
+        feature_settings=feature_settings,
         sampling_rate=float(header["sampling_rate"]),
         origin=header["origin"],
     )
@@ -146,7 +160,7 @@ def _arrays(estimator: Estimator) -> Arrays:
     networks = estimator.networks_
     for i, (weights, bias) in enumerate(networks.layers):
         learned |= {f"weights_{i}": weights, f"bias_{i}": bias}
-    learned |= {name: np.asarray(a) for name, a in networks.standards._asdict().items()}
+    learned |= {name: np.asarray(a) for name, a in networks.scaler._asdict().items()}
     learned |= {"training": networks.training, "validation": networks.validation}
     if hasattr(estimator, "weights_"):
         learned |= {"fold_weights": estimator.weights_, "scale": np.stack(estimator.scale_)}
@@ -164,9 +178,9 @@ def _restore(estimator: Estimator, arrays: Arrays, n_features: int, n_targets: i
         estimator.means_ = _trees(arrays, "mean", n_features, count)
         estimator.scales_ = _trees(arrays, "scale", n_features, count)
         return
-    if hasattr(estimator, "added_to"):
+    if hasattr(estimator, "offset_columns"):
         estimator.n_targets_ = n_targets
-        own = n_features - len({c for c in estimator.added_to or () if c is not None})
+        own = n_features - len({c for c in estimator.offset_columns or () if c is not None})
         widths, outputs = (own, *estimator.hidden), 2 * n_targets
     else:
         own, widths, outputs = n_features, (n_features, 64, 64), 1
@@ -177,16 +191,18 @@ def _restore(estimator: Estimator, arrays: Arrays, n_features: int, n_targets: i
     estimator.networks_ = _networks(arrays, estimator.n_folds, (*widths, outputs), n_targets)
 
 
-def _networks(arrays: Arrays, folds: int, widths: tuple[int, ...], n_targets: int) -> Fitted:
+def _networks(
+    arrays: Arrays, folds: int, widths: tuple[int, ...], n_targets: int
+) -> FittedNetworks:
     layers = [
         (_shaped(arrays, f"weights_{i}", (folds, a, b)), _shaped(arrays, f"bias_{i}", (folds, b)))
         for i, (a, b) in enumerate(pairwise(widths))
     ]
     sizes = {"x": widths[0], "y": n_targets}
-    scales = {name: _shaped(arrays, name, (folds, sizes[name[0]])) for name in Standards._fields}
+    scales = {name: _shaped(arrays, name, (folds, sizes[name[0]])) for name in Scaler._fields}
     epochs = arrays["training"].shape[-1]
     curves = (_shaped(arrays, name, (folds, epochs)) for name in ("training", "validation"))
-    return Fitted(layers, Standards(**scales), *curves)
+    return FittedNetworks(layers, Scaler(**scales), *curves)
 
 
 def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:

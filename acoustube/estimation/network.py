@@ -31,7 +31,7 @@ WIDEST = 6.0
 """Largest size of the logarithm of a scale: a factor of 400 from the target's own deviation."""
 
 
-class Standards(NamedTuple):
+class Scaler(NamedTuple):
     """Means and deviations of inputs (fold, input) and targets (fold, target)."""
 
     x_mean: Any
@@ -40,21 +40,21 @@ class Standards(NamedTuple):
     y_deviation: Any
 
 
-class Fitted(NamedTuple):
+class FittedNetworks(NamedTuple):
     """Networks after training.
 
     Attributes
     ----------
     layers : list
         Weights (fold, fan_in, fan_out) and biases (fold, fan_out) of each layer, float32.
-    standards : Standards
+    scaler : Scaler
         Of each fold's training rows.
     training, validation : array of shape (fold, epoch)
         Losses: the mean over the batches of an epoch, and that of the held-out rows after it.
     """
 
     layers: Layers
-    standards: Standards
+    scaler: Scaler
     training: NDArray[np.float32]
     validation: NDArray[np.float32]
 
@@ -124,7 +124,7 @@ def optimiser(learning_rate: float, weight_decay: float) -> optax.GradientTransf
     return optax.chain(optax.add_decayed_weights(weight_decay), optax.adam(learning_rate))
 
 
-def standards(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: int) -> Standards:
+def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: int) -> Scaler:
     """Return each fold's means and deviations over the rows that it trains with.
 
     A constant column gets the deviation 1, so that it becomes zero.
@@ -140,7 +140,7 @@ def standards(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: i
         np.where(s > 1e-6 * np.maximum(np.abs(m), 1e-30), s, 1.0)
         for s, m in zip(spread, mean, strict=True)
     ]
-    return Standards(mean[0], wide[0], mean[1], wide[1])
+    return Scaler(mean[0], wide[0], mean[1], wide[1])
 
 
 def batches(
@@ -172,7 +172,7 @@ def train(
     weight_decay: float = 1e-5,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Fitted:
+) -> FittedNetworks:
     """Train one network per fold on the rows of the others, all at once.
 
     Parameters
@@ -195,10 +195,10 @@ def train(
 
     Returns
     -------
-    Fitted
+    FittedNetworks
     """
     count = int(fold.max()) + 1
-    scales = standards(x, y, fold, count)
+    scales = fit_scaler(x, y, fold, count)
     n_out = y.shape[1] * (2 if loss == "laplace" else 1)
     widths = (x.shape[1], *hidden, n_out)
     keys = jax.random.split(jax.random.key(seed), count)
@@ -206,8 +206,8 @@ def train(
     step = optimiser(learning_rate, weight_decay)
     state = jax.vmap(step.init)(layers)
     # Differences of large values would be lost in single precision: shift before rounding.
-    shift = Standards(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
-    near = Standards(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
+    shift = Scaler(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
+    near = Scaler(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
     rows = tuple(
         jnp.asarray((data - mean).astype(np.float32))
         for data, mean in ((x, shift.x_mean), (y, shift.y_mean))
@@ -224,18 +224,18 @@ def train(
         if progress is not None:
             progress(epoch + 1, *(float(np.mean(c[:, epoch])) for c in curves))
     plain = [(np.asarray(w), np.asarray(b)) for w, b in layers]
-    return Fitted(plain, scales, *curves)
+    return FittedNetworks(plain, scales, *curves)
 
 
 @partial(jax.jit, static_argnames=("loss", "learning_rate", "weight_decay"), donate_argnums=(0, 1))
 def _epoch(
-    layers: Any, state: Any, order: Any, x: Any, y: Any, scales: Standards,
+    layers: Any, state: Any, order: Any, x: Any, y: Any, scales: Scaler,
     loss: Loss, learning_rate: float, weight_decay: float,
 ) -> Any:  # fmt: skip
     """Take one step per batch, in all folds; return layers, state and mean loss (fold,)."""
     optimise = optimiser(learning_rate, weight_decay)
 
-    def one(layers: Any, state: Any, rows: Any, scales: Standards) -> Any:
+    def one(layers: Any, state: Any, rows: Any, scales: Scaler) -> Any:
         a, b = _standardised(x[rows], y[rows], scales)
         value, gradient = jax.value_and_grad(lambda p: LOSSES[loss](outputs(p, a), b))(layers)
         change, state = optimise.update(gradient, state, layers)
@@ -250,7 +250,7 @@ def _epoch(
     return layers, state, values.mean(axis=0)
 
 
-def _standardised(x: Any, y: Any, scales: Standards) -> tuple[Any, Any]:
+def _standardised(x: Any, y: Any, scales: Scaler) -> tuple[Any, Any]:
     x = (x - scales.x_mean[None, :]) / scales.x_deviation[None, :]
     return x, (y - scales.y_mean[None, :]) / scales.y_deviation[None, :]
 
@@ -266,11 +266,11 @@ def _held_out(fold: NDArray[np.intp], count: int) -> tuple[Any, Any]:
 
 @partial(jax.jit, static_argnames=("loss",))
 def _validation(
-    layers: Any, rows: Any, counts: Any, x: Any, y: Any, scales: Standards, loss: Loss
+    layers: Any, rows: Any, counts: Any, x: Any, y: Any, scales: Scaler, loss: Loss
 ) -> Any:
     """Return the loss of each fold's held-out rows, (fold,)."""
 
-    def one(layers: Any, rows: Any, counts: Any, scales: Standards) -> Any:
+    def one(layers: Any, rows: Any, counts: Any, scales: Scaler) -> Any:
         a, b = _standardised(x[rows], y[rows], scales)
         each = jax.vmap(lambda o, t: LOSSES[loss](o[None], t[None]))(outputs(layers, a), b)
         return jnp.sum(jnp.where(counts, each, 0.0)) / jnp.sum(counts).astype(each.dtype)
@@ -278,9 +278,9 @@ def _validation(
     return jax.vmap(one)(layers, rows, counts, scales)
 
 
-def predict(fitted: Fitted, x: NDArray[Any]) -> NDArray[np.float64]:
+def predict(fitted: FittedNetworks, x: NDArray[Any]) -> NDArray[np.float64]:
     """Return every network's outputs in standard units, (fold, row, output)."""
-    scales, parts = fitted.standards, []
+    scales, parts = fitted.scaler, []
     for start in range(0, len(x), ROWS_AT_ONCE):
         part = x[start : start + ROWS_AT_ONCE]
         # A power of two, so that few shapes are compiled.
@@ -293,7 +293,9 @@ def predict(fitted: Fitted, x: NDArray[Any]) -> NDArray[np.float64]:
 _all_outputs = jax.jit(jax.vmap(outputs))
 
 
-def own_outputs(fitted: Fitted, x: NDArray[Any], fold: NDArray[np.intp]) -> NDArray[np.float64]:
+def own_outputs(
+    fitted: FittedNetworks, x: NDArray[Any], fold: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Return the outputs (row, output) of the network that did not train with each row."""
     return np.asarray(predict(fitted, x)[fold, np.arange(len(fold))])
 

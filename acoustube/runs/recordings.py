@@ -27,7 +27,7 @@ COLUMNS = (
     "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
     "file",
 )  # fmt: skip
-TRUE = {
+LABEL_COLUMNS = {
     "true_distance": ("true_distance_cm", 100.0), "depth": ("depth_mm", 1e3),
     "force": ("force_n", 1.0),
 }  # fmt: skip
@@ -44,7 +44,7 @@ def located(
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     how : Processing
-        :func:`acoustube.signals.suited` to the recording's sampling rate.
+        :func:`acoustube.signals.without_aliased_template` to the recording's sampling rate.
     done : callable, optional
         Called with the number of cycles of each finished piece.
 
@@ -56,7 +56,7 @@ def located(
         Of the piece.
     """
     cycles, time = data["signal"], data["time"].values
-    how = signals.suited(how, signals.sampling_rate(time))
+    how = signals.without_aliased_template(how, signals.sampling_rate(time))
     warmth = data["temperature"].values
     starts = range(0, cycles.sizes["cycle"], CHUNK)
 
@@ -155,10 +155,10 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
 
 
 def true_rows(data: xr.Dataset) -> Iterator[list[object]]:
-    """Return the labels of :data:`TRUE` of each cycle, empty where there is none."""
+    """Return the labels of :data:`LABEL_COLUMNS` of each cycle, empty where there is none."""
     columns = [
         scale * data[name].values if name in data else np.full(data.sizes["cycle"], np.nan)
-        for name, (_, scale) in TRUE.items()
+        for name, (_, scale) in LABEL_COLUMNS.items()
     ]
     for values in np.stack(columns, axis=-1):
         yield ["" if np.isnan(value) else f"{value:.6g}" for value in values]

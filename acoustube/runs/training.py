@@ -11,11 +11,11 @@ import xarray as xr
 
 from acoustube import estimation, recordings
 from acoustube.base.errors import ConfigError
-from acoustube.estimation import Describing, Model
+from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
 
-HUMAN = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
+DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
 """Units of the tables, and how many make one of SI."""
 BINS = {"depth": 0.5e-3, "true_distance": 0.05}
 """Widths in m of the bins of the table: the paper's steps of depth, and of its error map."""
@@ -39,7 +39,7 @@ def read_cycles(paths: Sequence[Path]) -> Iterator[tuple[Path, xr.Dataset]]:
 
 def table_of(
     paths: Sequence[Path],
-    describing: Describing,
+    feature_settings: FeatureSettings,
     report: Callable[[str, float], None],
     check: Callable[[Path, float], None] | None = None,
 ) -> xr.Dataset:
@@ -48,7 +48,7 @@ def table_of(
     Parameters
     ----------
     paths : sequence of Path
-    describing : Describing
+    feature_settings : FeatureSettings
     report : callable
         Called with a stage and the fraction of it that is done.
     check : callable, optional
@@ -57,7 +57,7 @@ def table_of(
     Returns
     -------
     xarray.Dataset
-        As of :func:`acoustube.estimation.described`. A file that does not tell its session is one.
+        From :func:`acoustube.estimation.feature_table`. A file without sessions counts as one.
 
     Raises
     ------
@@ -69,7 +69,9 @@ def table_of(
         if check is not None:
             check(path, float(data.attrs["sampling_rate"]))
         try:
-            part = estimation.described(data, describing, lambda share: report("echoes", share))
+            part = estimation.feature_table(
+                data, feature_settings, lambda share: report("echoes", share)
+            )
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
         if "session" not in part:
@@ -109,7 +111,7 @@ def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterat
     ----------
     model : Model
     table, estimates : xarray.Dataset
-        From :func:`acoustube.estimation.described` and :func:`acoustube.estimation.estimate`.
+        From :func:`acoustube.estimation.feature_table` and :func:`acoustube.estimation.estimate`.
 
     Yields
     ------

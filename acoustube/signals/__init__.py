@@ -5,6 +5,7 @@ The steps are the paper's: for recordings (section II-B) :func:`locate`, for sim
 arrays of shape (..., time) and treat each cycle on its own.
 """
 
+from acoustube.base.moved import renamed
 from acoustube.base.sampling import sampling_rate
 from acoustube.signals.calibration import Calibration, calibrate
 from acoustube.signals.calibration_file import load, save
@@ -29,7 +30,7 @@ from acoustube.signals.localise import (
     speed_of_sound,
 )
 from acoustube.signals.peaks import Echoes, find_echoes, send_pulse
-from acoustube.signals.processing import Processing, suited
+from acoustube.signals.processing import Processing, without_aliased_template
 from acoustube.signals.tracker import Tracker
 
 __all__ = [
@@ -58,6 +59,8 @@ __all__ = [
     "save",
     "send_pulse",
     "speed_of_sound",
-    "suited",
     "template",
+    "without_aliased_template",
 ]
+
+__getattr__ = renamed(__name__, {"suited": "without_aliased_template"})

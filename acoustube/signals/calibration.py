@@ -14,13 +14,13 @@ from acoustube.base.types import Array
 from acoustube.signals.filters import TimeGain, normalise, remove_offset
 from acoustube.signals.localise import (
     Ranging,
-    enhanced,
+    gain_and_match,
     locate,
     nominal_distance,
     process,
     speed_of_sound,
 )
-from acoustube.signals.processing import Processing, arguments, suited
+from acoustube.signals.processing import Processing, process_arguments, without_aliased_template
 
 FEWEST_PLACES = 6
 """Different places that a calibration needs: the gain has four parameters, two check them."""
@@ -123,8 +123,8 @@ def calibrate(
     untouched : array of shape (m, time)
         Cycles without contact.
     how : Processing, optional
-        The paper's by default, :func:`suited` to the sampling rate; its gain, shift and prominence
-        are found here.
+        Default: the sleeve paper's numbers, without matched filter where the carrier is aliased.
+        Its gain, shift and prominence are replaced by those found here.
     temperature, untouched_temperature : float or array of shape (n,), (m,)
         In degC.
     sigmas : float
@@ -154,7 +154,7 @@ def calibrate(
     In white noise, whose envelope after the matched filter wanders like a Rayleigh variable, 2.8
     deviations are passed in most cycles: `false_alarms` tells, and `sigmas` raises them.
     """
-    how = suited(how or Processing(), sampling_rate(time))
+    how = without_aliased_template(how or Processing(), sampling_rate(time))
     places = np.asarray(true_distance, float)
     _check_places(places, np.asarray(blocked).shape)
     if not np.all(np.ptp(np.asarray(untouched), axis=-1) > 0):
@@ -218,11 +218,11 @@ def untouched_deviation(
     """
     time, cycles = np.asarray(time, float), np.asarray(untouched, float)
     rate = sampling_rate(time)
-    settings = arguments(how, rate)
+    settings = process_arguments(how, rate)
     if how.offset_cutoff is not None:
         cycles = remove_offset(cycles, rate, how.offset_cutoff)
     places = nominal_distance(time, speed_of_sound(temperature), settings["pulse_duration"])
-    cycles = enhanced(cycles, places, how.gain, settings["template"])
+    cycles = gain_and_match(cycles, places, how.gain, settings["template"])
     sent = process(time, untouched, temperature=temperature, **settings).send_amplitude
     scaled = np.abs(normalise(cycles, sent))
     distance = np.broadcast_to(places, scaled.shape)
@@ -262,7 +262,7 @@ def _around(
         "nearest": np.maximum(places - REACH, how.nearest),
         "farthest": places + REACH,
     }
-    settings = arguments(how, sampling_rate(time)) | window
+    settings = process_arguments(how, sampling_rate(time)) | window
     return process(time, blocked, temperature=temperature, **settings)
 
 

@@ -18,14 +18,14 @@ from acoustube.signals.filters import (
     normalise,
     remove_offset,
 )
-from acoustube.signals.peaks import Echoes, find_echoes, highest, send_pulse
-from acoustube.signals.processing import Processing, arguments
+from acoustube.signals.peaks import Echoes, find_echoes, send_pulse, strongest_echo
+from acoustube.signals.processing import Processing, process_arguments
 
 FLAT = 0.95
 """Share of a send pulse's height that counts as its plateau."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their sizes."""
-AT_REST, AT_REST_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
+NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
 """Noise of the envelope where nothing is heard, as a share of that on top of an echo: rectified
 white noise keeps sqrt(1 - 2 / pi) of its deviation; behind the usual matched filter, measured."""
 SAMPLED, SAMPLED_MATCHED = 0.13, 0.24
@@ -109,7 +109,7 @@ def locate(
         samples,
         temperature=temperature,
         temperature_deviation=temperature_deviation,
-        **arguments(how, sampling_rate(time)),
+        **process_arguments(how, sampling_rate(time)),
     )
 
 
@@ -246,15 +246,17 @@ def process(
     stop = send_time + 2 * (np.asarray(farthest) - probe_position) / speed
     if gain is not None or template is not None:
         places = probe_position + nominal_distance(time, speed, pulse_duration)
-        raw = envelope(enhanced(pressure, places, gain, template), rate, cutoff)
+        raw = envelope(gain_and_match(pressure, places, gain, template), rate, cutoff)
         ahead = time < np.broadcast_to(start, raw.shape[:-1])[..., np.newaxis]
         send_amplitude = np.max(raw, axis=-1, where=ahead, initial=0.0)
     scaled = normalise(raw, send_amplitude)
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
-    return_time, amplitude, height = highest(echoes)
+    return_time, amplitude, height = strongest_echo(echoes)
     found = distance(return_time - send_time, temperature)
     plain = template is None
-    share, samples = (AT_REST, SAMPLED) if plain else (AT_REST_MATCHED, SAMPLED_MATCHED)
+    share, samples = (
+        (NOISE_RATIO_RECTIFIED, SAMPLED) if plain else (NOISE_RATIO_MATCHED, SAMPLED_MATCHED)
+    )
     by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / share
     by_sampling = speed / 2 * samples / rate
     by_warmth = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
@@ -292,7 +294,7 @@ def nominal_distance(time: Array, speed: Array, pulse_duration: float) -> Array:
     return speed[..., np.newaxis] * np.maximum(time - pulse_duration / 2, 0.0) / 2
 
 
-def enhanced(
+def gain_and_match(
     samples: Array, distance: Array, gain: TimeGain | None, template: ArrayLike | None
 ) -> Array:
     """Return cycles (..., time) after gain and matched filter, as far as there are any."""

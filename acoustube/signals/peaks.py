@@ -137,7 +137,7 @@ def _take(samples: Array, index: NDArray[np.intp]) -> Array:
     return np.take_along_axis(samples, index[..., np.newaxis], axis=-1)[..., 0]
 
 
-def highest(echoes: Echoes) -> tuple[Array, Array, Array]:
+def strongest_echo(echoes: Echoes) -> tuple[Array, Array, Array]:
     """Return time, amplitude and prominence of each cycle's highest echo, nan where none is."""
     amplitudes = np.nan_to_num(echoes.amplitudes, nan=-np.inf)
     # A column of nothing gives argmax something to find in a cycle without any echo.

@@ -65,7 +65,7 @@ class Processing:
                 raise ValueError(f"{name} = {value} must be positive")
 
 
-def suited(how: Processing, sampling_rate: float) -> Processing:
+def without_aliased_template(how: Processing, sampling_rate: float) -> Processing:
     """Return a processing that cycles of a sampling rate allow: undersampled ones unmatched.
 
     Parameters
@@ -97,7 +97,7 @@ def suited(how: Processing, sampling_rate: float) -> Processing:
     return replace(how, template_cycles=None)
 
 
-def arguments(how: Processing, rate: float) -> dict[str, Any]:
+def process_arguments(how: Processing, rate: float) -> dict[str, Any]:
     """Return what :func:`process` takes for a processing at a sampling rate in Hz."""
     cycles = how.template_cycles
     return {

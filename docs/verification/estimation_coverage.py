@@ -31,7 +31,7 @@ def rows(n):
 # Train, and count
 # ----------------
 x, y = rows(2000)
-estimator = Boosting(iterations=80, n_folds=5).fit(x, y)
+estimator = Boosting(max_iter=80, n_folds=5).fit(x, y)
 x_new, y_new = rows(2000)
 residual = np.abs(estimator.predict(x_new).reshape(-1) - y_new[:, 0])
 nominal = np.array([0.5, 0.6, 0.68, 0.8, 0.9, 0.95])

@@ -32,7 +32,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     Parameters
     ----------
     table, estimates : xarray.Dataset
-        From :func:`acoustube.estimation.described` and :func:`acoustube.estimation.estimate`.
+        From :func:`acoustube.estimation.feature_table` and :func:`acoustube.estimation.estimate`.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from acoustube import estimation
 from acoustube.air import air_at
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
-from acoustube.estimation import Describing
+from acoustube.estimation import FeatureSettings
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE, calibrated
 from acoustube.reports.studies.presses import matrices
@@ -153,7 +153,7 @@ def cycles_of(
 
 def told(cycles: xr.Dataset, tube: int) -> xr.Dataset:
     """Return what the paper's processing tells of cycles, beside their labels."""
-    return estimation.described(cycles, Describing(processing=processing_of(tube)))
+    return estimation.feature_table(cycles, FeatureSettings(processing=processing_of(tube)))
 
 
 def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:

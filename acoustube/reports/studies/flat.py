@@ -12,7 +12,7 @@ import xarray as xr
 from acoustube import estimation
 from acoustube.base.console import watched_interrupts
 from acoustube.base.report import Reporter
-from acoustube.estimation import Describing, Model
+from acoustube.estimation import FeatureSettings, Model
 from acoustube.reports.figures.run import CM
 from acoustube.reports.studies import flat_figures, ranged, whole_echo
 from acoustube.reports.studies.calibration import calibrated
@@ -117,7 +117,7 @@ def recorded(
     Returns
     -------
     xarray.Dataset
-        As of :func:`acoustube.estimation.described`, with the paper's features.
+        As of :func:`acoustube.estimation.feature_table`, with the paper's features.
     """
     places = FEW_PLACES if scale.quick else FEWER_PLACES if few else PLACES
     depths = FEW_DEPTHS if scale.quick else DEPTHS
@@ -136,10 +136,10 @@ def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> 
     return _cycles(work / "second", over, level, scale, n_cycles, report)
 
 
-def describing_of(work: Path) -> Describing:
+def describing_of(work: Path) -> FeatureSettings:
     """Return how the cycles of the first dataset are described by their whole echo."""
     cases = open_dataset(work / "first" / "sweep")
-    return Describing(kind="echo", processing=processing_of(cases, Recipe()))
+    return FeatureSettings(kind="echo", processing=processing_of(cases, Recipe()))
 
 
 def _cycles(
@@ -154,9 +154,9 @@ def _cycles(
     cases = swept(work / "sweep", over, level, scale, report)
     recipe = Recipe(n_cycles=n_cycles)
     run_dataset([work / "sweep"], work / "cycles", recipe, report=report, workers=scale.workers)
-    describing = Describing(kind="paper", processing=processing_of(cases, recipe))
+    feature_settings = FeatureSettings(kind="paper", processing=processing_of(cases, recipe))
     with watched_interrupts() as check, report.progress(check) as show:
-        return table_of(sorted((work / "cycles").glob("cycles-*.nc")), describing, show)
+        return table_of(sorted((work / "cycles").glob("cycles-*.nc")), feature_settings, show)
 
 
 def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
@@ -187,7 +187,7 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
         def learned(step: float, *_losses: float) -> None:
             show("training", step / total)
 
-        return estimation.train(table, "network", Describing(), progress=learned, **settings)
+        return estimation.train(table, "network", FeatureSettings(), progress=learned, **settings)
 
 
 # ---------------------------------------------------------------------------------------------

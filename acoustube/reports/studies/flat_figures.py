@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from acoustube import estimation
 from acoustube.base.types import Array
 from acoustube.reports.figures.run import CM
-from acoustube.reports.studies.ranged import FALSE, found_distance, told
+from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, told
 
 MM = 1e3
 BIN = 0.05
@@ -97,7 +97,7 @@ def amplitudes(first: xr.Dataset, second: xr.Dataset) -> Figure:
         heights = np.asarray(table["features"].sel(feature="amplitude").values)
         wrong = np.abs(found_distance(table) - table["true_distance"].values)
         places, depths, mean = over_map(table, heights)
-        mean[~(over_map(table, wrong)[2] <= FALSE)] = np.nan
+        mean[~(over_map(table, wrong)[2] <= FALSE_POSITIVE_ERROR)] = np.nan
         _draw_map(axes, places, depths, smoothed(mean), "highest peak (share of the send pulse)",
                   norm=LogNorm(1e-3, 1.0))  # fmt: skip
     return sheet

@@ -167,7 +167,7 @@ def recorded(
     Returns
     -------
     table : xarray.Dataset
-        Of averaged cycles, as of :func:`acoustube.estimation.described`, with ``level`` and
+        Of averaged cycles, as of :func:`acoustube.estimation.feature_table`, with ``level`` and
         ``number`` of the tube.
     presses : dict
         See :func:`acoustube.reports.studies.arm.by_depth`.

@@ -134,7 +134,7 @@ def recorded(
     Returns
     -------
     dict of xarray.Dataset
-        By shape; as of :func:`acoustube.estimation.described`.
+        By shape; as of :func:`acoustube.estimation.feature_table`.
     """
     helix = sleeve()[TUBE]
     over = {
@@ -214,7 +214,7 @@ def farthest(table: xr.Dataset) -> float:
         for place in np.unique(table["true_distance"].values)
         for depth in np.unique(table["depth"].values)
         for here in [(table["true_distance"].values == place) & (table["depth"].values == depth)]
-        if np.mean(ranged.told(table)[here]) > ranged.RELIABLE
+        if np.mean(ranged.told(table)[here]) > ranged.RELIABLE_FRACTION
     ]
     return max(good, default=float("nan"))
 

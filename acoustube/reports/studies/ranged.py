@@ -14,11 +14,11 @@ from acoustube.estimation import Errors
 from acoustube.reports.figures.run import CM
 from acoustube.reports.studies.report import Row
 
-FALSE = 0.25
+FALSE_POSITIVE_ERROR = 0.25
 """Error of the distance in m from which a detection is a false positive."""
 SHALLOWEST = 0.9e-3
 """Depth in m from which cases of the flat table's first dataset are taken."""
-RELIABLE = 0.5
+RELIABLE_FRACTION = 0.5
 """Share of the cycles that must tell the distance to 25 cm for a contact to be reliable."""
 
 
@@ -34,7 +34,9 @@ def found_distance(table: xr.Dataset) -> Array:
 
 def told(table: xr.Dataset) -> NDArray[np.bool_]:
     """Return which cycles tell the distance to 25 cm."""
-    return np.asarray(np.abs(found_distance(table) - table["true_distance"].values) < FALSE)
+    return np.asarray(
+        np.abs(found_distance(table) - table["true_distance"].values) < FALSE_POSITIVE_ERROR
+    )
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
@@ -45,7 +47,7 @@ def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))
     depths, number = np.unique(inside["depth"].values.round(9), return_inverse=True)
-    good = [np.mean(told(inside)[number == i]) > RELIABLE for i in range(len(depths))]
+    good = [np.mean(told(inside)[number == i]) > RELIABLE_FRACTION for i in range(len(depths))]
     if not good or not good[-1]:
         return float("nan")
     unreliable = np.flatnonzero(~np.array(good))

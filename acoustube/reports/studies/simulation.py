@@ -33,7 +33,7 @@ MM = 1e3
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
 """Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
-LATE = 0.4e-3
+TRAPPED_AFTER = 0.4e-3
 """Time in s after the direct echo's middle from which sound was trapped: the pulse lasts 0.26 ms,
 its reflection by the source end comes 0.12 ms later."""
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
@@ -237,7 +237,7 @@ def direct_range(cases: xr.Dataset, rod: str) -> float:
 
 
 def late_share(cases: xr.Dataset, end: str = "absorbing") -> Array:
-    """Return the share of the echo's energy that comes later than :data:`LATE` in each case."""
+    """Return the share of the echo's energy that comes later than :data:`TRAPPED_AFTER`."""
     signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
     time = cases["time"].values
     way = 2 * cases["true_distance"].values - PROBE
@@ -245,7 +245,8 @@ def late_share(cases: xr.Dataset, end: str = "absorbing") -> Array:
     after = time[None] - middle[:, None]
     echo = after > -USUAL.cycles / CARRIER / 2
     return np.asarray(
-        (signal * (after > LATE)).sum(axis=1) / np.maximum((signal * echo).sum(axis=1), 1e-30)
+        (signal * (after > TRAPPED_AFTER)).sum(axis=1)
+        / np.maximum((signal * echo).sum(axis=1), 1e-30)
     )
 
 

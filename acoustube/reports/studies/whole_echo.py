@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from acoustube import estimation
 from acoustube.base.console import watched_interrupts
 from acoustube.base.report import Reporter, ShowProgress
-from acoustube.estimation import Describing, Model
+from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.model import TARGETS
 from acoustube.reports.studies.ranged import SHALLOWEST, measure_rows
 from acoustube.reports.studies.report import Row, Scale
 from acoustube.runs.opening import open_dataset
-from acoustube.runs.training import HUMAN
+from acoustube.runs.training import DISPLAY_UNITS
 
 EVERY = 10
 """Of the cycles one is taken: those of a press differ by noise alone."""
 
 
 def rows(
-    work: Path, how: Describing, heard: NDArray[np.bool_], scale: Scale, report: Reporter
+    work: Path, how: FeatureSettings, heard: NDArray[np.bool_], scale: Scale, report: Reporter
 ) -> list[Row]:
     """Return the errors of the whole-echo networks on the second dataset of the flat table.
 
@@ -33,7 +33,7 @@ def rows(
     ----------
     work : Path
         The flat study's, with the cycles of both datasets.
-    how : Describing
+    how : FeatureSettings
     heard : array of bool of shape (cycle,)
         In which cycles of the second dataset the paper's processing finds an echo: where both can
         be compared.
@@ -55,12 +55,12 @@ def rows(
     ]
 
 
-def _described(work: Path, how: Describing, every: int, show: ShowProgress) -> xr.Dataset:
+def _described(work: Path, how: FeatureSettings, every: int, show: ShowProgress) -> xr.Dataset:
     cycles = open_dataset(work / "cycles").isel(cycle=slice(None, None, every)).load()
-    return estimation.described(cycles, how, lambda share: show("whole echoes", share))
+    return estimation.feature_table(cycles, how, lambda share: show("whole echoes", share))
 
 
-def _trained(table: xr.Dataset, how: Describing, scale: Scale, show: ShowProgress) -> Model:
+def _trained(table: xr.Dataset, how: FeatureSettings, scale: Scale, show: ShowProgress) -> Model:
     settings: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
     total = settings.get("epochs", 25)
 
@@ -74,7 +74,7 @@ def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) 
     table = table.isel(cycle=some)
     estimates = estimation.estimate(model, table)
     for target in model.targets:
-        unit, scale = HUMAN[target]
+        unit, scale = DISPLAY_UNITS[target]
         truth, name = table[target].values.astype(float), TARGETS[target]
         columns = [estimates[name + end].values for end in ("", "_deviation", "_half_width")]
         found = estimation.errors(truth, *columns)
