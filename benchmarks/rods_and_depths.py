@@ -13,6 +13,7 @@ import numpy as np
 
 from acoustube import load_config
 from acoustube.lumen import lumen, measure
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.presses import pressed
 from acoustube.runs.sound import listen, locate
 
@@ -23,7 +24,8 @@ PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
 def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
     """Return one row per depth: mechanics, then distance, error and amplitude per source end."""
     config = load_config(indenter_mm=rod_mm, resolution=resolution, support=support)
-    position = 5e-3 * config.tube.length_cm
+    settings = settings_in_si(config)
+    position = settings.position
     press = pressed(config, [1e-3 * depth for depth in DEPTHS_MM])
     rows = []
     for depth in DEPTHS_MM:
@@ -31,9 +33,9 @@ def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
         section = measure(press, increment, np.zeros(1))
         row = [rod_mm, depth, press.contact_force[increment]]
         row += [1e3 * section.height[0], 1e6 * section.area[0]]
-        recordings, _ = listen(config, lumen(press, position, increment))
+        recordings, _ = listen(settings, lumen(press, position, increment))
         for recording in recordings.values():
-            ranging = locate(config, recording)
+            ranging = locate(settings, recording)
             row += [
                 100 * float(ranging.distance),
                 100 * (float(ranging.distance) - position),

@@ -20,14 +20,14 @@ import acoustube
 from acoustube.lumen import whole_tube
 from acoustube.runs import sound
 from acoustube.runs.config import configured
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.sweep import tasks as sweep_tasks
 from acoustube.runs.sweep.cycles import Recipe
 from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.graph import depth_of
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
 from acoustube.runs.sweep.workers import cores
-from acoustube.waves import Pulse, cut_cells, grid_spacing, propagate
+from acoustube.waves import cut_cells, grid_spacing, propagate
 
 REST = 0.5
 """Tube in m beyond a press, and way of the sound, that is marched."""
@@ -65,26 +65,25 @@ def marched(data, count):
     found, costs = [], []
     for i in sorted(rng.choice(data.sizes["press"], count, replace=False)):
         case = data.isel(press=int(i)).sel(source_end="release")
-        config = configured(json.loads(str(case["configuration"].values)))
-        pressed = sweep_tasks.press(config, depths).result.at[depth_of(config)]
+        settings = settings_in_si(configured(json.loads(str(case["configuration"].values))))
+        pressed = sweep_tasks.press(settings, depths).result.at[settings.depth]
         place, whole = float(case["true_distance"]), float(case["tube_length"])
         length = min(whole, place + REST)
         lumen = whole_tube(pressed.part, place, length)
-        bore, probe = 1e-3 * config.tube.inner_diameter_mm, 1e-2 * config.waves.probe_cm
         duration = (2 * place + REST) / 343
         start = time.perf_counter()
         recording = propagate(
             cut_cells(
                 lumen.surface,
-                grid_spacing(bore, config.waves.resolution, probe),
+                grid_spacing(settings.tube.inner_diameter, settings.resolution, settings.probe),
                 half=lumen.symmetric,
             ),
-            sound.air_of(config),
-            Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles),
+            settings.air,
+            settings.pulse,
             duration=duration,
-            probes=(probe,),
+            probes=(settings.probe,),
             source_end="release",
-            lossy_band=sound.band_of(config),
+            lossy_band=sound.band_of(settings.pulse),
         )
         seconds = time.perf_counter() - start
         costs.append(seconds * whole / length * (2 * whole / 343) / duration)

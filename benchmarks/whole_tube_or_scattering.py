@@ -15,21 +15,22 @@ from scipy.interpolate import CubicSpline
 
 from acoustube import load_config
 from acoustube.lumen import lumen, pressed_part
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.presses import pressed
-from acoustube.runs.sound import air_of, listen, listen_by_parts
+from acoustube.runs.sound import listen, listen_by_parts
 
 
 def compare(resolution: int, losses: str) -> None:
     """Print one row for each source end."""
     config = load_config(resolution=resolution, losses=losses)
-    press = pressed(config, [1e-3 * config.indentation.depth_mm])
-    position = 5e-3 * config.tube.length_cm
+    settings = settings_in_si(config)
+    press, position = pressed(config, [settings.depth]), settings.position
     start = perf_counter()
-    whole, _ = listen(config, lumen(press, position))
+    whole, _ = listen(settings, lumen(press, position))
     between = perf_counter()
-    parts, _ = listen_by_parts(config, pressed_part(press))
+    parts, _ = listen_by_parts(settings, pressed_part(press))
     seconds = between - start, perf_counter() - between
-    answer = 2 * (position - 0.03) / air_of(config).sound_speed
+    answer = 2 * (position - 0.03) / settings.air.sound_speed
     for end, recording in whole.items():
         time, full = recording.time, recording.pressure[0]
         joined = CubicSpline(parts[end].time, parts[end].pressure[0])(time)

@@ -21,15 +21,16 @@ import numpy as np
 
 import acoustube
 from acoustube import ranging, recordings, signals
+from acoustube.air import air_at
 from acoustube.lumen import pressed_part
 from acoustube.runs.presses import pressed
-from acoustube.runs.sound import air_of, scattering_of
+from acoustube.runs.sound import scattering_of
 from acoustube.waves import PlacedScatterer
 
 TRUE_DISTANCE, LENGTH, BORE = 0.4, 1.2, 7.9e-3
 config = acoustube.load_config(indenter_mm=10, depth_mm=5, mesh="coarse")
 part = pressed_part(pressed(config, [5e-3]))
-matrix, _ = scattering_of(part, air_of(config), (27e3, 57e3), bore=BORE, resolution=11, lossy=True)
+matrix, _ = scattering_of(part, air_at(20.0), (27e3, 57e3), bore=BORE, resolution=11, lossy=True)
 press = PlacedScatterer(matrix, TRUE_DISTANCE)
 
 # %%

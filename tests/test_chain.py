@@ -13,7 +13,7 @@ from acoustube.base.errors import SimulationError
 from acoustube.lumen import Lumen
 from acoustube.reports.figures import run as run_figure
 from acoustube.reports.scenes import tube as tube_scene
-from acoustube.runs.presses import tube_from
+from acoustube.runs.config.si import press_in_si, settings_in_si
 from acoustube.runs.simulate import simulate, stage, warnings_for
 from acoustube.runs.sound import listen
 
@@ -142,7 +142,9 @@ def test_both_source_ends_share_one_time_axis_whatever_the_length():
     """At this length and grid the two steps, found alone, give different numbers of samples."""
     config = load_config(indenter_mm=10, resolution=9, length_cm=40.72)
     rings = round_rings(0.4072)
-    recordings, _ = listen(config, Lumen(rings=rings, outer_rings=rings, position=0.2))
+    recordings, _ = listen(
+        settings_in_si(config), Lumen(rings=rings, outer_rings=rings, position=0.2)
+    )
     release, absorbing = recordings.values()
     assert np.array_equal(release.time, absorbing.time)
 
@@ -151,30 +153,34 @@ def test_refusal_inside_a_stage_becomes_a_failure_of_that_stage():
     config = load_config(resolution=8)
     inside_out = round_rings(0.4)[:, ::-1]
     with pytest.raises(SimulationError, match=r"^waves: surface"), stage("waves", {}, print):
-        listen(config, Lumen(rings=inside_out, outer_rings=inside_out, position=0.2))
+        listen(
+            settings_in_si(config), Lumen(rings=inside_out, outer_rings=inside_out, position=0.2)
+        )
 
 
 def test_press_within_the_blind_time_is_warned_of():
     near = load_config(position_cm=10, lowpass_khz=2)
-    assert any("not looked for" in line for line in warnings_for(near))
-    assert not any("not looked for" in line for line in warnings_for(load_config()))
+    assert any("not looked for" in line for line in warnings_for(settings_in_si(near)))
+    assert not any("not looked for" in line for line in warnings_for(settings_in_si(load_config())))
 
 
 def test_settings_become_si():
-    tube = tube_from(load_config(shear_modulus_mpa=0.4))
+    tube = press_in_si(load_config(shear_modulus_mpa=0.4)).tube
     assert tube.shear_modulus == pytest.approx(0.4e6)
-    assert tube_from(Config()).shear_modulus == pytest.approx(0.5074e6, rel=1e-4)
+    assert press_in_si(Config()).tube.shear_modulus == pytest.approx(0.5074e6, rel=1e-4)
     assert tube.outer_diameter == pytest.approx(11.1e-3)
 
 
 def test_cut_on_inside_the_band_is_warned_of():
-    assert any("(2,1)" in line for line in warnings_for(load_config()))
-    assert not any("cuts on" in line for line in warnings_for(load_config(frequency_khz=20.5)))
+    assert any("(2,1)" in line for line in warnings_for(settings_in_si(load_config())))
+    assert not any(
+        "cuts on" in line for line in warnings_for(settings_in_si(load_config(frequency_khz=20.5)))
+    )
 
 
 def test_loss_that_the_model_leaves_out_is_told():
     """13.35 dB/m by the wall (Zwikker and Kosten) and 1.39 by the air over 36 cm are 5.3 dB."""
-    assert any("by 5.3 dB" in line for line in warnings_for(load_config()))
+    assert any("by 5.3 dB" in line for line in warnings_for(settings_in_si(load_config())))
 
 
 def test_scattering_and_straight_tube_give_the_recording_of_the_whole_tube(dataset):

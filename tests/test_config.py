@@ -23,6 +23,7 @@ from acoustube.runs.config import (
     load_config,
     to_toml,
 )
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.simulate import simulate, warnings_for
 
 ROOT = Path(__file__).parents[1]
@@ -126,8 +127,13 @@ def test_only_a_sweep_includes_the_untouched_tube():
 
 def test_sound_of_a_closing_lumen_is_computed_with_a_warning():
     closing = load_config(depth_mm=8)
-    assert any("walls of the 7.9 mm lumen meet, or nearly" in w for w in warnings_for(closing))
-    assert not any("meet, or nearly" in w for w in warnings_for(load_config(depth_mm=7)))
+    assert any(
+        "walls of the 7.9 mm lumen meet, or nearly" in w
+        for w in warnings_for(settings_in_si(closing))
+    )
+    assert not any(
+        "meet, or nearly" in w for w in warnings_for(settings_in_si(load_config(depth_mm=7)))
+    )
 
 
 def test_press_alone_may_close_the_lumen():

@@ -16,13 +16,14 @@ from acoustube.base.errors import ConfigError
 from acoustube.cli._app import main
 from acoustube.ranging import Burst, Rangefinder, digitiser, record
 from acoustube.runs.config import Config, configured
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
+from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.cycles import Recipe, seed_of
 from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
-from acoustube.runs.sweep.tasks import placed
 
 pytestmark = pytest.mark.slow
 
@@ -90,8 +91,9 @@ def test_cycles_are_those_of_the_rangefinder(sweep, dataset):
     config = configured(json.loads(str(data["configuration"].sel(press=name).values)))
     session = int(str(first["session"].values)[-1])
     expected = record(
-        placed(config, from_dataset(matrix)), Rangefinder(), length=1.5, temperature=25.0,
-        n_cycles=1, first_cycle=seed_of(name) % 72_000, seed=seed_of(name, tube, session, 7),
+        placed(settings_in_si(config), from_dataset(matrix)), Rangefinder(), length=1.5,
+        temperature=25.0, n_cycles=1, first_cycle=seed_of(name) % 72_000,
+        seed=seed_of(name, tube, session, 7),
         session_seed=seed_of(tube, session, 7), tube_seed=seed_of(tube, 7),
     )  # fmt: skip
     np.testing.assert_array_equal(first["signal"].values, expected["signal"].values[0])
@@ -116,7 +118,7 @@ def test_cycles_of_a_session_share_its_drift(dataset):
     data = acoustube.open_dataset(dataset).load()
     offset = data["signal"].isel(time=slice(3800, None)).mean("time").values
     name = data["session"].values[0]
-    counts = Recipe().rangefinder_for(Config())
+    counts = Recipe().rangefinder_for(settings_in_si(Config()))
     first = data["press"].values[data["session"].values == name]
     cycles = np.array([seed_of(str(press)) % 72_000 for press in first])
     wander = digitiser._wander(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))

@@ -24,16 +24,17 @@ from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.reports.export import lerobot
 from acoustube.reports.export.geometry import closed_wall
 from acoustube.runs.config import Mechanics, load_config
+from acoustube.runs.config.si import MESH_SIZES, press_in_si
 from acoustube.runs.opening import ORDER
-from acoustube.runs.presses import SIZES, press_from, tube_from
 from acoustube.runs.scattering_file import to_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.walls import walls
 from acoustube.waves import Scattering
 
 CONFIG = load_config(None, Mechanics, mesh="coarse", depth_mm=2.0, steps=3)
-TUBE = tube_from(CONFIG)
-REACH = pressed_reach(TUBE.outer_diameter, press_from(CONFIG).diameter)
+SETTINGS = press_in_si(CONFIG)
+TUBE = SETTINGS.tube
+REACH = pressed_reach(TUBE.outer_diameter, SETTINGS.indenter.diameter)
 SHARES = (0.1, 0.3)
 """By which the section's height is less in the middle, at two depths."""
 ROUND = 6e-4
@@ -70,7 +71,7 @@ def area():
 @pytest.fixture
 def press(tmp_path):
     """A run of `indent` with made-up displacements, the last depth not reached."""
-    mesh = sweep(TUBE, REACH, SIZES["coarse"], halved=(True, True))
+    mesh = sweep(TUBE, REACH, MESH_SIZES["coarse"], halved=(True, True))
     depths = np.array([1e-3, 2e-3, 3e-3])
     moved = [squeezed(mesh.points, share) for share in SHARES]
     moved.append(np.full_like(mesh.points, np.nan))
@@ -154,7 +155,7 @@ def test_stl_of_a_press_is_in_millimetres():
 @pytest.mark.parametrize("halved", [(True, True), (True, False), (False, False)])
 def test_wall_as_it_lies_is_closed_and_has_its_volume(halved):
     """A round tube, whole or by halves; its ends by fans."""
-    mesh = sweep(TUBE, REACH, SIZES["coarse"], halved=halved)
+    mesh = sweep(TUBE, REACH, MESH_SIZES["coarse"], halved=halved)
     surface = closed_wall(mesh, mesh.points + squeezed(mesh.points, 0.2))
     assert surface.is_watertight
     assert surface.volume == pytest.approx(area() * REACH * (2 - 0.2), rel=ROUND)

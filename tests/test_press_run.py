@@ -17,6 +17,7 @@ from acoustube.indentation.self_contact import triangulated
 from acoustube.reports.figures import run as run_figure
 from acoustube.runs import presses as press_runs
 from acoustube.runs.config import Mechanics
+from acoustube.runs.config.si import press_in_si
 
 COARSE = MeshSize(through_wall=1, around=6, along=6)
 
@@ -159,7 +160,7 @@ def test_remembered_press_that_was_cut_short_is_computed_again_and_said(tmp_path
         (entry,) = (tmp_path / "cache").glob("*.npz")
         if name == "first":
             entry.write_bytes(entry.read_bytes()[:500])
-        said = f"note: The remembered press {entry} is damaged and was not used"
+        said = f"note: The cached press {entry} is damaged and was not used"
         with xr.open_dataset(tmp_path / name / "run.nc", engine="h5netcdf") as data:
             assert (said in printed.getvalue()) == (name == "second")
             assert ("is damaged" in data.attrs["warnings"]) == (name == "second")
@@ -204,4 +205,4 @@ def test_triangles_of_the_lumen_are_oriented_alike():
 
 
 def load_tube():
-    return press_runs.tube_from(load_config(None, Mechanics))
+    return press_in_si(load_config(None, Mechanics)).tube

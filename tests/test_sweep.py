@@ -24,10 +24,11 @@ from acoustube.cli._app import main
 from acoustube.lumen import pressed_part
 from acoustube.runs import sound
 from acoustube.runs.config import configured
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.presses import pressed
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep import tasks as sweep_tasks
-from acoustube.runs.sweep.graph import Case, structured
+from acoustube.runs.sweep.graph import Case, load_paths
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
 from acoustube.waves import PlacedScatterer, cut_cells, scatter
@@ -69,17 +70,17 @@ def test_cases_are_what_simulate_computes(finished):
     data = acoustube.open_dataset(finished)
     for case in (data.isel(press=i) for i in (4, 5)):
         config = configured(json.loads(str(case["configuration"].values)))
+        settings = settings_in_si(config)
         press = pressed(config, [0.3e-3, 0.6e-3])
         row = press.rows_at([float(case["depth"])])[0]
         part = pressed_part(press, row)
-        (group,) = structured([Case("a", config)])[0].groups
+        (group,) = load_paths([Case("a", config)])[0].groups
         matrix, _ = sound.scattering_of(
-            part, sound.air_of(config), (group.band.low, group.band.high),
+            part, settings.air, (group.band.low, group.band.high),
             bore=7.9e-3, resolution=8, lossy=True,
         )  # fmt: skip
-        position = 1e-2 * config.indentation.position_cm
-        same = sound.joined(config, [PlacedScatterer(matrix, position)])
-        alone, _ = sound.listen_by_parts(config, part)
+        same = sound.joined(settings, [PlacedScatterer(matrix, settings.position)])
+        alone, _ = sound.listen_by_parts(settings, part)
         for end in sound.SOURCE_ENDS:
             found = case["pressure"].sel(source_end=end).values
             assert np.abs(found - same[end].pressure[0]).max() < 1e-6
@@ -113,7 +114,7 @@ def test_labels_are_those_of_the_settings_and_the_press(finished):
 def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
     before = {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")}
     monkeypatch.setattr(sweep_tasks, "press", None)
-    monkeypatch.setattr(sweep_tasks, "hear", None)
+    monkeypatch.setattr("acoustube.runs.sweep.runner.simulate_cases", None)
     assert main(["sweep", *SMALL, "--out", str(finished)]) == 0
     assert "nothing to compute" in capsys.readouterr().out
     assert {path: path.stat().st_mtime_ns for path in finished.glob("cases-*")} == before
@@ -272,10 +273,10 @@ def _alive(pid):
 def test_a_failed_case_is_recorded_and_stops_no_other(finished, tmp_path, monkeypatch, capsys):
     real = sound.locate
 
-    def refuse(config, recording):
-        if config.indentation.position_cm == 25 and config.indentation.depth_mm == 0.3:
+    def refuse(settings, recording):
+        if (settings.position, settings.depth) == (0.25, 0.3e-3):
             raise ConfigError("this one does not work")
-        return real(config, recording)
+        return real(settings, recording)
 
     monkeypatch.setattr(sound, "locate", refuse)
     folder = tmp_path / "failing"
@@ -301,8 +302,8 @@ def test_a_failed_case_is_recorded_and_stops_no_other(finished, tmp_path, monkey
 def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
     real = sweep_tasks.press
 
-    def stop(config, depths):
-        done = real(config, depths)
+    def stop(settings, depths):
+        done = real(settings, depths)
         at = {depth: value for depth, value in done.result.at.items() if depth < 0.5e-3}
         return done._replace(result=sweep_tasks.PressPath(at, "cannot go beyond 0.5 mm"))
 
@@ -379,12 +380,12 @@ def test_scattering_of_another_air_is_that_of_the_same_wavelengths():
     assert np.abs(found.s - scatter(cells, warm, frequency, symmetric_only=True).s).max() > 0.01
 
 
-def test_scattering_is_remembered_under_all_that_it_depends_on():
+def test_scattering_is_cached_under_all_that_it_depends_on():
     (config,) = load_plan(None, {"depth_mm": ["2"]}).configs()
     band = sweep_tasks.Band(30e3, 50e3, 20.0)
 
     def name(config=config, depths=(1e-3, 2e-3), depth=2e-3, band=band):
-        return sweep_tasks.scattering_name(config, depths, depth, band)
+        return sweep_tasks.scattering_key(settings_in_si(config), depths, depth, band)
 
     def varied(section, **values):
         part = dataclasses.replace(getattr(config, section), **values)

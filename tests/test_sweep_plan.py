@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.cli._app import main
 from acoustube.runs.config import Config
 from acoustube.runs.sound import band_of
-from acoustube.runs.sweep.graph import Case, kept, shard, structured
+from acoustube.runs.sweep.graph import Case, load_paths, only_cases, shard
 from acoustube.runs.sweep.plan import Interval, Plan, case_name, load_plan, parsed, to_toml
 
 PAPER = {"indenter_mm": ["10", "25", "35"], "depth_mm": ["0.5:8:0.5"]}
@@ -113,55 +113,55 @@ def test_case_is_named_by_the_hash_of_its_settings():
     assert len(names) == 48
 
 
-def test_paper_plan_shares_three_descents_and_48_scatterings():
+def test_paper_plan_shares_three_load_paths_and_48_scatterings():
     over = PAPER | {
         "position_cm": ["10", "20", "30"], "temperature_c": ["15", "25"],
         "frequency_khz": ["40", "42"],
     }  # fmt: skip
-    found = structured(cases_of(over))
-    assert [len(descent.groups) for descent in found] == [16, 16, 16]
-    assert {len(group.cases) for descent in found for group in descent.groups} == {12}
-    assert [descent.config.indentation.indenter_mm for descent in found] == [10.0, 25.0, 35.0]
+    found = load_paths(cases_of(over))
+    assert [len(path.groups) for path in found] == [16, 16, 16]
+    assert {len(group.cases) for path in found for group in path.groups} == {12}
+    assert [path.settings.indenter.diameter for path in found] == [10e-3, 25e-3, 35e-3]
     assert found[0].depths == tuple(1e-3 * 0.5 * i for i in range(1, 17))
 
 
 def test_tube_length_needs_no_other_press_and_bore_does():
-    assert len(structured(cases_of({"length_cm": ["40", "80"]}))) == 1
-    assert len(structured(cases_of({"inner_diameter_mm": ["6", "7.9"]}))) == 2
-    assert len(structured(cases_of({"shore_a": ["30", "35"], "depth_mm": ["1", "2"]}))) == 2
+    assert len(load_paths(cases_of({"length_cm": ["40", "80"]}))) == 1
+    assert len(load_paths(cases_of({"inner_diameter_mm": ["6", "7.9"]}))) == 2
+    assert len(load_paths(cases_of({"shore_a": ["30", "35"], "depth_mm": ["1", "2"]}))) == 2
 
 
 def test_band_of_a_scattering_covers_all_its_pulses_in_their_air():
     cases = cases_of({"frequency_khz": ["30", "42"], "temperature_c": ["10", "30"]})
-    ((group,),) = (descent.groups for descent in structured(cases))
+    ((group,),) = (path.groups for path in load_paths(cases))
     for case in cases:
         ratio = sound_speed(group.band.temperature) / sound_speed(case.config.waves.temperature_c)
-        low, high = (ratio * edge for edge in band_of(case.config))
+        low, high = (ratio * edge for edge in band_of(case.settings.pulse))
         assert group.band.low <= low < high <= group.band.high
     assert group.band.high - group.band.low < 50e3
 
 
 def test_untouched_tubes_and_whole_marches_need_no_scattering():
-    untouched, pressed = structured(cases_of({"depth_mm": ["0", "2"]}))[0].groups
+    untouched, pressed = load_paths(cases_of({"depth_mm": ["0", "2"]}))[0].groups
     assert (untouched.depth, untouched.band) == (0.0, None)
     assert pressed.band is not None
-    (marched,) = structured(cases_of({"method": ["full"]}))[0].groups
+    (marched,) = load_paths(cases_of({"method": ["full"]}))[0].groups
     assert marched.band is None
 
 
-def test_remaining_work_keeps_all_depths_of_a_descent():
-    found = structured(cases_of(PAPER))
+def test_remaining_work_keeps_all_depths_of_a_load_path():
+    found = load_paths(cases_of(PAPER))
     wanted = found[1].groups[4].cases[0].name
-    (descent,) = kept(found, {wanted})
-    assert descent.depths == found[1].depths
-    assert [case.name for group in descent.groups for case in group.cases] == [wanted]
-    assert kept(found, set()) == []
+    (path,) = only_cases(found, {wanted})
+    assert path.depths == found[1].depths
+    assert [case.name for group in path.groups for case in group.cases] == [wanted]
+    assert only_cases(found, set()) == []
 
 
 @given(st.integers(1, 70))
 @settings(deadline=None, max_examples=25)
 def test_shares_are_disjoint_and_complete(count):
-    found = structured(cases_of(PAPER))
+    found = load_paths(cases_of(PAPER))
     shares = [shard(found, number, count) for number in range(1, count + 1)]
     assert sum(map(len, shares)) == 48
     assert set().union(*shares) == {case.name for case in cases_of(PAPER)}

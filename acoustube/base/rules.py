@@ -155,12 +155,6 @@ def short(value: Any) -> str:
     return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
-def filled(value: float | None) -> float:
-    """Return a setting that :class:`~acoustube.runs.config.Config` has filled in."""
-    assert value is not None
-    return value
-
-
 def nearest(name: str, known: Any) -> str:
     """Return advice that names the nearest known word, or all of them when none is near."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)

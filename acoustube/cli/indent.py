@@ -20,8 +20,9 @@ from acoustube.cli._header import print_wall
 from acoustube.indentation import PressError
 from acoustube.runs import results
 from acoustube.runs.config import Mechanics, to_toml
-from acoustube.runs.costs import PRESS_GIGABYTES, PRESS_SECONDS, TETRAHEDRA
-from acoustube.runs.presses import press_from, press_in_words, pressed
+from acoustube.runs.config.si import press_in_si
+from acoustube.runs.costs import PRESS_GIGABYTES, TETRAHEDRA, press_seconds
+from acoustube.runs.presses import press_in_words, press_to
 
 TABLE_ROWS = 16
 """Depths of a press that are printed."""
@@ -55,9 +56,9 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     from acoustube.reports.figures import run as run_figure
 
     started = time.perf_counter()
-    press, stopped = config.indentation, None
+    settings, stopped = press_in_si(config), None
+    depths = settings.depths
     notes: list[str] = []
-    depths = [1e-3 * (press.depth_mm * i / press.steps) for i in range(1, press.steps + 1)]
     with watched_interrupts() as check:
         _print_press_header(config, console)
         with partial_folder(folder) as partial:
@@ -65,7 +66,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
                 progress = functools.partial(report, "indentation")
                 progress(0.0)
                 try:
-                    indentation = pressed(config, depths, progress, notes.append)
+                    indentation = press_to(settings, depths, progress, notes.append)
                 except PressError as error:
                     indentation, stopped = error.indentation, error
             dataset = results.press_dataset(
@@ -96,9 +97,9 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
 def _print_press_header(config: Mechanics, console: Console) -> None:
     """Print what is about to be pressed."""
-    start, per_mm = PRESS_SECONDS[sum(press_from(config).halves)]
-    minutes = (start + per_mm * config.indentation.depth_mm) / 60
-    minutes *= TETRAHEDRA if config.tube.surface else 1.0
+    settings = press_in_si(config)
+    minutes = press_seconds(settings, settings.depth) / 60
+    minutes *= TETRAHEDRA if settings.surface else 1.0
     console.print(
         f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64; "
         f"about {max(minutes, 0.5):.1g} min unless it is remembered, {PRESS_GIGABYTES:g} GB",
@@ -106,7 +107,7 @@ def _print_press_header(config: Mechanics, console: Console) -> None:
     )
     print_wall(config, console)
     console.print(
-        f"press: {press_in_words(config)}, in {config.indentation.steps} steps", soft_wrap=True
+        f"press: {press_in_words(settings)}, in {config.indentation.steps} steps", soft_wrap=True
     )
 
 

@@ -17,16 +17,9 @@ from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
 from acoustube.cli._header import print_wall
 from acoustube.reports.scenes import tube as tube_scene
-from acoustube.runs.config import Config, grid_cells, to_toml
-from acoustube.runs.costs import (
-    FIXED_GIGABYTES,
-    FIXED_SECONDS,
-    GIGABYTES_PER_CELL,
-    LOSSY,
-    SCATTERING_STEPS,
-    SECONDS_PER_CELL_STEP,
-    STEPS_PER_LAYER,
-)
+from acoustube.runs.config import Config, to_toml
+from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.costs import simulation_cost
 from acoustube.runs.presses import press_in_words
 from acoustube.runs.simulate import simulate
 
@@ -85,21 +78,15 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
 
 def _print_header(config: Config, console: Console) -> None:
     """Print what is about to be computed, and what it costs."""
-    tube, press, waves = config.tube, config.indentation, config.waves
-    cells, layers = grid_cells(config), waves.resolution / tube.inner_diameter_mm
-    steps = STEPS_PER_LAYER * 10 * tube.length_cm * layers
-    if waves.method == "scattering":
-        steps = SCATTERING_STEPS * layers
-    seconds = cells * steps * SECONDS_PER_CELL_STEP * (LOSSY if waves.losses == "on" else 1)
-    minutes = (FIXED_SECONDS + seconds) / 60
-    memory = FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
+    waves, settings = config.waves, settings_in_si(config)
+    seconds, memory = simulation_cost(settings)
     where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
     grid = f"{waves.resolution} cells across the bore"
-    cost = f"about {max(minutes, 0.5):.1g} min, {memory:.1f} GB"
+    cost = f"about {max(seconds / 60, 0.5):.1g} min, {memory:.1f} GB"
     console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
     print_wall(config, console)
     console.print(
-        f"press: {press_in_words(config)}, at {press.position_cm:g} cm",
+        f"press: {press_in_words(settings)}, at {config.position_cm:g} cm",
         soft_wrap=True,
     )
     console.print(

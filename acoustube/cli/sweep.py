@@ -9,7 +9,7 @@ from rich.console import Console
 from acoustube.base.console import ConsoleReporter
 from acoustube.runs.config import section_of
 from acoustube.runs.sweep import store
-from acoustube.runs.sweep.graph import OF_MATRIX, OWN, Case, structured
+from acoustube.runs.sweep.graph import CASE_SETTINGS, SCATTERING_SETTINGS, Case, load_paths
 from acoustube.runs.sweep.plan import Plan
 from acoustube.runs.sweep.run import Scale, Work, cases_of, report_work, work_of
 from acoustube.runs.sweep.workers import cores
@@ -58,7 +58,7 @@ def dry_run(
         return
     step = len(plan) // SAMPLED + 1
     sample = [Case(str(i), c) for i, c in enumerate(plan.configs(range(0, len(plan), step)))]
-    part = structured(sample)
+    part = load_paths(sample)
     scale = Scale(len(plan) / len(sample), *counted(plan))
     report_work(Work(part, 0, {}, len(plan)), workers, report, scale)
     report.note(f"one in {step} cases was checked, none looked up")
@@ -66,6 +66,6 @@ def dry_run(
 
 def counted(plan: Plan) -> tuple[int, int]:
     """Return how many paths and scattering matrices a plan has, from what varies in it."""
-    own = {name for names in OWN.values() for name in names}
-    of_path = [name for name in plan.columns() if section_of(name) in OWN and name not in own]
-    return plan.distinct(of_path), plan.distinct([*of_path, "depth_mm", *OF_MATRIX])
+    own = {name for names in CASE_SETTINGS.values() for name in names}
+    of_path = [n for n in plan.columns() if section_of(n) in CASE_SETTINGS and n not in own]
+    return plan.distinct(of_path), plan.distinct([*of_path, "depth_mm", *SCATTERING_SETTINGS])

@@ -1,6 +1,10 @@
-"""Expected processor time and memory of a press and of its sound."""
+"""Expected computing time and memory of a press and of its sound."""
 
 from __future__ import annotations
+
+from acoustube.base.units import MM
+from acoustube.runs.config import grid_cells
+from acoustube.runs.config.si import SIPress, SISettings
 
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
@@ -11,4 +15,32 @@ SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.0)}, 1.0
 """Of a press: once and per mm of depth, by how often symmetry halves the tube."""
 TETRAHEDRA = 4.0
-"""By what a press of a wall from a file takes longer."""
+"""Factor on the time of a press of a wall from a file."""
+
+
+def press_seconds(settings: SIPress, depth: float) -> float:
+    """Return the expected time in s of a press to a depth in m."""
+    start, per_mm = PRESS_SECONDS[sum(settings.indenter.halves)]
+    return start + per_mm * MM * depth
+
+
+def simulation_cost(settings: SISettings) -> tuple[float, float]:
+    """Return the expected time in s and memory in GB of a simulation."""
+    cells, layers = cells_of(settings), settings.resolution / (MM * settings.tube.inner_diameter)
+    steps = STEPS_PER_LAYER * MM * settings.tube.length * layers
+    if settings.method == "scattering":
+        steps = SCATTERING_STEPS * layers
+    seconds = cells * steps * SECONDS_PER_CELL_STEP * (LOSSY if settings.lossy else 1)
+    return FIXED_SECONDS + seconds, FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
+
+
+def cells_of(settings: SISettings) -> float:
+    """Return the number of grid cells in the box around the bore that is marched."""
+    return grid_cells(
+        bore=settings.tube.inner_diameter,
+        outer_diameter=settings.tube.outer_diameter,
+        indenter_diameter=settings.indenter.diameter,
+        tube_length=settings.tube.length,
+        resolution=settings.resolution,
+        method=settings.method,
+    )

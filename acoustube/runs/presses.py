@@ -1,4 +1,4 @@
-"""The press that the settings describe, computed once and remembered."""
+"""Press of the tube that the settings describe, computed once and then read from the cache."""
 
 from __future__ import annotations
 
@@ -14,70 +14,28 @@ from numpy.typing import NDArray
 from acoustube.base import cache
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
-from acoustube.base.rules import filled
-from acoustube.indentation import Indentation, Layer, Mesh, MeshSize, Press, indent, restored
+from acoustube.base.units import MM, MPA
+from acoustube.indentation import Indentation, Mesh, MeshSize, indent, restored
 from acoustube.indentation.press import deepest_press
 from acoustube.indentation.reference_element import TET10
 from acoustube.runs.config import Config, Mechanics
-from acoustube.tube import Tube, shear_modulus_from_shore
+from acoustube.runs.config.si import SIPress, press_in_si
+from acoustube.tube import Tube
 
 Arrays = Mapping[str, NDArray[Any]]
+Progress = Callable[[float], None]
+Note = Callable[[str], None]
 
 MESH = ("points", "elements", "inner_faces", "outer_faces")
-SIZES = {
-    "coarse": MeshSize(through_wall=1, around=12, along=10),
-    "usual": MeshSize(),
-    "fine": MeshSize(through_wall=2, around=24, along=18),
-}
-"""Meshes of a round tube. The force of a 25 mm rod on each is in the documentation's findings."""
-
-
-def shear_modulus_from(config: Config | Mechanics) -> float:
-    """Return the wall's shear modulus in Pa."""
-    settings = config.tube
-    if settings.shear_modulus_mpa is not None:
-        return 1e6 * settings.shear_modulus_mpa
-    return shear_modulus_from_shore(filled(settings.shore_a))
-
-
-def tube_from(config: Config | Mechanics) -> Tube:
-    """Return the round tube that the settings describe, in SI units."""
-    settings = config.tube
-    return Tube(
-        inner_diameter=1e-3 * settings.inner_diameter_mm,
-        wall_thickness=1e-3 * settings.wall_mm,
-        length=1e-2 * settings.length_cm,
-        shear_modulus=shear_modulus_from(config),
-        poisson_ratio=settings.poisson_ratio,
-    )
-
-
-def press_from(config: Config | Mechanics) -> Press:
-    """Return the press that the settings describe, in SI units."""
-    settings = config.indentation
-    return Press(
-        shape=settings.shape,
-        diameter=1e-3 * settings.indenter_mm,
-        x=1e-3 * settings.offset_mm,
-        yaw=float(np.deg2rad(settings.yaw_deg)),
-    )
-
-
-def layer_from(config: Config | Mechanics) -> Layer | None:
-    """Return the elastic layer under the tube, in SI units, if there is one."""
-    settings = config.indentation
-    if settings.layer_mm is None:
-        return None
-    return Layer(thickness=1e-3 * settings.layer_mm, modulus=1e6 * filled(settings.layer_mpa))
 
 
 def pressed(
     config: Config | Mechanics,
     depths: Sequence[float],
-    progress: Callable[[float], None] | None = None,
-    note: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+    note: Note | None = None,
 ) -> Indentation:
-    """Press the tube that the settings describe, or recall that it has been pressed before.
+    """Press the tube that the settings describe, or read its press from the cache.
 
     Parameters
     ----------
@@ -87,7 +45,7 @@ def pressed(
     progress : callable, optional
         Called with the finished fraction.
     note : callable, optional
-        Called with a sentence where a remembered press is damaged and has to be computed again.
+        Called with a sentence where a cached press is damaged and has to be computed again.
 
     Returns
     -------
@@ -100,106 +58,113 @@ def pressed(
     ConfigError, PressError
         See :func:`acoustube.indentation.indent` and :mod:`acoustube.indentation.tetrahedra`.
     """
-    press, layer, support = press_from(config), layer_from(config), config.indentation.support
-    surface = config.tube.surface
-    name = remembered_as(config, depths)
+    return press_to(press_in_si(config), depths, progress, note)
+
+
+def press_to(
+    settings: SIPress,
+    depths: Sequence[float],
+    progress: Progress | None = None,
+    note: Note | None = None,
+) -> Indentation:
+    """Press a tube to several depths as :func:`pressed`, from settings in SI units."""
+    name = cache_key(settings, depths)
     known = cache.recall(name)
     if note and known is None and cache.holds(name):
         entry = cache.folder() / f"{name}.npz"
-        note(f"The remembered press {entry} is damaged and was not used: it was computed again.")
-    size = SIZES[config.indentation.mesh]
-    tube, mesh = (tube_from(config), size) if surface is None else _imported(config, press, known)
+        note(f"The cached press {entry} is damaged and was not used: it was computed again.")
+    indenter, support, layer = settings.indenter, settings.support, settings.layer
+    tube, mesh = _tube_and_mesh(settings, known)
     if known is not None:
-        return restored(tube, press, known, support=support, layer=layer, mesh=mesh)
+        return restored(tube, indenter, known, support=support, layer=layer, mesh=mesh)
     found = indent(
-        tube, press, depth=depths, support=support, layer=layer, mesh=mesh, progress=progress
+        tube, indenter, depth=depths, support=support, layer=layer, mesh=mesh, progress=progress
     )
-    cache.store(name, _arrays(found), f"{wall_in_words(config)}; {press_in_words(config)}")
+    cache.store(name, _arrays(found), f"{wall_in_words(settings)}; {press_in_words(settings)}")
     return found
 
 
-def remembered_as(config: Config | Mechanics, depths: Sequence[float]) -> str:
+def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
     """Return the name in the cache of the press that the settings describe, to depths in m."""
-    layer, surface = layer_from(config), config.tube.surface
-    tube = dataclasses.asdict(tube_from(config))
+    tube = dataclasses.asdict(settings.tube)
     del tube["length"]  # beyond the modelled part, whose length follows from the press
     return cache.key(
         "press",
         {
             "tube": tube,
-            "surface": surface and _content(Path(surface)),
-            "press": dataclasses.asdict(press_from(config)),
-            "layer": layer and dataclasses.asdict(layer),
-            "support": config.indentation.support,
-            "mesh": dataclasses.asdict(SIZES[config.indentation.mesh]),
+            "surface": settings.surface and _content(Path(settings.surface)),
+            "press": dataclasses.asdict(settings.indenter),
+            "layer": settings.layer and dataclasses.asdict(settings.layer),
+            "support": settings.support,
+            "mesh": dataclasses.asdict(settings.mesh),
             "depths": list(depths),
         },
     )
 
 
-def wall_in_words(config: Config | Mechanics) -> str:
+def wall_in_words(settings: SIPress) -> str:
     """Return in words what is pressed."""
-    tube = config.tube
-    if tube.surface is not None:
-        return Path(tube.surface).name
-    return f"bore {tube.inner_diameter_mm:g} mm, wall {tube.wall_mm:g} mm"
+    if settings.surface is not None:
+        return Path(settings.surface).name
+    tube = settings.tube
+    return f"bore {MM * tube.inner_diameter:g} mm, wall {MM * tube.wall_thickness:g} mm"
 
 
-def press_in_words(config: Config | Mechanics) -> str:
+def press_in_words(settings: SIPress) -> str:
     """Return in words how it is pressed."""
-    press = config.indentation
-    words = [f"{press.indenter_mm:g} mm {press.shape}", f"{press.depth_mm:g} mm deep"]
-    words += [f"{press.offset_mm:g} mm beside the axis"] * (press.offset_mm != 0)
-    words += [f"turned by {press.yaw_deg:g} deg"] * (press.yaw_deg != 0)
-    if press.layer_mm is not None:
-        words.append(f"on {press.layer_mm:g} mm of {filled(press.layer_mpa):g} MPa")
-    return ", ".join([*words, f"support {press.support}"])
+    indenter, layer = settings.indenter, settings.layer
+    words = [f"{MM * indenter.diameter:g} mm {indenter.shape}", f"{MM * settings.depth:g} mm deep"]
+    words += [f"{MM * indenter.x:g} mm beside the axis"] * (indenter.x != 0)
+    words += [f"turned by {np.degrees(indenter.yaw):g} deg"] * (indenter.yaw != 0)
+    if layer is not None:
+        words.append(f"on {MM * layer.thickness:g} mm of {MPA * layer.modulus:g} MPa")
+    return ", ".join([*words, f"support {settings.support}"])
 
 
 def _content(path: Path) -> str:
-    """Return the hash of a file's content; one that cannot be read is refused when it is read."""
+    """Return the hash of a file's content; one that cannot be read is rejected when it is read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
         return "unreadable"
 
 
-def _imported(
-    config: Config | Mechanics, press: Press, known: Arrays | None
-) -> tuple[Tube, Mesh | MeshSize]:
-    """Return an imported tube with its mesh, which is not made again where it is remembered."""
+def _tube_and_mesh(settings: SIPress, known: Arrays | None) -> tuple[Tube, Mesh | MeshSize]:
+    """Return the tube, and its mesh or the size of its elements; `known` is a cached press."""
+    if settings.surface is None:
+        return settings.tube, settings.mesh
     from acoustube.indentation import tetrahedra, wall_surface
     from acoustube.runs import imported_wall
 
-    surface = imported_wall.read_surface(str(config.tube.surface))
+    surface = imported_wall.read_surface(settings.surface)
     tube = wall_surface.tube_of(
         surface,
-        shear_modulus=shear_modulus_from(config),
-        poisson_ratio=config.tube.poisson_ratio,
+        shear_modulus=settings.tube.shear_modulus,
+        poisson_ratio=settings.tube.poisson_ratio,
     )
-    _check_depth(tube, config)
+    _check_depth(tube, settings)
     if known is not None:
         halved = bool(known["halved"][0]), bool(known["halved"][1])
         parts: dict[str, Any] = {name: known[name] for name in MESH}
         return tube, Mesh(**parts, reference=TET10, halved=halved)
-    reach = pressed_reach(tube.outer_diameter, press.diameter)
-    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=press.halves)
+    reach = pressed_reach(tube.outer_diameter, settings.indenter.diameter)
+    halves = settings.indenter.halves
+    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=halves)
 
 
-def _check_depth(tube: Tube, config: Config | Mechanics) -> None:
-    """Refuse a depth beyond what an imported tube allows, before it is meshed."""
-    depth_mm = config.indentation.depth_mm
-    deepest = deepest_press(tube, layer_from(config))
-    if 1e-3 * depth_mm > deepest * (1 + 1e-9):
+def _check_depth(tube: Tube, settings: SIPress) -> None:
+    """Reject a depth beyond what an imported tube allows, before it is meshed."""
+    deepest = deepest_press(tube, settings.layer)
+    if settings.depth > deepest * (1 + 1e-9):
         raise ConfigError(
-            f"depth_mm = {depth_mm:g} is beyond a closed lumen by more than half a wall (bore "
-            f"{1e3 * tube.inner_diameter:.3g} mm high, wall {1e3 * tube.wall_thickness:.3g} mm); "
-            f"use at most {1e3 * deepest:.3g}"
+            f"depth_mm = {MM * settings.depth:g} is beyond a closed lumen by more than half a wall "
+            f"(bore {MM * tube.inner_diameter:.3g} mm high, wall {MM * tube.wall_thickness:.3g} "
+            f"mm); use at most {MM * deepest:.3g}"
         )
 
 
 def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:
-    """Return what is remembered of a press: its results, and a mesh that was imported."""
+    """Return the arrays of a press that are cached: its results, and a mesh that was imported."""
     mesh = indentation.mesh
     found = dict(indentation.results)
     if mesh.sweep is None:

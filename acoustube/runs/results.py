@@ -13,10 +13,12 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.netcdf import Variable, flag, variable
+from acoustube.base.units import MM
 from acoustube.base.version import __version__
 from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.runs.config import Config, Mechanics
+from acoustube.runs.config.si import SISettings
 from acoustube.signals import Ranging
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
 
@@ -33,12 +35,12 @@ DEPTH = "how far the tool has come down from first touch"
 
 def dataset(
     config: Config,
+    settings: SISettings,
     indentation: Indentation,
     lumen: Lumen,
     recordings: Mapping[SourceEnd, Recording],
     rangings: Mapping[SourceEnd, Ranging],
     *,
-    sound_speed: float,
     budget: Budget,
     seconds: Mapping[str, float],
     warnings: Sequence[str],
@@ -49,12 +51,12 @@ def dataset(
     Parameters
     ----------
     config : Config
+    settings : SISettings
+        The same in SI units.
     indentation : Indentation
     lumen : Lumen
     recordings, rangings : mapping of str
         The recorded and the processed signal for each choice of the source end.
-    sound_speed : float
-        In m/s.
     budget : Budget
         What the recordings can be trusted with.
     seconds : mapping of str to float
@@ -73,12 +75,12 @@ def dataset(
         _mechanics(indentation, range(len(indentation.depth)))
         | _mesh(indentation.mesh)
         | _shape(indentation, lumen)
-        | _recorded(recordings, config)
-        | _ranged(rangings, config.waves.source_end)
+        | _recorded(recordings, settings.pulse)
+        | _ranged(rangings, settings.source_end)
         | _trusted(budget)
         | {
             "true_distance": variable("", lumen.position, "m", "distance of the press"),
-            "sound_speed": variable("", sound_speed, "m/s", "speed of sound"),
+            "sound_speed": variable("", settings.air.sound_speed, "m/s", "speed of sound"),
             "elapsed_time": variable("stage", list(seconds.values()), "s", "time of each stage"),
         }
     )
@@ -149,7 +151,7 @@ def press_dataset(
         "precision": "float64",
         "closed": (
             "the lumen counts as closed where smallest_gap is under "
-            f"{1e3 * indentation.closing_distance:.4g} mm, where its walls feel each other"
+            f"{MM * indentation.closing_distance:.4g} mm, where its walls feel each other"
         ),
     }
     return xr.Dataset(found, coordinates, origin)
@@ -279,10 +281,9 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
     }
 
 
-def _recorded(recordings: Mapping[SourceEnd, Recording], config: Config) -> dict[str, Variable]:
-    """Return what the probe heard, and the grid on which it was computed."""
+def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[str, Variable]:
+    """Return the pressure at the probe, and the grid on which it was computed."""
     first = next(iter(recordings.values()))
-    pulse = Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
     return {
         "time": variable("time", first.time, "s", "time since the pulse starts to leave"),
         "pressure": variable(

@@ -13,27 +13,16 @@ import xarray as xr
 from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
 from acoustube.base.errors import SimulationError
 from acoustube.base.limits import LARGEST_CLOSING
-from acoustube.base.rules import filled
 from acoustube.base.types import Report
+from acoustube.base.units import KHZ, MM, MS, UM
 from acoustube.indentation import Indentation
 from acoustube.lumen import lumen, measure, pressed_part
 from acoustube.runs import results
 from acoustube.runs.config import Config, check_touched
-from acoustube.runs.presses import pressed
-from acoustube.runs.sound import (
-    BAND_EDGE,
-    air_of,
-    blind_time,
-    listen,
-    listen_by_parts,
-    locate,
-    probe_of,
-    pulse_of,
-)
-from acoustube.waves import (
-    attenuation,
-    cut_ons_in_band,
-)
+from acoustube.runs.config.si import SISettings, settings_in_si
+from acoustube.runs.presses import press_to
+from acoustube.runs.sound import BAND_EDGE, blind_time, listen, listen_by_parts, locate
+from acoustube.waves import attenuation, cut_ons_in_band
 
 
 def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
@@ -68,75 +57,74 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     """
     config = config or Config()
     check_touched(config)
+    settings = settings_in_si(config)
     report = report or _silent
     seconds: dict[str, float] = {}
     notes: list[str] = []
-    air = air_of(config)
 
     with stage("indentation", seconds, report) as progress:
-        depth = 1e-3 * config.indentation.depth_mm
-        indentation = pressed(config, [depth], progress, notes.append)
+        indentation = press_to(settings, [settings.depth], progress, notes.append)
     with stage("lumen", seconds, report):
-        space = lumen(indentation, 1e-2 * filled(config.indentation.position_cm))
+        space = lumen(indentation, settings.position)
     with stage("waves", seconds, report) as progress:
-        if config.waves.method == "full":
-            recordings, budget = listen(config, space, progress)
+        if settings.method == "full":
+            recordings, budget = listen(settings, space, progress)
         else:
-            recordings, budget = listen_by_parts(config, pressed_part(indentation), progress)
+            recordings, budget = listen_by_parts(settings, pressed_part(indentation), progress)
     with stage("signals", seconds, report):
-        rangings = {end: locate(config, recording) for end, recording in recordings.items()}
+        rangings = {end: locate(settings, recording) for end, recording in recordings.items()}
 
     return results.dataset(
         config,
+        settings,
         indentation,
         space,
         recordings,
         rangings,
-        sound_speed=air.sound_speed,
         seconds=seconds,
         budget=budget,
-        warnings=[*notes, *warnings_for(config), *_narrow(config, indentation)],
+        warnings=[*notes, *warnings_for(settings), *_narrow(settings, indentation)],
         device=jax.devices()[0].device_kind,
     )
 
 
-def warnings_for(config: Config) -> list[str]:
+def warnings_for(settings: SISettings) -> list[str]:
     """Return one sentence for each way in which the settings leave the model's range."""
-    waves, radius = config.waves, 0.5e-3 * config.tube.inner_diameter_mm
-    air, pulse = air_of(config), pulse_of(config)
+    air, pulse, radius = settings.air, settings.pulse, settings.radius
     found = [
-        f"Mode ({mode.m},{mode.n}) cuts on at {1e-3 * mode.cut_on:.2f} kHz, inside the pulse's "
+        f"Mode ({mode.m},{mode.n}) cuts on at {KHZ * mode.cut_on:.2f} kHz, inside the pulse's "
         "band: small errors of bore or temperature decide whether it propagates."
         for mode in cut_ons_in_band(pulse.band(BAND_EDGE), radius, air.sound_speed)
     ]
-    path = 2 * (1e-2 * filled(config.indentation.position_cm) - probe_of(config))
-    blind = blind_time(config)
+    path = 2 * (settings.position - settings.probe)
+    blind = blind_time(settings)
     if path < air.sound_speed * blind:
         found.append(
-            f"The echo comes back within {1e3 * blind:.2f} ms of the send pulse, where it is not "
+            f"The echo comes back within {MS * blind:.2f} ms of the send pulse, where it is not "
             "looked for: move the press away from the source or raise the low-pass."
         )
-    depth, bore = config.indentation.depth_mm, config.tube.inner_diameter_mm
-    if depth > LARGEST_CLOSING * bore:
+    bore = settings.tube.inner_diameter
+    if settings.depth > LARGEST_CLOSING * bore:
         found.append(
-            f"At {depth:g} mm the walls of the {bore:g} mm lumen meet, or nearly: what is narrower "
-            f"than a cell of {bore / waves.resolution:.2g} mm passes sound only about as it should."
+            f"At {MM * settings.depth:g} mm the walls of the {MM * bore:g} mm lumen meet, or "
+            f"nearly: what is narrower than a cell of {MM * bore / settings.resolution:.2g} mm "
+            "passes sound only about as it should."
         )
-    if waves.losses == "off":
+    if not settings.lossy:
         loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
         found.append(
-            f"The losses are off; boundary layers and the air, {waves.temperature_c:g} degC warm, "
+            f"The losses are off; boundary layers and the air, {settings.temperature:g} degC warm, "
             f"would lower this echo by {loss:.1f} dB."
         )
     return found
 
 
-def _narrow(config: Config, indentation: Indentation) -> list[str]:
+def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
     """Return a warning where the lumen is so narrow that its boundary layers fill it."""
     height = measure(indentation, -1, np.array([indentation.presses[0].z])).height[0]
-    layers = height / viscous_thickness(air_of(config), 1e3 * config.waves.frequency_khz)
+    layers = height / viscous_thickness(settings.air, settings.pulse.frequency)
     warning = (
-        f"The lumen is {1e6 * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
+        f"The lumen is {UM * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
         "layers: the losses there are more than first order."
     )
     return [warning] if layers < NARROW_GAP_LAYERS else []

@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from acoustube import signals
-from acoustube.air import Air, air_at
-from acoustube.base.rules import filled
+from acoustube.air import Air
 from acoustube.lumen import Lumen
-from acoustube.runs.config import Config
+from acoustube.runs.config.si import SISettings
 from acoustube.waves import (
     Budget,
     CutCells,
@@ -43,35 +42,19 @@ TIME_STEP = 1e-6
 """Of the sound in s that is put together from scattering and straight tube."""
 
 
-def blind_time(config: Config) -> float:
+def blind_time(settings: SISettings) -> float:
     """Return how long after its maximum the send pulse's envelope has faded, in s."""
-    return signals.blind_time(pulse_of(config).duration, 1e3 * filled(config.signals.lowpass_khz))
-
-
-def air_of(config: Config) -> Air:
-    """Return the air in the tube that the settings describe."""
-    waves = config.waves
-    return air_at(
-        waves.temperature_c,
-        humidity=waves.humidity_percent,
-        pressure=1e3 * waves.pressure_kpa,
-    )
-
-
-def pulse_of(config: Config) -> Pulse:
-    """Return the source pulse that the settings describe."""
-    return Pulse(frequency=1e3 * config.waves.frequency_khz, cycles=config.waves.cycles)
+    return signals.blind_time(settings.pulse.duration, settings.cutoff)
 
 
 def listen(
-    config: Config, space: Lumen, progress: Callable[[float], None] | None = None
+    settings: SISettings, space: Lumen, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[SourceEnd, Recording], Budget]:
     """Send a pulse through a lumen and record it at the probe plane.
 
     Parameters
     ----------
-    config : Config
-        The settings of the tube and of the sound.
+    settings : SISettings
     space : Lumen
         The lumen; where it is symmetric about x = 0, half of it is computed.
     progress : callable, optional
@@ -84,8 +67,8 @@ def listen(
     budget : Budget
         What they can be trusted with.
     """
-    air, pulse, probe = air_of(config), pulse_of(config), probe_of(config)
-    spacing = grid_spacing(1e-3 * config.tube.inner_diameter_mm, config.waves.resolution, probe)
+    air, probe = settings.air, settings.probe
+    spacing = grid_spacing(settings.tube.inner_diameter, settings.resolution, probe)
     cells = cut_cells(space.surface, spacing, half=space.symmetric)
     recordings: dict[SourceEnd, Recording] = {}
     # Both on the time axis of the first: their limits differ by less than a permille.
@@ -94,27 +77,26 @@ def listen(
         recordings[source_end] = propagate(
             cells,
             air,
-            pulse,
-            duration=_duration(config, air),
+            settings.pulse,
+            duration=_duration(settings, air),
             probes=(probe,),
             source_end=source_end,
             time_step=time_step,
-            lossy_band=band_of(config) if config.waves.losses == "on" else None,
+            lossy_band=band_of(settings.pulse) if settings.lossy else None,
             progress=_share_of(progress or _ignore, done),
         )
         time_step = recordings[source_end].time_step
-    return recordings, _budget(config, cells, time_step, recordings)
+    return recordings, _budget(settings, cells, time_step, recordings)
 
 
 def listen_by_parts(
-    config: Config, part: Lumen, progress: Callable[[float], None] | None = None
+    settings: SISettings, part: Lumen, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[SourceEnd, Recording], Budget]:
     """Return what :func:`listen` does, from the scattering of the pressed part and straight tube.
 
     Parameters
     ----------
-    config : Config
-        The settings of the tube and of the sound.
+    settings : SISettings
     part : Lumen
         The pressed part, from :func:`acoustube.lumen.pressed_part`.
     progress : callable, optional
@@ -127,15 +109,12 @@ def listen_by_parts(
     budget : Budget
         What they can be trusted with.
     """
-    bore = 1e-3 * config.tube.inner_diameter_mm
     matrix, cells = scattering_of(
-        part, air_of(config), band_of(config), bore=bore, resolution=config.waves.resolution,
-        lossy=config.waves.losses == "on", progress=progress,
+        part, settings.air, band_of(settings.pulse), bore=settings.tube.inner_diameter,
+        resolution=settings.resolution, lossy=settings.lossy, progress=progress,
     )  # fmt: skip
-    recordings = joined(
-        config, [PlacedScatterer(matrix, 1e-2 * filled(config.indentation.position_cm))]
-    )
-    return recordings, _budget(config, cells, None, recordings)
+    recordings = joined(settings, [PlacedScatterer(matrix, settings.position)])
+    return recordings, _budget(settings, cells, None, recordings)
 
 
 def scattering_of(
@@ -191,13 +170,12 @@ def scattering_of(
     return matrix, cells
 
 
-def joined(config: Config, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd, Recording]:
+def joined(settings: SISettings, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd, Recording]:
     """Return what the probe of a tube hears, from presses of known scattering.
 
     Parameters
     ----------
-    config : Config
-        The settings of the tube and of the sound.
+    settings : SISettings
     presses : sequence of PlacedScatterer
         Instead of the settings' press; none for an untouched tube.
 
@@ -206,20 +184,20 @@ def joined(config: Config, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd
     dict of Recording
         For each choice of the source end. Spacing and shape of the grid are the first press's.
     """
-    probe = probe_of(config)
+    air, probe = settings.air, settings.probe
     recordings: dict[SourceEnd, Recording] = {}
     for source_end in SOURCE_ENDS:
         time, pressure = probe_pressure(
             presses,
-            air_of(config),
-            pulse_of(config),
-            radius=0.5e-3 * config.tube.inner_diameter_mm,
-            length=1e-2 * config.tube.length_cm,
-            duration=_duration(config, air_of(config)),
+            air,
+            settings.pulse,
+            radius=settings.radius,
+            length=settings.tube.length,
+            duration=_duration(settings, air),
             time_step=TIME_STEP,
             probes=[probe],
             source_reflection=-1.0 if source_end == "release" else 0.0,
-            lossy=config.waves.losses == "on",
+            lossy=settings.lossy,
         )
         # A bend has no grid.
         found = (press.scattering for press in presses)
@@ -236,35 +214,33 @@ def joined(config: Config, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd
 
 
 def _budget(
-    config: Config,
+    settings: SISettings,
     cells: CutCells,
     time_step: float | None,
     recordings: Mapping[SourceEnd, Recording],
 ) -> Budget:
     """Return what recordings can be trusted with."""
-    pulse = pulse_of(config)
     return error_budget(
         cells,
-        air_of(config),
-        frequency=pulse.frequency,
-        highest=pulse.band(BAND_EDGE)[1],
-        radius=0.5e-3 * config.tube.inner_diameter_mm,
+        settings.air,
+        frequency=settings.pulse.frequency,
+        highest=settings.pulse.band(BAND_EDGE)[1],
+        radius=settings.radius,
         time_step=time_step,
-        lossy=config.waves.losses == "on",
-        pressure=recordings[config.waves.source_end].pressure,
+        lossy=settings.lossy,
+        pressure=recordings[settings.source_end].pressure,
     )
 
 
-def band_of(config: Config) -> tuple[float, float]:
-    """Return the band in Hz in which the sound is followed."""
-    pulse = pulse_of(config)
+def band_of(pulse: Pulse) -> tuple[float, float]:
+    """Return the band in Hz in which the sound of a pulse is followed."""
     lowest, highest = pulse.band(HEARD)
     return max(lowest, LOWEST * pulse.frequency), highest
 
 
-def _duration(config: Config, air: Air) -> float:
+def _duration(settings: SISettings, air: Air) -> float:
     """Return a time in s that is long enough for the middle of an echo from the far end."""
-    return 2e-2 * config.tube.length_cm / air.sound_speed + 0.5 * pulse_of(config).duration
+    return 2 * settings.tube.length / air.sound_speed + 0.5 * settings.pulse.duration
 
 
 def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:
@@ -272,23 +248,18 @@ def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float],
     return lambda part: progress((done + part) / len(SOURCE_ENDS))
 
 
-def locate(config: Config, recording: Recording) -> signals.Ranging:
+def locate(settings: SISettings, recording: Recording) -> signals.Ranging:
     """Find the press in a recording by the settings' processing."""
     return signals.process(
         recording.time,
         recording.pressure[0],
-        pulse_duration=pulse_of(config).duration,
-        probe_position=probe_of(config),
-        temperature=config.waves.temperature_c,
-        cutoff=1e3 * filled(config.signals.lowpass_khz),
-        prominence=config.signals.prominence,
-        farthest=1e-2 * config.tube.length_cm,
+        pulse_duration=settings.pulse.duration,
+        probe_position=settings.probe,
+        temperature=settings.temperature,
+        cutoff=settings.cutoff,
+        prominence=settings.prominence,
+        farthest=settings.tube.length,
     )
-
-
-def probe_of(config: Config) -> float:
-    """Return the distance of the probe plane from the source end, in m."""
-    return 1e-2 * config.waves.probe_cm
 
 
 def _ignore(_fraction: float) -> None:

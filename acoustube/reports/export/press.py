@@ -16,7 +16,7 @@ from acoustube.indentation.mesh import sweep
 from acoustube.indentation.press import CLOSING_DISTANCE, neo_hookean_wall
 from acoustube.indentation.reference_element import HEX20, TET10
 from acoustube.runs.config import Mechanics, configured
-from acoustube.runs.presses import SIZES, layer_from, press_from, tube_from
+from acoustube.runs.config.si import press_in_si
 
 SAME = 1e-9
 """Difference in m up to which nodes are the same."""
@@ -70,13 +70,13 @@ def indentation_of(run: xr.Dataset) -> Indentation:
     ConfigError
         If the mesh is none that this version makes of these settings.
     """
-    config = settings_of(run)
-    tube, press, rows = tube_from(config), press_from(config), reached(run)
+    settings, rows = press_in_si(settings_of(run)), reached(run)
+    tube, indenter = settings.tube, settings.indenter
     mesh = sweep(
         tube,
-        pressed_reach(tube.outer_diameter, press.diameter),
-        SIZES[config.indentation.mesh],
-        halved=press.halves,
+        pressed_reach(tube.outer_diameter, indenter.diameter),
+        settings.mesh,
+        halved=indenter.halves,
     )
     stored = run["node_position"].values
     if stored.shape != mesh.points.shape or np.abs(stored - mesh.points).max() > SAME:
@@ -88,8 +88,8 @@ def indentation_of(run: xr.Dataset) -> Indentation:
         return run[name].values[rows]
 
     return Indentation(
-        tube=tube, presses=(press,), support=config.indentation.support,
-        layer=layer_from(config), material=neo_hookean_wall(tube), mesh=mesh,
+        tube=tube, presses=(indenter,), support=settings.support,
+        layer=settings.layer, material=neo_hookean_wall(tube), mesh=mesh,
         depth=taken("indentation_depth"), displacement=taken("node_displacement"),
         iterations=taken("newton_iterations"), residual=taken("newton_residual"),
         press_force=taken("contact_force")[:, None], contact_area=taken("contact_area")[:, None],

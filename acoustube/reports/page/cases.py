@@ -14,7 +14,7 @@ import xarray as xr
 
 from acoustube import signals
 from acoustube.base.errors import ConfigError
-from acoustube.base.rules import filled
+from acoustube.base.units import CM
 from acoustube.reports.page.content import (
     HEARD,
     Along,
@@ -29,8 +29,8 @@ from acoustube.reports.page.content import (
 from acoustube.reports.page.shapes import Shape, from_rings, round_tube, tool, tool_height
 from acoustube.runs import sound
 from acoustube.runs.config import Config, configured
+from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.opening import PATTERNS
-from acoustube.runs.presses import press_from
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import select, store
 from acoustube.waves.network import at_sound_speed
@@ -169,7 +169,8 @@ def _states(cases: Sequence[Found]) -> tuple[dict[str, State], dict[str, str]]:
         walls = store.walls(path)
         shape = None if walls is None else from_rings(*_rings(walls))
         for name, config, _ in some:
-            states[name] = _state(data.sel(press=name), config, matrix, walls, shape)
+            settings = settings_in_si(config)
+            states[name] = _state(data.sel(press=name), settings, matrix, walls, shape)
     return states, {"acoustube version": ", ".join(sorted(versions)), "source": "acoustube sweep"}
 
 
@@ -178,17 +179,17 @@ def _rings(walls: xr.Dataset) -> list[Any]:
 
 
 def _state(
-    case: xr.Dataset, config: Config, matrix: xr.Dataset | None, walls: xr.Dataset | None,
+    case: xr.Dataset, settings: SISettings, matrix: xr.Dataset | None, walls: xr.Dataset | None,
     shape: Shape | None,
 ) -> State:  # fmt: skip
     depth = float(case["depth"])
     along, height = None, np.nan
     if depth == 0:
-        shape, along, height = _untouched(config)
+        shape, along, height = _untouched(settings)
     elif walls is not None and shape is not None:
         along = Along(z=walls["z"].values, area=walls["area_profile"].values.astype(float))
         outer = shape.points[np.unique(shape.faces["outer"])]
-        height = tool_height(press_from(config), outer)
+        height = tool_height(settings.indenter, outer)
     return State(
         depth=depth,
         force=float(case["force"]),
@@ -199,17 +200,17 @@ def _state(
         tool_height=height,
         along=along,
         signal=_signal(case),
-        spectrum=None if matrix is None or depth == 0 else _spectrum(matrix, config),
+        spectrum=None if matrix is None or depth == 0 else _spectrum(matrix, settings),
     )
 
 
-def _untouched(config: Config) -> tuple[Shape, Along, float]:
+def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
     """Return shape, cross-section and height of the tool of a tube that is just touched."""
-    bore, wall = 1e-3 * config.tube.inner_diameter_mm, 1e-3 * config.tube.wall_mm
+    bore, wall = settings.tube.inner_diameter, settings.tube.wall_thickness
     shape = round_tube(bore, wall, UNTOUCHED_REACH)
     z = np.array([-UNTOUCHED_REACH, UNTOUCHED_REACH])
     along = Along(z=z, area=np.full(2, np.pi * bore**2 / 4))
-    return shape, along, tool_height(press_from(config), _dense(bore / 2 + wall))
+    return shape, along, tool_height(settings.indenter, _dense(bore / 2 + wall))
 
 
 def _dense(radius: float) -> Any:
@@ -221,11 +222,11 @@ def _dense(radius: float) -> Any:
 def _signal(case: xr.Dataset) -> Signal:
     """Process what the probe heard with the source end that was asked for."""
     end = str(case["chosen_source_end"].values)
-    config, recording, ranging = select.ranged(case.sel(source_end=end))
-    probe = 1e-2 * config.waves.probe_cm
+    settings, recording, ranging = select.ranged(case.sel(source_end=end))
 
     def place(time: Any) -> Any:
-        return probe + signals.distance(time - ranging.send_time, config.waves.temperature_c)
+        away = signals.distance(time - ranging.send_time, settings.temperature)
+        return settings.probe + away
 
     return signal_of(
         np.asarray(recording.time, float),
@@ -234,17 +235,17 @@ def _signal(case: xr.Dataset) -> Signal:
         ranging.echoes.times,
         ranging.echoes.amplitudes,
         place=place,
-        faded=float(ranging.send_time) + sound.blind_time(config),
+        faded=float(ranging.send_time) + sound.blind_time(settings),
         estimate=float(ranging.distance),
         amplitude=float(ranging.amplitude),
-        probe=probe,
+        probe=settings.probe,
         source_end=end,
     )
 
 
-def _spectrum(matrix: xr.Dataset, config: Config) -> Spectrum:
+def _spectrum(matrix: xr.Dataset, settings: SISettings) -> Spectrum:
     """Return the plane wave's reflection at port 1, in the air of the case."""
-    found = at_sound_speed(from_dataset(matrix), sound.air_of(config).sound_speed)
+    found = at_sound_speed(from_dataset(matrix), settings.air.sound_speed)
     plane = found.modes.index("00")
     higher = zip(found.modes, found.cut_ons, strict=True)
     return Spectrum(
@@ -252,7 +253,7 @@ def _spectrum(matrix: xr.Dataset, config: Config) -> Spectrum:
         reflection=np.abs(found.s[:, 0, plane, 0, plane]),
         settled=found.settled[:, 0, plane, 0, plane],
         cut_ons={name: float(cut_on) for name, cut_on in higher if cut_on > 0},
-        carrier=1e3 * config.waves.frequency_khz,
+        carrier=settings.pulse.frequency,
     )
 
 
@@ -275,21 +276,20 @@ def _group(
     cases: Sequence[Found], states: Mapping[str, State], varying: Sequence[tuple[str, str]]
 ) -> Group:
     config = cases[0].config
-    tube, press = config.tube, config.indentation
-    bore, settings = 1e-3 * tube.inner_diameter_mm, _settings(config)
-    outer_diameter = bore + 2e-3 * tube.wall_mm
+    typed, settings = _settings(config), settings_in_si(config)
+    tube = settings.tube
     others = [(s, n) for s, n in varying if n not in (*TOOL, "position_cm", "depth_mm")]
     return Group(
         tool=tool_in_words(config),
-        place=f"{filled(press.position_cm):g} cm",
-        other=", ".join(f"{name} = {settings[section][name]}" for section, name in others),
+        place=f"{CM * settings.position:g} cm",
+        other=", ".join(f"{name} = {typed[section][name]}" for section, name in others),
         states=[states[case.name] for case in cases],
-        solid=tool(press_from(config), outer_diameter),
-        position=1e-2 * filled(press.position_cm),
-        length=1e-2 * tube.length_cm,
-        bore_area=np.pi * bore**2 / 4,
-        outer_diameter=outer_diameter,
-        floor=np.nan if press.layer_mm is not None else -outer_diameter / 2,
+        solid=tool(settings.indenter, tube.outer_diameter),
+        position=settings.position,
+        length=tube.length,
+        bore_area=np.pi * tube.inner_diameter**2 / 4,
+        outer_diameter=tube.outer_diameter,
+        floor=np.nan if settings.layer is not None else -tube.outer_diameter / 2,
     )
 
 

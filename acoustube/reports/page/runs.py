@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import CM, MM
 from acoustube.reports.page.content import (
     HEARD,
     PRESSED,
@@ -25,7 +26,7 @@ from acoustube.reports.page.shapes import Shape, from_rings, tool, tool_height
 from acoustube.reports.page.solid import Solid
 from acoustube.runs import sound
 from acoustube.runs.config import Config, Mechanics, configured
-from acoustube.runs.presses import press_from
+from acoustube.runs.config.si import press_in_si, settings_in_si
 
 RUN = "run.nc"
 REACH = 4.0
@@ -89,7 +90,7 @@ def _missing(data: xr.Dataset, simulated: bool) -> dict[str, str]:
     if not simulated:
         silent = "This is a press alone (acoustube indent): no sound was computed."
         return {"signal": silent, "spectrum": silent}
-    last = 1e3 * float(data["indentation_depth"][-1])
+    last = MM * float(data["indentation_depth"][-1])
     return {
         "signal": f"The sound was computed at the last depth only, {last:g} mm.",
         "spectrum": "A run of acoustube simulate hears one pulse and keeps no scattering matrix; "
@@ -110,7 +111,7 @@ def _rows(data: xr.Dataset) -> list[int]:
 
 def _indented(data: xr.Dataset, config: Mechanics) -> Group:
     """Return the states of a press alone."""
-    solid, press = _solid(data), press_from(config)
+    solid, press = _solid(data), press_in_si(config).indenter
     z = data["z"].values
     states = []
     for row in _rows(data):
@@ -122,7 +123,7 @@ def _indented(data: xr.Dataset, config: Mechanics) -> Group:
 
 def _simulated(data: xr.Dataset, config: Config) -> Group:
     """Return the states of a press on its way; the last of them is heard."""
-    solid, press = _solid(data), press_from(config)
+    solid, press = _solid(data), press_in_si(config).indenter
     rows, position = _rows(data), float(data["true_distance"])
     outer_diameter = float(np.ptp(solid.nodes[:, 1]))
     z = np.linspace(-REACH, REACH, PLACES) * outer_diameter
@@ -166,18 +167,18 @@ def _group(
 ) -> Group:
     outer_diameter = float(np.ptp(solid.nodes[:, 1]))
     far = solid.area(np.zeros_like(solid.nodes), np.array([0.5 * solid.nodes[:, 2].max()]))
-    soft = config.indentation.layer_mm is not None
+    settings = press_in_si(config)
     return Group(
         tool=tool_in_words(config),
-        place="" if np.isnan(position) else f"{100 * position:g} cm",
+        place="" if np.isnan(position) else f"{CM * position:g} cm",
         other="",
         states=states,
-        solid=tool(press_from(config), outer_diameter),
+        solid=tool(settings.indenter, outer_diameter),
         position=position,
         length=length,
         bore_area=float(far[0]),
         outer_diameter=outer_diameter,
-        floor=np.nan if soft else float(solid.nodes[:, 1].min()),
+        floor=np.nan if settings.layer is not None else float(solid.nodes[:, 1].min()),
     )
 
 
@@ -198,7 +199,7 @@ def _signal(data: xr.Dataset, config: Config) -> Signal:
         case["peak_time"].values[peaks],
         case["peak_amplitude"].values[peaks],
         place=place,
-        faded=float(case["send_time"]) + sound.blind_time(config),
+        faded=float(case["send_time"]) + sound.blind_time(settings_in_si(config)),
         estimate=float(case["estimated_distance"]),
         amplitude=float(case["echo_amplitude"]),
         probe=probe,

@@ -213,12 +213,12 @@ if __name__ == "__main__":
     import json
 
     from acoustube.runs.config import Mechanics, configured
-    from acoustube.runs.presses import layer_from, press_from
+    from acoustube.runs.config.si import press_in_si
 
     with xr.open_dataset(sys.argv[1], engine="h5netcdf") as run:
         settings = json.loads(run.attrs["configuration"])
         config = configured({n: settings[n] for n in ("tube", "indentation")}, Mechanics)
-        under = layer_from(config)
-        depth = None if under is None else under.thickness
-        picture = close_up(run, press_from(config), depth)
+        press = press_in_si(config)
+        thickness = None if press.layer is None else press.layer.thickness
+        picture = close_up(run, press.indenter, thickness)
         np.savez(sys.argv[2], close_up=picture, strip=strip(run))

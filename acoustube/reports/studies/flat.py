@@ -23,7 +23,7 @@ from acoustube.runs.config import configured
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.sweep.cycles import Recipe, seed_of
 from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.tasks import tube_of
+from acoustube.runs.sweep.plan import tube_name
 from acoustube.runs.training import table_of
 from acoustube.signals import Processing
 
@@ -162,7 +162,7 @@ def _cycles(
 def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
     """Return the processing of the tube that a sweep presses, calibrated on that specimen."""
     config = configured(json.loads(str(cases["configuration"].values[0])))
-    found, _ = calibrated(seed_of(f"{tube_of(config)}-0", recipe.seed))
+    found, _ = calibrated(seed_of(f"{tube_name(config)}-0", recipe.seed))
     return found.processing
 
 

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
-from acoustube.base.rules import filled, short
-
-if TYPE_CHECKING:  # the command line imports this module before it writes anything
-    pass
+from acoustube.base.rules import short
+from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
 
 if TYPE_CHECKING:
     from acoustube.runs.config.config import Config, Mechanics
 
-from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
+MM_PER_CM = 10
 
 CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
@@ -89,9 +87,9 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
 
 def check_position(config: Config) -> None:
     """Refuse a press whose bent part reaches the listening plane or the far end."""
-    tube, position = config.tube, filled(config.indentation.position_cm)
-    reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / 10
-    reach += CLEARANCE * tube.outer_diameter_mm / 10
+    tube, position = config.tube, config.position_cm
+    reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / MM_PER_CM
+    reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
     nearest = _round_up(config.waves.probe_cm + reach)
     farthest = _round_down(tube.length_cm - reach)
     bends = f"the press bends the tube for {reach:.4g} cm to each side"
@@ -109,14 +107,29 @@ def check_position(config: Config) -> None:
         )
 
 
-def grid_cells(config: Config) -> float:
-    """Return the number of grid cells in the box around the bore that is marched."""
-    tube, waves = config.tube, config.waves
-    length = 10 * tube.length_cm
-    if waves.method == "scattering":
-        reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm)
-        length = 2 * (reach + 4 * tube.outer_diameter_mm)
-    return waves.resolution**3 * length / tube.inner_diameter_mm
+def grid_cells(
+    *,
+    bore: float,
+    outer_diameter: float,
+    indenter_diameter: float,
+    tube_length: float,
+    resolution: int,
+    method: str,
+) -> float:
+    """Return the number of grid cells in the box around the bore that is marched.
+
+    Parameters
+    ----------
+    bore, outer_diameter, indenter_diameter, tube_length : float
+        In one unit, whichever it is.
+    resolution : int
+        Cells across the bore.
+    method : {"full", "scattering"}
+    """
+    length = tube_length
+    if method == "scattering":
+        length = 2 * (pressed_reach(outer_diameter, indenter_diameter) + 4 * outer_diameter)
+    return resolution**3 * length / bore
 
 
 def check_resolution(config: Config) -> None:
@@ -133,7 +146,14 @@ def check_resolution(config: Config) -> None:
             f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
             f"use at least {coarsest}"
         )
-    cells = grid_cells(config)
+    cells = grid_cells(
+        bore=bore,
+        outer_diameter=tube.outer_diameter_mm,
+        indenter_diameter=config.indentation.indenter_mm,
+        tube_length=MM_PER_CM * tube.length_cm,
+        resolution=waves.resolution,
+        method=waves.method,
+    )
     if cells > MOST_CELLS:
         finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
         raise ConfigError(
@@ -145,7 +165,7 @@ def check_resolution(config: Config) -> None:
 
 def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
     """Refuse a listening plane within the first layer of cells, where the pulse is set."""
-    nearest = _round_up(tube.inner_diameter_mm / waves.resolution / 10)
+    nearest = _round_up(tube.inner_diameter_mm / waves.resolution / MM_PER_CM)
     if waves.probe_cm < nearest:
         raise ConfigError(
             f"probe_cm = {short(waves.probe_cm)} lies in the first layer of cells; use at least "
@@ -156,7 +176,7 @@ def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
 def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
     """Refuse a pulse that has not left when the echo of the far end is back."""
     pulse_ms = waves.cycles / waves.frequency_khz
-    record_ms = 20 * tube.length_cm / sound_speed(waves.temperature_c)
+    record_ms = _record_ms(tube, waves)
     if pulse_ms > record_ms:
         raise ConfigError(
             f"cycles = {waves.cycles} make a pulse of {pulse_ms:.3g} ms, longer than the "
@@ -167,10 +187,10 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
 
 def check_lowpass(config: Config) -> None:
     """Refuse an envelope filter that lets the carrier through, or is slower than the record."""
-    waves, lowpass = config.waves, filled(config.signals.lowpass_khz)
+    waves, lowpass = config.waves, config.lowpass_khz
     # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
     highest = waves.frequency_khz / 2
-    record_ms = 20 * config.tube.length_cm / sound_speed(waves.temperature_c)
+    record_ms = _record_ms(config.tube, waves)
     # The filter continues the record at both ends by three periods of the cut-off.
     lowest = _round_up(3 / record_ms)
     if lowpass < lowest:
@@ -184,6 +204,11 @@ def check_lowpass(config: Config) -> None:
             f"{waves.frequency_khz:g} kHz carrier through; use at most {_round_down(highest):g}, "
             "under [signals] in a --config file"
         )
+
+
+def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:
+    """Return the time in ms that sound takes to the far end and back (mm over m/s)."""
+    return 2 * MM_PER_CM * tube.length_cm / sound_speed(waves.temperature_c)
 
 
 def _round_up(value: float) -> float:

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from acoustube.base.errors import ConfigError
-
-if TYPE_CHECKING:  # the command line imports this module before it writes anything
-    pass
-
 from acoustube.runs.config.checks import (
     check_audible,
     check_depth,
@@ -90,14 +86,26 @@ class Config:
         _check_sections(self)
         check_press(self.indentation)
         check_audible(self)
-        self._fill("indentation", "position_cm", self.tube.length_cm / 2)
-        self._fill("signals", "lowpass_khz", min(10.0, self.waves.frequency_khz / 2))
+        self._fill("indentation", "position_cm", self.position_cm)
+        self._fill("signals", "lowpass_khz", self.lowpass_khz)
         check_depth(self.tube, self.indentation)
         check_position(self)
         check_resolution(self)
         check_probe(self.tube, self.waves)
         check_pulse(self.tube, self.waves)
         check_lowpass(self)
+
+    @property
+    def position_cm(self) -> float:
+        """Distance of the press from the source end in cm; half the tube's length by default."""
+        given = self.indentation.position_cm
+        return self.tube.length_cm / 2 if given is None else given
+
+    @property
+    def lowpass_khz(self) -> float:
+        """Cut-off of the envelope's low-pass in kHz; by default half the carrier, at most 10."""
+        given = self.signals.lowpass_khz
+        return min(10.0, self.waves.frequency_khz / 2) if given is None else given
 
     def _fill(self, section: str, name: str, value: float) -> None:
         """Give a setting that was left open the value that follows from the others."""

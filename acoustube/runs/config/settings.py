@@ -8,14 +8,13 @@ imports nothing heavy: wrong settings are refused at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import SHALLOWEST_MM
 from acoustube.base.rules import Choice, File, Number, Section, setting
 
-if TYPE_CHECKING:  # the command line imports this module before it writes anything
-    pass
+DEFAULT_SHORE_A = 35.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +40,7 @@ class TubeSettings(Section):
 
     def __post_init__(self) -> None:
         if self.shore_a is None and self.shear_modulus_mpa is None:
-            object.__setattr__(self, "shore_a", 35.0)
+            object.__setattr__(self, "shore_a", self.hardness_shore_a)
         super().__post_init__()
         if self.shore_a is not None and self.shear_modulus_mpa is not None:
             raise ConfigError(
@@ -53,6 +52,11 @@ class TubeSettings(Section):
     def outer_diameter_mm(self) -> float:
         """Outer diameter in mm."""
         return self.inner_diameter_mm + 2 * self.wall_mm
+
+    @property
+    def hardness_shore_a(self) -> float:
+        """Hardness of the wall, where no shear modulus is given."""
+        return DEFAULT_SHORE_A if self.shore_a is None else self.shore_a
 
 
 class _Depth(Number):

@@ -15,14 +15,14 @@ import xarray as xr
 
 from acoustube import ranging
 from acoustube.base.netcdf import variable
-from acoustube.base.rules import filled
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
-from acoustube.runs.config import Config, configured
+from acoustube.runs.config import configured
+from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
-from acoustube.runs.sweep.plan import digest
-from acoustube.runs.sweep.tasks import placed, tube_of
+from acoustube.runs.sweep.case_results import placed
+from acoustube.runs.sweep.plan import digest, tube_name
 from acoustube.waves import Scattering
 
 LONGEST_SESSION = 72_000
@@ -71,9 +71,9 @@ class Recipe:
         own = None if self.rangefinder is None else self.rangefinder.to_json()
         return digest([self.n_cycles, self.n_tubes, self.n_sessions, self.seed, own, __version__])
 
-    def rangefinder_for(self, config: Config) -> Rangefinder:
+    def rangefinder_for(self, settings: SISettings) -> Rangefinder:
         """Return the rangefinder that a case is recorded with."""
-        carrier = 1e3 * config.waves.frequency_khz
+        carrier = settings.pulse.frequency
         usual = Rangefinder(drive=Burst(frequency=carrier), resonance=carrier)
         return self.rangefinder or usual
 
@@ -133,28 +133,28 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
     data, scattering = _opened(path)
     case = data.sel(press=name)
     config = configured(json.loads(str(case["configuration"].values)))
-    touched = config.indentation.depth_mm > 0
-    presses = placed(config, scattering if touched else None)
-    rangefinder = recipe.rangefinder_for(config)
+    settings = settings_in_si(config)
+    presses = placed(settings, scattering if settings.depth > 0 else None)
+    rangefinder = recipe.rangefinder_for(settings)
     for specimen in range(recipe.n_tubes):
-        tube = f"{tube_of(config)}-{specimen}"
+        tube = f"{tube_name(config)}-{specimen}"
         for number in range(recipe.n_sessions):
             session = seed_of(tube, number, recipe.seed)
             cycles = ranging.record(
                 presses,
                 _in_session(rangefinder, session),
-                radius=0.5e-3 * config.tube.inner_diameter_mm,
-                length=1e-2 * config.tube.length_cm,
-                temperature=config.waves.temperature_c,
+                radius=settings.radius,
+                length=settings.tube.length,
+                temperature=settings.temperature,
                 n_cycles=recipe.n_cycles,
                 first_cycle=seed_of(name) % LONGEST_SESSION,
                 seed=seed_of(name, tube, number, recipe.seed),
                 session_seed=session,
                 tube_seed=seed_of(tube, recipe.seed),
             )
-            yield _labelled(cycles, case, config, {
+            yield _labelled(cycles, case, settings, {
                 "press": name, "tube": tube, "session": f"{tube}-{number}",
-            }, touched)  # fmt: skip
+            })  # fmt: skip
 
 
 def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
@@ -165,7 +165,7 @@ def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
 
 
 def _labelled(
-    cycles: xr.Dataset, case: xr.Dataset, config: Config, names: dict[str, str], touched: bool
+    cycles: xr.Dataset, case: xr.Dataset, settings: SISettings, names: dict[str, str]
 ) -> xr.Dataset:
     """Return cycles with the labels of their case, and the names of case, tube and session."""
     n = cycles.sizes["cycle"]
@@ -174,13 +174,13 @@ def _labelled(
         for label, units in CARRIED.items()
         for text in [case[label].attrs["long_name"]]
     }
-    if not touched:
+    if settings.depth == 0:
         labels |= {
             label: variable("cycle", np.full(n, np.nan), "m", "of no press")
             for label in ("true_distance", "diameter")
         }
     labels["air_temperature"] = variable(
-        "cycle", np.full(n, filled(config.waves.temperature_c)), "degC", "temperature of the air"
+        "cycle", np.full(n, settings.temperature), "degC", "temperature of the air"
     )
     texts = {
         "press": "name of the case", "tube": "specimen of a tube", "session": "recording session",

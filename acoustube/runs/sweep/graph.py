@@ -1,8 +1,8 @@
-"""The structure of a sweep's work: which cases share a press, and which a scattering.
+"""The structure of a sweep's work: which cases share a load path, and which a scattering matrix.
 
-A tube pressed by a tool goes through all its depths on one path. A press at one depth scatters
-sound in one way, whatever the tube's length, its place, the air's temperature and the pulse; only
-what is heard of it is a case's own.
+A tube under an indenter goes through all its depths on one load path. At one depth it scatters
+sound in one way, whatever the tube's length, the press's position, the air's temperature and the
+pulse; only the recording and its processing are a case's own.
 """
 
 from __future__ import annotations
@@ -16,20 +16,22 @@ from typing import Any, NamedTuple
 from acoustube.air import sound_speed
 from acoustube.runs import sound
 from acoustube.runs.config import Config
+from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.sweep.plan import digest
 from acoustube.runs.sweep.tasks import Band
+from acoustube.waves import Pulse
 
 REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
-"""In degC, at which scattering is computed: no air that a tube may hold is 18 K from one."""
+"""Temperatures in degC of the scattering matrices: those of all air in range are within 18 K."""
 BAND_STEP = 1e3
-"""In Hz, to which bands are widened, so that they are the same for similar pulses."""
-BURST = 11
-"""Cycles of a pulse whose band holds all that the usual rangefinder hears."""
-OWN = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
-"""Settings that do not matter to a path of presses."""
+"""Step in Hz to which bands are widened, so that they are the same for similar pulses."""
+BURST_CYCLES = 11
+"""Carrier cycles of a pulse whose band covers that of the default rangefinder."""
+CASE_SETTINGS = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
+"""Settings that a load path does not depend on."""
 
-OF_MATRIX = ("resolution", "losses", "method", "humidity_percent", "pressure_kpa")
-"""Settings that decide, beside the press, how it scatters sound."""
+SCATTERING_SETTINGS = ("resolution", "losses", "method", "humidity_percent", "pressure_kpa")
+"""Settings of the sound on which a press's scattering depends."""
 
 
 class Case(NamedTuple):
@@ -44,6 +46,11 @@ class Case(NamedTuple):
 
     name: str
     config: Config
+
+    @property
+    def settings(self) -> SISettings:
+        """Its settings in SI units."""
+        return settings_in_si(self.config)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +71,14 @@ class Group:
     cases: tuple[Case, ...]
 
     @property
-    def config(self) -> Config:
-        """The settings that all cases share, and others."""
-        return self.cases[0].config
+    def settings(self) -> SISettings:
+        """Settings of the first case, which shares the press and the grid with the others."""
+        return self.cases[0].settings
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """The way of one tool down on one tube.
+class LoadPath:
+    """A tube, an indenter, and the depths that it is pressed to.
 
     Attributes
     ----------
@@ -85,31 +92,26 @@ class Descent:
 
     @property
     def presses(self) -> bool:
-        """Whether any of its cases needs the tool."""
+        """Whether any of its cases is pressed."""
         return any(group.depth > 0 for group in self.groups)
 
     @property
-    def config(self) -> Config:
-        """The settings of tube and tool, and others."""
-        return self.groups[0].config
+    def settings(self) -> SISettings:
+        """Settings of the first case, which shares the tube and the indenter with the others."""
+        return self.groups[0].settings
 
 
-def depth_of(config: Config) -> float:
-    """Return the depth of a press in m."""
-    return 1e-3 * config.indentation.depth_mm
-
-
-def structured(cases: Iterable[Case]) -> list[Descent]:
-    """Return the paths and groups that cases belong to, in the cases' order.
+def load_paths(cases: Iterable[Case]) -> list[LoadPath]:
+    """Group cases by load path, and by what they scatter within it, in the cases' order.
 
     Parameters
     ----------
     cases : iterable of Case
-        All of a plan: the increments of a path depend on all its depths.
+        All of a plan: the increments of a load path depend on all its depths.
 
     Returns
     -------
-    list of Descent
+    list of LoadPath
     """
     paths: dict[str, dict[str, list[Case]]] = {}
     for case in cases:
@@ -118,8 +120,8 @@ def structured(cases: Iterable[Case]) -> list[Descent]:
     return [_path(list(groups.values())) for groups in paths.values()]
 
 
-def kept(paths: Sequence[Descent], names: set[str]) -> list[Descent]:
-    """Return what remains of the work where only some cases, by name, are to be done."""
+def only_cases(paths: Sequence[LoadPath], names: set[str]) -> list[LoadPath]:
+    """Return the load paths with only those cases that are named."""
     found = []
     for path in paths:
         groups = [
@@ -132,10 +134,10 @@ def kept(paths: Sequence[Descent], names: set[str]) -> list[Descent]:
     return found
 
 
-def shard(paths: Sequence[Descent], number: int, count: int) -> set[str]:
-    """Return the names of the cases of one of several equal shares.
+def shard(paths: Sequence[LoadPath], number: int, count: int) -> set[str]:
+    """Return the names of the cases of one of several equal parts of a sweep.
 
-    Shares are runs of whole groups, so that few paths are in two of them.
+    Each part is a run of whole groups, so that few load paths are in two of them.
     """
     groups = [group for path in paths for group in path.groups]
     sizes = [len(group.cases) for group in groups]
@@ -148,51 +150,51 @@ def shard(paths: Sequence[Descent], number: int, count: int) -> set[str]:
     return found
 
 
-def _path(groups: list[list[Case]]) -> Descent:
+def _path(groups: list[list[Case]]) -> LoadPath:
     made = [_group(tuple(cases)) for cases in groups]
     depths = sorted({group.depth for group in made} - {0.0})
-    return Descent(tuple(depths), tuple(made))
+    return LoadPath(tuple(depths), tuple(made))
 
 
 def _group(cases: tuple[Case, ...]) -> Group:
-    config = cases[0].config
-    depth = depth_of(config)
-    if depth == 0 or config.waves.method == "full":
-        return Group(depth, None, cases)
-    reference = _reference(config)
+    first = cases[0].settings
+    if first.depth == 0 or first.method == "full":
+        return Group(first.depth, None, cases)
+    reference = _reference(first.temperature)
     bands = []
-    for case in cases:
-        ratio = sound_speed(reference) / sound_speed(case.config.waves.temperature_c)
-        bands.append([ratio * edge for edge in sound.band_of(_short(case.config))])
+    for settings in (case.settings for case in cases):
+        ratio = sound_speed(reference) / sound_speed(settings.temperature)
+        bands.append([ratio * edge for edge in sound.band_of(_burst(settings.pulse))])
     lowest, highest = min(low for low, _ in bands), max(high for _, high in bands)
     low = BAND_STEP * floor(lowest / BAND_STEP) or lowest
-    return Group(depth, Band(low, BAND_STEP * ceil(highest / BAND_STEP), reference), cases)
+    band = Band(low, BAND_STEP * ceil(highest / BAND_STEP), reference)
+    return Group(first.depth, band, cases)
 
 
-def _short(config: Config) -> Config:
-    """Return the settings with a pulse as short as a rangefinder's burst at that carrier."""
-    cycles = min(config.waves.cycles, BURST)
-    return dataclasses.replace(config, waves=dataclasses.replace(config.waves, cycles=cycles))
+def _burst(pulse: Pulse) -> Pulse:
+    """Return a pulse cut to the cycles of a rangefinder's burst, if it is longer."""
+    return Pulse(frequency=pulse.frequency, cycles=min(pulse.cycles, BURST_CYCLES))
 
 
-def _reference(config: Config) -> float:
-    """Return the temperature in degC at which the scattering of a press is computed."""
-    return min(REFERENCE_TEMPERATURES, key=lambda t: abs(t - config.waves.temperature_c))
+def _reference(temperature: float) -> float:
+    """Return the temperature in degC at which scattering is computed for air at another."""
+    return min(REFERENCE_TEMPERATURES, key=lambda t: abs(t - temperature))
 
 
 def _path_key(config: Config) -> str:
-    """Return what decides the presses of a tube by a tool."""
+    """Return the hash of the settings that a load path depends on."""
     sections: dict[str, Any] = {
         "tube": dataclasses.asdict(config.tube),
         "indentation": dataclasses.asdict(config.indentation),
     }
-    for section, names in OWN.items():
+    for section, names in CASE_SETTINGS.items():
         for name in names:
             del sections[section][name]
     return digest(sections)
 
 
 def _group_key(config: Config) -> str:
-    """Return what decides, beside the press, how it scatters sound."""
-    decisive = [getattr(config.waves, name) for name in OF_MATRIX]
-    return digest([config.indentation.depth_mm, _reference(config), *decisive])
+    """Return the hash of the settings that scattering on a load path depends on."""
+    waves = config.waves
+    decisive = [getattr(waves, name) for name in SCATTERING_SETTINGS]
+    return digest([config.indentation.depth_mm, _reference(waves.temperature_c), *decisive])

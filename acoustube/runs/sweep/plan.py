@@ -423,6 +423,11 @@ def case_name(config: Config) -> str:
     return digest(dataclasses.asdict(config))[:16]
 
 
+def tube_name(config: Config) -> str:
+    """Return the name of a tube: the start of the hash of its settings."""
+    return digest(dataclasses.asdict(config.tube))[:8]
+
+
 def digest(content: Any) -> str:
     """Return the SHA-256 of what JSON can hold, whatever the order of its names."""
     text = json.dumps(content, sort_keys=True)

@@ -6,8 +6,8 @@ import time
 from collections.abc import Sequence
 
 from acoustube.base.report import ShowProgress, time_in_words
-from acoustube.runs.sweep.costs import hear_cost, matrix_cost, path_cost
-from acoustube.runs.sweep.graph import Descent
+from acoustube.runs.sweep.costs import case_cost, matrix_cost, path_cost
+from acoustube.runs.sweep.graph import LoadPath
 
 PRIOR_SECONDS = 60.0
 """Seconds of work after which measured costs count as much as expected ones."""
@@ -69,7 +69,7 @@ class Board:
         return f"{time_in_words(max(self.left, 0.0) / self.workers * scale)} left"
 
 
-def totals_of(paths: Sequence[Descent]) -> Totals:
+def totals_of(paths: Sequence[LoadPath]) -> Totals:
     """Return the number of tasks of each stage of a sweep, and their cost in seconds."""
     groups = [group for path in paths for group in path.groups]
     pressed = [path for path in paths if path.presses]
@@ -79,6 +79,6 @@ def totals_of(paths: Sequence[Descent]) -> Totals:
         "scattering": (len(matrices), sum(map(matrix_cost, matrices))),
         "cases": (
             sum(len(group.cases) for group in groups),
-            sum(hear_cost(group.cases) for group in groups),
+            sum(case_cost(group.cases) for group in groups),
         ),
     }

@@ -19,13 +19,13 @@ from acoustube.base.version import __version__
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.costs import (
     GIGABYTES,
-    hear_cost,
+    cached,
+    case_cost,
     matrix_cost,
     path_cost,
-    remembered,
     size_of,
 )
-from acoustube.runs.sweep.graph import Case, Descent, kept, shard, structured
+from acoustube.runs.sweep.graph import Case, LoadPath, load_paths, only_cases, shard
 from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.runs.sweep.progress import Board, totals_of
 from acoustube.runs.sweep.runner import Runner
@@ -40,7 +40,7 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    todo : list of Descent
+    todo : list of LoadPath
         What remains.
     finished : int
         Cases.
@@ -50,7 +50,7 @@ class Work(NamedTuple):
         Of this share.
     """
 
-    todo: list[Descent]
+    todo: list[LoadPath]
     finished: int
     failed: dict[str, str]
     n_cases: int
@@ -197,12 +197,12 @@ def work_of(
     retry: bool,
 ) -> Work:
     """Return the work that is left of cases, of one share of them."""
-    paths = structured(cases)
+    paths = load_paths(cases)
     mine = shard(paths, *share)
     finished = mine & set(found.finished)
     known = {} if folder is None or retry else store.failures(folder)
     failed = {n: reason for n, reason in known.items() if n in mine - finished}
-    return Work(kept(paths, mine - finished - set(failed)), len(finished), failed, len(mine))
+    return Work(only_cases(paths, mine - finished - set(failed)), len(finished), failed, len(mine))
 
 
 def _note_other_plan(
@@ -238,13 +238,13 @@ def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None 
     groups = [group for path in work.todo for group in path.groups]
     n_paths = sum(path.presses for path in work.todo)
     n_matrices = sum(1 for group in groups if group.band is not None)
-    known_paths, known_matrices, cost = remembered(work.todo) if scale is None else (0, 0, 0.0)
+    known_paths, known_matrices, cost = cached(work.todo) if scale is None else (0, 0, 0.0)
     size = sum(size_of(group) for group in groups)
     if scale is not None:
         costs = [path_cost(path) for path in work.todo], [matrix_cost(g) for g in groups]
         cost = scale.n_paths * float(np.mean(costs[0] or [0.0]))
         cost += scale.n_matrices * float(np.mean(costs[1] or [0.0]))
-        cost += scale.cases * sum(hear_cost(group.cases) for group in groups)
+        cost += scale.cases * sum(case_cost(group.cases) for group in groups)
         n_paths, n_matrices, size = scale.n_paths, scale.n_matrices, scale.cases * size
     state = f"{work.finished} finished" + f", {len(work.failed)} failed" * bool(work.failed)
     needed = f"{time_in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"

@@ -9,8 +9,10 @@ import numpy as np
 import xarray as xr
 
 from acoustube import signals
+from acoustube.base.units import MM
 from acoustube.runs import sound
-from acoustube.runs.config import Config, configured
+from acoustube.runs.config import configured
+from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.waves import Recording
 
 
@@ -27,7 +29,7 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
     tools = list(zip(cases["shape"].values, cases["diameter"].values, strict=True))
     for shape, diameter in sorted(set(tools)):
         mine = [i for i, tool in enumerate(tools) if tool == (shape, diameter)]
-        yield f"{1e3 * diameter:g} mm {shape}", cases.isel(press=mine)
+        yield f"{MM * diameter:g} mm {shape}", cases.isel(press=mine)
 
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
@@ -41,8 +43,8 @@ def usual(cases: xr.Dataset) -> xr.Dataset:
     return cases.isel(press=[i for i, key in enumerate(keys) if key == most])
 
 
-def ranged(case: xr.Dataset) -> tuple[Config, Recording, signals.Ranging]:
-    """Process what was heard in a case once more.
+def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
+    """Process the recording of a case once more.
 
     Parameters
     ----------
@@ -51,24 +53,24 @@ def ranged(case: xr.Dataset) -> tuple[Config, Recording, signals.Ranging]:
 
     Returns
     -------
-    config : Config
+    settings : SISettings
     recording : Recording
         Its time and pressure; the grid is not known.
     ranging : Ranging
     """
-    config = configured(json.loads(str(case["configuration"].values)))
+    settings = settings_in_si(configured(json.loads(str(case["configuration"].values))))
     there = np.isfinite(case["pressure"].values)
     time, pressure = case["time"].values[there], case["pressure"].values[there].astype(float)
     recording = Recording(
         time=time, pressure=pressure[None], time_step=sound.TIME_STEP,
-        probes=(1e-2 * config.waves.probe_cm,), spacing=(np.nan,) * 3, shape=(0, 0, 0),
+        probes=(settings.probe,), spacing=(np.nan,) * 3, shape=(0, 0, 0),
     )  # fmt: skip
-    return config, recording, sound.locate(config, recording)
+    return settings, recording, sound.locate(settings, recording)
 
 
 def envelope_of(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Return distances in m and the envelope there."""
-    config, recording, ranging = ranged(case)
+    settings, recording, ranging = ranged(case)
     delay = recording.time - float(ranging.send_time)
-    away = signals.distance(delay, config.waves.temperature_c) + 1e-2 * config.waves.probe_cm
+    away = signals.distance(delay, settings.temperature) + settings.probe
     return np.asarray(away), np.asarray(ranging.envelope)

@@ -1,0 +1,205 @@
+"""Settings in SI units: the one place where what a user typed is converted.
+
+Everything behind this module computes with :class:`SIPress` and :class:`SISettings`, in which every
+default is filled in. Temperatures stay in degC and the relative humidity in per cent, as
+:func:`acoustube.air.air_at` takes them. Unlike the rest of this package, the module imports the
+stages.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from acoustube.air import Air, air_at
+from acoustube.indentation import Layer, MeshSize, Press, Support
+from acoustube.runs.config.config import Config, Mechanics
+from acoustube.runs.config.settings import IndentationSettings, TubeSettings
+from acoustube.tube import Tube, shear_modulus_from_shore
+from acoustube.waves import Pulse, SourceEnd
+
+MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
+
+MESH_SIZES = {
+    "coarse": MeshSize(through_wall=1, around=12, along=10),
+    "usual": MeshSize(),
+    "fine": MeshSize(through_wall=2, around=24, along=18),
+}
+"""Meshes of a round tube. The force of a 25 mm rod on each is in the documentation's findings."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SIPress:
+    """Settings of a press in SI units.
+
+    Attributes
+    ----------
+    tube : Tube
+        Of a wall from a file only the moduli count.
+    surface : str or None
+        File of a wall's surface in place of the round tube.
+    indenter : Press
+    layer : Layer or None
+        Elastic layer under the tube; None for a rigid floor.
+    support : {"held", "free"}
+    mesh : MeshSize
+        Finite elements of a round tube.
+    depth : float
+        Indentation depth in m; 0 for the untouched tube.
+    depths : tuple of float
+        Equally spaced depths in m up to `depth`, for a press that is reported step by step.
+    """
+
+    tube: Tube
+    surface: str | None
+    indenter: Press
+    layer: Layer | None
+    support: Support
+    mesh: MeshSize
+    depth: float
+    depths: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SISettings(SIPress):
+    """Settings of a simulation in SI units: the press, the sound and the processing.
+
+    Attributes
+    ----------
+    position : float
+        Distance of the press from the source end in m.
+    pulse : Pulse
+    temperature : float
+        Of the air in degC.
+    humidity : float
+        Relative, of the air, in per cent.
+    pressure : float
+        Of the air at rest, in Pa.
+    lossy : bool
+        Whether the wall and the air take energy from the sound.
+    method : {"full", "scattering"}
+        March the whole tube, or the pressed part only.
+    resolution : int
+        Grid cells across the bore.
+    source_end : {"release", "absorbing"}
+        Boundary condition at the source end after the pulse.
+    probe : float
+        Distance of the probe plane from the source end in m.
+    cutoff : float
+        Of the envelope's low-pass filter in Hz.
+    prominence : float
+        Least prominence of an echo, as a fraction of the send pulse.
+    """
+
+    position: float
+    pulse: Pulse
+    temperature: float
+    humidity: float
+    pressure: float
+    lossy: bool
+    method: Literal["full", "scattering"]
+    resolution: int
+    source_end: SourceEnd
+    probe: float
+    cutoff: float
+    prominence: float
+
+    @property
+    def air(self) -> Air:
+        """Air in the tube."""
+        return air_at(self.temperature, humidity=self.humidity, pressure=self.pressure)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the bore in m."""
+        return self.tube.inner_diameter / 2
+
+
+def settings_in_si(config: Config) -> SISettings:
+    """Convert the settings of a simulation to SI units.
+
+    Parameters
+    ----------
+    config : Config
+
+    Returns
+    -------
+    SISettings
+    """
+    waves = config.waves
+    return SISettings(
+        **_press_fields(config),
+        position=CENTI * config.position_cm,
+        pulse=Pulse(frequency=KILO * waves.frequency_khz, cycles=waves.cycles),
+        temperature=waves.temperature_c,
+        humidity=waves.humidity_percent,
+        pressure=KILO * waves.pressure_kpa,
+        lossy=waves.losses == "on",
+        method=waves.method,
+        resolution=waves.resolution,
+        source_end=waves.source_end,
+        probe=CENTI * waves.probe_cm,
+        cutoff=KILO * config.lowpass_khz,
+        prominence=config.signals.prominence,
+    )
+
+
+def press_in_si(config: Config | Mechanics) -> SIPress:
+    """Convert the settings of a press to SI units.
+
+    Parameters
+    ----------
+    config : Config or Mechanics
+
+    Returns
+    -------
+    SIPress
+    """
+    return SIPress(**_press_fields(config))
+
+
+def _press_fields(config: Config | Mechanics) -> dict[str, Any]:
+    """Return the attributes of :class:`SIPress` by name."""
+    press, n = config.indentation, config.indentation.steps
+    return {
+        "tube": _tube(config.tube),
+        "surface": config.tube.surface,
+        "indenter": _indenter(press),
+        "layer": _layer(press),
+        "support": press.support,
+        "mesh": MESH_SIZES[press.mesh],
+        "depth": MILLI * press.depth_mm,
+        "depths": tuple(MILLI * (press.depth_mm * i / n) for i in range(1, n + 1)),
+    }
+
+
+def _tube(settings: TubeSettings) -> Tube:
+    return Tube(
+        inner_diameter=MILLI * settings.inner_diameter_mm,
+        wall_thickness=MILLI * settings.wall_mm,
+        length=CENTI * settings.length_cm,
+        shear_modulus=_shear_modulus(settings),
+        poisson_ratio=settings.poisson_ratio,
+    )
+
+
+def _shear_modulus(settings: TubeSettings) -> float:
+    if settings.shear_modulus_mpa is not None:
+        return MEGA * settings.shear_modulus_mpa
+    return shear_modulus_from_shore(settings.hardness_shore_a)
+
+
+def _indenter(settings: IndentationSettings) -> Press:
+    return Press(
+        shape=settings.shape,
+        diameter=MILLI * settings.indenter_mm,
+        x=MILLI * settings.offset_mm,
+        yaw=math.radians(settings.yaw_deg),
+    )
+
+
+def _layer(settings: IndentationSettings) -> Layer | None:
+    if settings.layer_mm is None or settings.layer_mpa is None:
+        return None
+    return Layer(thickness=MILLI * settings.layer_mm, modulus=MEGA * settings.layer_mpa)
