@@ -1,4 +1,4 @@
-"""The tube: a straight silicone cylinder."""
+"""Straight tube of circular cross-section: sizes and elastic moduli."""
 
 from __future__ import annotations
 
@@ -24,24 +24,34 @@ def shear_modulus_from_shore(shore_a: float) -> float:
 
     Notes
     -----
-    ``mu = 10**(0.0235 S - 0.64) / 3`` in MPa, the relation that the paper uses for silicone
-    rubber. It takes Young's modulus as three times the shear modulus (incompressible).
+    ``mu = E / 3`` with ``E = 10**(0.0235 S - 0.64)`` in MPa, an incompressible material. The sleeve
+    paper [1]_ uses this relation; it is the fit of Qi et al. [2]_ to finite elements of the
+    durometer test, for S from 20 to 80.
+
+    References
+    ----------
+    .. [1] "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact Localization and
+       Force Sensing".
+    .. [2] H. J. Qi, K. Joyce, M. C. Boyce, "Durometer hardness and the stress-strain behavior of
+       elastomeric materials", Rubber Chem. Technol. 76, 419-435 (2003). doi:10.5254/1.3547752
     """
     return 1e6 * 10 ** (0.0235 * shore_a - 0.64) / 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
-    """A straight tube of circular cross-section. The defaults are the paper's.
+    """A straight tube of circular cross-section.
+
+    The defaults are those of the sleeve paper; see :func:`shear_modulus_from_shore`.
 
     Parameters
     ----------
     inner_diameter, wall_thickness, length : float
-        Sizes in m.
+        Bore, wall and length, in m.
     shear_modulus : float
-        Small-strain shear modulus in Pa; see :func:`shear_modulus_from_shore`.
+        Small-strain shear modulus in Pa; by default that of Shore A 35.
     poisson_ratio : float
-        Poisson's ratio, below 0.5.
+        Poisson's ratio, 0 to 0.4999.
 
     Raises
     ------
@@ -60,11 +70,11 @@ class Tube:
         for name in ("inner_diameter", "wall_thickness", "length", "shear_modulus"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} = {value} is not a size; use a positive number (SI).")
+                raise ConfigError(f"{name} = {value} is not positive; use a positive number (SI).")
         if not 0 <= self.poisson_ratio <= 0.4999:
             raise ConfigError(
                 f"poisson_ratio = {self.poisson_ratio} is outside [0, 0.4999]; "
-                "0.49 stands for silicone."
+                "use 0.49 for silicone."
             )
 
     @property

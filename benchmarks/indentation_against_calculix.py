@@ -30,16 +30,16 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.indentation import MeshSize, Press, indent
-from acoustube.indentation.assembly import tool_force
-from acoustube.indentation.indenters import CONTACT_STIFFNESS
+from acoustube.indentation import Indenter, MeshSize, indent
+from acoustube.indentation.assembly import indenter_force
+from acoustube.indentation.contact import CONTACT_STIFFNESS
 from acoustube.indentation.mesh import Mesh, sweep
-from acoustube.indentation.press import build
+from acoustube.indentation.press import press_model
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
 
-TUBE, ROD, REACH = Tube(), Press(), 60e-3
+TUBE, ROD, REACH = Tube(), Indenter(), 60e-3
 DEPTHS_MM = (2.0, 4.0, 6.0)
 REFERENCE_N = np.array([1.03047, 2.11272, 3.79888])
 REFERENCE_HEIGHT_MM = 1.94969
@@ -229,9 +229,9 @@ def acoustube(size: MeshSize, *, code: str = "acoustube", compiled: bool = True)
     pressed = indent(TUBE, ROD, depth=1e-3 * np.array(DEPTHS_MM), support="free", mesh=mesh)
     wall, used = perf_counter() - start, process_time() - used
     with jax.enable_x64(True):
-        model = build(pressed)
+        model = press_model(pressed)
         at = [int(np.argmin(np.abs(pressed.depth - 1e-3 * depth))) for depth in DEPTHS_MM]
-        force = [tool_force(model, pressed.displacement[i], pressed.bodies(i)[0]) for i in at]
+        force = [indenter_force(model, pressed.displacement[i], pressed.bodies(i)[0]) for i in at]
     roof, sole = 1e3 * pressed.position()[roof_and_sole(mesh), 1]
     return Run(code, mesh, np.array(force), roof - sole, wall, used)
 

@@ -28,16 +28,16 @@ from scipy.interpolate import RBFInterpolator
 from threadpoolctl import threadpool_limits
 
 from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Indentation, MeshSize, Press, indent, linear_solver
+from acoustube.indentation import Indentation, Indenter, MeshSize, indent, linear_solver
 from acoustube.indentation.assembly import stiffness
 from acoustube.indentation.mesh import Mesh, sweep
-from acoustube.indentation.press import build
+from acoustube.indentation.press import press_model
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
 Factorise = Callable[[sparse.csc_array], linear_solver.Solve]
 
-TUBE, ROD, DEPTH, REPEATS = Tube(), Press(), 1e-3, 3
+TUBE, ROD, DEPTH, REPEATS = Tube(), Indenter(), 1e-3, 3
 REACH = pressed_reach(TUBE.outer_diameter, ROD.diameter)
 SIZE = MeshSize()
 CASES = {
@@ -74,7 +74,7 @@ def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, NDArray[
             "displacement": displacement[None],
         }
     )
-    model = build(state)
+    model = press_model(state)
     displacement[~model.free] = 0
     return (
         stiffness(model, displacement, state.bodies()),

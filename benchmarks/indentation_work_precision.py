@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Indentation, MeshSize, Press, indent
+from acoustube.indentation import Indentation, Indenter, MeshSize, indent
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.reference_element import FACE, HEX20, QUAD8, Reference, gauss
 from acoustube.lumen import measure
@@ -36,7 +36,7 @@ MESHES = (
     MeshSize(through_wall=3, around=18, along=14),
 )
 REACH = pressed_reach(Tube().outer_diameter, 25e-3)
-CLOSING_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
+BARRIER_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
 
 
 def table(name: str) -> NDArray[np.void]:
@@ -50,7 +50,7 @@ def rows() -> None:
     """Print how far the default mesh is from every row of the independent solution."""
     exact, along = table("indentation_rod25.csv"), table("indentation_rod25_area_at_4mm.csv")
     depths = 1e-3 * exact["depth_mm"]
-    press = indent(Tube(), Press(diameter=25e-3), depth=depths, support="free")
+    press = indent(Tube(), Indenter(diameter=25e-3), depth=depths, support="free")
     print("| depth mm | force % | lumen height mm | lumen width mm | lumen area mm2 |")
     print("|" + "---|" * 5)
     for row, i in zip(exact, press.rows_at(depths), strict=True):
@@ -69,16 +69,16 @@ def rows() -> None:
     print(f"\nArea along the tube at 4 mm: within {error:.3f} mm2 in {inside.sum()} planes\n")
 
 
-def pressed(size: Mesh | MeshSize, closing_distance_mm: float = 0.02) -> tuple[Indentation, float]:
+def pressed(size: Mesh | MeshSize, barrier_distance_mm: float = 0.02) -> tuple[Indentation, float]:
     """Return a press and how long it took, in s."""
     start = perf_counter()
     found = indent(
         Tube(),
-        Press(diameter=25e-3),
+        Indenter(diameter=25e-3),
         depth=[1e-3 * depth for depth in DEPTHS_MM],
         support="free",
         mesh=size,
-        closing_distance=1e-3 * closing_distance_mm,
+        barrier_distance=1e-3 * barrier_distance_mm,
     )
     return found, perf_counter() - start
 
@@ -121,9 +121,9 @@ if __name__ == "__main__":
         press, seconds = pressed(size)
         name = f"{size.through_wall} x {size.around} x {size.along}"
         print(f"| {name} | {press.mesh.points.size} | {cells(press, exact)} | {seconds:.1f} |")
-    print(f"\n| closing distance mm | {depths} | {tail}")
+    print(f"\n| barrier distance mm | {depths} | {tail}")
     print("|" + "---|" * (len(DEPTHS_MM) + 4))
-    for distance in CLOSING_DISTANCES_MM:
+    for distance in BARRIER_DISTANCES_MM:
         press, seconds = pressed(MeshSize(), distance)
         print(f"| {distance:g} | {cells(press, exact)} | {seconds:.1f} |", flush=True)
     print(f"\n| element | {depths} | {tail}")

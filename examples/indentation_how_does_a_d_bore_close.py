@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pyvista
 
-from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.indentation.tetrahedra import TetrahedronSize, tetrahedral_mesh
 from acoustube.indentation.wall_surface import tube_of
 from acoustube.lumen import measure
@@ -28,7 +28,7 @@ from acoustube.runs.imported_wall import read_surface
 from acoustube.tube import Tube
 
 DEPTH, REACH = 2e-3, 0.03
-rod, round_tube = Press(diameter=10e-3), Tube()
+rod, round_tube = Indenter(diameter=10e-3), Tube()
 checkout = Path(sys.argv[0]).resolve().parents[1]  # where this script lies in
 surface = read_surface(checkout / "meshes" / "d_bore.stl")
 d_tube = tube_of(

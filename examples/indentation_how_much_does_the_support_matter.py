@@ -13,14 +13,14 @@ not. The section under the rod hardly notices, the force does.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.lumen import measure
 from acoustube.tube import Tube
 
 DEPTH = 2e-3
 coarse = MeshSize(through_wall=1, around=12, along=10)
 presses = {
-    support: indent(Tube(), Press(diameter=25e-3), depth=DEPTH, support=support, mesh=coarse)
+    support: indent(Tube(), Indenter(diameter=25e-3), depth=DEPTH, support=support, mesh=coarse)
     for support in ("held", "free")
 }
 

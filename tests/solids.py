@@ -23,7 +23,7 @@ class OpenLumen:
     def tangent(self, position):  # noqa: ARG002
         return None
 
-    def free_share(self, start, end):  # noqa: ARG002
+    def collision_free_fraction(self, start, end):  # noqa: ARG002
         return 1.0
 
 

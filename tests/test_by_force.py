@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acoustube.base.errors import ConfigError, SimulationError
-from acoustube.indentation import Layer, MeshSize, Press, indent
+from acoustube.indentation import Indenter, Layer, MeshSize, indent
 from acoustube.runs.by_force import by_force
 from acoustube.tube import Tube
 
@@ -16,7 +16,7 @@ ARM = Layer(thickness=20e-3, modulus=60e3)
 
 def pressed(depth, layer=None):
     return indent(
-        Tube(), Press(diameter=25e-3), depth=depth, support="free", layer=layer, mesh=COARSE
+        Tube(), Indenter(diameter=25e-3), depth=depth, support="free", layer=layer, mesh=COARSE
     )
 
 

@@ -288,7 +288,7 @@ def test_press_is_computed_once_for_all_frequencies(monkeypatch):
     again = press_runs.pressed(load_config(frequency_khz=30), [1e-4])
     assert len(calls) == 1
     assert np.array_equal(first.displacement, again.displacement)
-    assert again.presses == first.presses
+    assert again.indenters == first.indenters
     press_runs.pressed(Config(), [2e-4])
     press_runs.pressed(load_config(None, Mechanics, wall_mm=1.5), [1e-4])
     assert len(calls) == 3

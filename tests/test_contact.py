@@ -13,12 +13,18 @@ from threadpoolctl import threadpool_limits
 
 from acoustube.base.errors import ConfigError
 from acoustube.indentation import contact, indent
-from acoustube.indentation.assembly import evaluate, tool_force
+from acoustube.indentation.assembly import evaluate, indenter_force
 from acoustube.indentation.contact import Body
-from acoustube.indentation.indenters import Layer, Press, ground, tools, touch_height
+from acoustube.indentation.indenters import (
+    Indenter,
+    Layer,
+    ground_body,
+    indenter_bodies,
+    touch_height,
+)
 from acoustube.indentation.mesh import MeshSize, sweep
 from acoustube.indentation.newton import minimise
-from acoustube.indentation.press import build
+from acoustube.indentation.press import press_model
 from acoustube.indentation.reference_element import QUAD8, TRI6
 from acoustube.indentation.self_contact import triangulated
 from acoustube.tube import Tube
@@ -38,8 +44,8 @@ UP = np.array([0.0, 1.0, 0.0])
 # Laws: energy per area over the gap
 
 
-RIGID = partial(contact.rigid, STIFFNESS, SMOOTHING)
-LAYER = partial(contact.layer, MODULUS, THICKNESS, SMOOTHING)
+RIGID = partial(contact.penalty_energy, STIFFNESS, SMOOTHING)
+LAYER = partial(contact.foundation_energy, MODULUS, THICKNESS, SMOOTHING)
 LAWS = {"rigid": (RIGID, STIFFNESS), "layer": (LAYER, MODULUS / THICKNESS)}
 CONTINUOUS = [("rigid", 0), ("rigid", 1), ("rigid", 2), ("layer", 0), ("layer", 1)]
 
@@ -231,7 +237,7 @@ def test_flat_end_of_a_punch_is_flat_up_to_its_axis():
 
 
 def test_ground_is_as_high_as_asked():
-    floor = ground(*WALL, -6e-3, None)
+    floor = ground_body(*WALL, -6e-3, None)
     for y, distance in ((-5e-3, 1e-3), (-7e-3, -1e-3)):
         assert float(floor.gap(jnp.array([1.0, y - floor.height, 2.0]))) == pytest.approx(distance)
 
@@ -239,10 +245,10 @@ def test_ground_is_as_high_as_asked():
 def test_ground_is_rigid_or_the_layer_that_is_asked_for():
     """A penetration of 0.1 mm: E ln(1 - s) of the layer; more than 100 times that of the floor."""
     gap = -1e-4
-    soft = ground(*WALL, 0.0, Layer(thickness=THICKNESS, modulus=MODULUS))
+    soft = ground_body(*WALL, 0.0, Layer(thickness=THICKNESS, modulus=MODULUS))
     pressure = -float(jax.grad(soft.law)(gap))
     assert pressure == pytest.approx(-MODULUS * np.log(1 + gap / THICKNESS), rel=1e-12)
-    assert -float(jax.grad(ground(*WALL, 0.0, None).law)(gap)) > 100 * pressure
+    assert -float(jax.grad(ground_body(*WALL, 0.0, None).law)(gap)) > 100 * pressure
 
 
 # First touch
@@ -262,7 +268,7 @@ R = TUBE.outer_diameter / 2
 @pytest.mark.parametrize("shape", ["rod", "sphere", "punch"])
 def test_a_tool_over_the_axis_touches_the_top_line(outer_wall, shape):
     """There is a vertex on the top line, at the press: to round-off."""
-    gap = Press(shape=shape, diameter=8e-3).gap()
+    gap = Indenter(shape=shape, diameter=8e-3).gap()
     assert touch_height(outer_wall, gap) == pytest.approx(R, abs=1e-12)
 
 
@@ -274,14 +280,14 @@ def test_a_sphere_beside_the_axis_touches_where_the_circles_do(outer_wall, x):
     s^2 (1/R + 1/r) / 2 up to 0.25 um: 0.5 um is allowed.
     """
     r = 4e-3
-    height = touch_height(outer_wall, Press(shape="sphere", diameter=2 * r, x=x).gap())
+    height = touch_height(outer_wall, Indenter(shape="sphere", diameter=2 * r, x=x).gap())
     assert height == pytest.approx(np.sqrt((R + r) ** 2 - x**2) - r, abs=0.5e-6)
 
 
 def test_a_punch_beside_the_axis_touches_with_its_edge(outer_wall):
     """The edge, a circle e about (x - r + e, h + e), meets the tube's: as for spheres."""
     r, e, x = 4e-3, 0.4e-3, 6e-3
-    press = Press(shape="punch", diameter=2 * r, x=x, edge_radius=e)
+    press = Indenter(shape="punch", diameter=2 * r, x=x, edge_radius=e)
     height = touch_height(outer_wall, press.gap())
     # The edge's spacing counts by 1 / e: 34 um grow to 1.6 um.
     exact = np.sqrt((R + e) ** 2 - (x - r + e) ** 2) - e
@@ -290,14 +296,14 @@ def test_a_punch_beside_the_axis_touches_with_its_edge(outer_wall):
 
 def test_a_yawed_rod_touches_at_the_height_of_the_top_line(outer_wall):
     """An endless rod's lowest line crosses the tube's top line, whatever the angle."""
-    gap = Press(shape="rod", diameter=10e-3, yaw=0.5).gap()
+    gap = Indenter(shape="rod", diameter=10e-3, yaw=0.5).gap()
     assert touch_height(outer_wall, gap) == pytest.approx(R, abs=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["sphere", "punch"])
 def test_a_press_that_misses_is_refused(outer_wall, shape):
     """Beside the tube by more than both radii."""
-    gap = Press(shape=shape, diameter=4e-3, x=R + 2.1e-3).gap()
+    gap = Indenter(shape=shape, diameter=4e-3, x=R + 2.1e-3).gap()
     with pytest.raises(ConfigError, match="misses the tube"):
         touch_height(outer_wall, gap)
 
@@ -383,7 +389,7 @@ def test_touched_area_is_that_of_the_points_inside():
     corners = QUAD8.nodes * [2e-3, 1e-3]
     tilted = np.insert(corners, 1, corners[:, 0] * 0.01 + 1e-7, axis=1)[None]
     area = areas(tilted, QUAD8)
-    touched = contact.touched_area(tilted, area, QUAD8.shapes, body(FLOOR, 0.0))
+    touched = contact.contact_area(tilted, area, QUAD8.shapes, body(FLOOR, 0.0))
     assert float(touched / area.sum()) == pytest.approx((1 - 64 / 225) / 2, abs=1e-9)
 
 
@@ -414,8 +420,8 @@ def pressed_block(rod, width, reach, cells):
     peak = 2 * MU / (1 - NU) * width / (2 * rod)
     # At the peak pressure the surfaces overlap by 1/1000 of the depth of the contact, b^2 / (2 R).
     penalty = 1e3 * peak / (width**2 / (2 * rod))
-    law = Partial(contact.rigid, np.float64(penalty), np.float64(1e-4 * width**2 / rod))
-    gap = Press(diameter=2 * rod).gap()
+    law = Partial(contact.penalty_energy, np.float64(penalty), np.float64(1e-4 * width**2 / rod))
+    gap = Indenter(diameter=2 * rod).gap()
     # How far a rod sinks into a block of depth d [Johnson, Contact Mechanics, section 5.6].
     depth = width**2 / (4 * rod) * (2 * np.log(4 * reach) - NU / (1 - NU))
     tool = Body(gap, np.float64(-depth), law)
@@ -429,7 +435,7 @@ def pressed_block(rod, width, reach, cells):
     weighted = pressure * model.outer_area
     second = np.sum(weighted * points[..., 2] ** 2) / np.sum(weighted)
     middle = pressure.ravel()[np.argmin(np.abs(points[..., 2]))]
-    return tool_force(model, displacement, tool) / slab, middle, 2 * np.sqrt(second)
+    return indenter_force(model, displacement, tool) / slab, middle, 2 * np.sqrt(second)
 
 
 def test_pressed_block_has_the_width_and_the_pressure_of_hertz():
@@ -457,12 +463,12 @@ def pressed():
     """A coarse tube on a free support, pressed 1 mm: its model, and a way to press it again."""
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         size = MeshSize(through_wall=1, around=6, along=7)
-        press = indent(TUBE, Press(diameter=ROD), depth=DEPTH, support="free", mesh=size)
-        model = build(press)
+        press = indent(TUBE, Indenter(diameter=ROD), depth=DEPTH, support="free", mesh=size)
+        model = press_model(press)
 
     def equilibrium(depth):
         heights = [height - depth for height in press.touch_heights]
-        bodies = (*tools(TUBE, press.presses, heights), press.bodies()[-1])
+        bodies = (*indenter_bodies(TUBE, press.indenters, heights), press.bodies()[-1])
         result = minimise(model, press.displacement[-1], bodies, TOLERANCE)
         assert result.converged
         return result.displacement, bodies
@@ -482,7 +488,7 @@ def test_contact_force_is_the_slope_of_the_converged_energy(pressed):
     step = 2e-7
     ahead, behind = (evaluate(model, *equilibrium(DEPTH + side * step)).energy for side in (1, -1))
     displacement, bodies = equilibrium(DEPTH)
-    force = tool_force(model, displacement, bodies[0])
+    force = indenter_force(model, displacement, bodies[0])
     assert press.mesh.copies == 4
     assert 4 * (ahead - behind) / (2 * step) == pytest.approx(force, rel=1e-6)
 
@@ -495,7 +501,7 @@ def test_floor_bears_what_the_rod_presses(pressed):
     """
     press, model, equilibrium = pressed
     displacement, bodies = equilibrium(DEPTH)
-    rod, floor = (tool_force(model, displacement, each) for each in bodies)
+    rod, floor = (indenter_force(model, displacement, each) for each in bodies)
     balance = press.mesh.copies * np.sqrt(len(displacement)) * TOLERANCE
     assert rod > 0.4
     assert -floor == pytest.approx(rod, abs=balance)

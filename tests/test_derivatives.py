@@ -10,13 +10,13 @@ from threadpoolctl import threadpool_limits
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Layer, MeshSize, Press, indent
-from acoustube.indentation.assembly import tool_force
+from acoustube.indentation import Indenter, Layer, MeshSize, indent
+from acoustube.indentation.assembly import indenter_force
 from acoustube.indentation.derivatives import Design, derivatives
 from acoustube.indentation.material import Material, mooney_rivlin
 from acoustube.indentation.mesh import sweep
 from acoustube.indentation.newton import minimise
-from acoustube.indentation.press import build, first_touch, neo_hookean_wall
+from acoustube.indentation.press import first_touch, neo_hookean_wall, press_model
 from acoustube.lumen import measure
 from acoustube.tube import Tube
 
@@ -29,7 +29,7 @@ STEP = 1e-5
 @cache
 def closed(shape, support):
     """Return a press with rows at 4, 7.9 and 8.1 mm; this coarse tube is closed from 7.9 mm."""
-    tool = Press(shape=shape, diameter=25e-3)
+    tool = Indenter(shape=shape, diameter=25e-3)
     return indent(Tube(), tool, depth=[4e-3, 7.9e-3, 8.1e-3], support=support, mesh=SIZE)
 
 
@@ -41,7 +41,7 @@ def settled(indentation, increment, design):
         wall_thickness=design.wall_thickness,
         inner_diameter=design.inner_diameter,
     )
-    tool = dataclasses.replace(indentation.presses[0], diameter=design.indenter_diameter)
+    tool = dataclasses.replace(indentation.indenters[0], diameter=design.indenter_diameter)
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         changed = first_touch(
             tube,
@@ -50,15 +50,15 @@ def settled(indentation, increment, design):
             layer=None,
             material=neo_hookean_wall(tube),
             mesh=sweep(tube, pressed_reach(tube.outer_diameter, tool.diameter), SIZE),
-            closing_distance=indentation.closing_distance,
+            barrier_distance=indentation.barrier_distance,
         )
         changed = dataclasses.replace(changed, depth=indentation.depth[[increment]])
-        model, bodies = build(changed), changed.bodies(0)
+        model, bodies = press_model(changed), changed.bodies(0)
         tolerance = 1e-11 * tube.shear_modulus * tube.inner_diameter**2
         found = minimise(model, indentation.displacement[increment], bodies, tolerance)
         assert found.converged, found.reason
         changed = dataclasses.replace(changed, displacement=found.displacement[None])
-        force = tool_force(model, found.displacement, bodies[0])
+        force = indenter_force(model, found.displacement, bodies[0])
     return np.array([force, measure(changed, 0, np.zeros(1)).area[0]])
 
 
@@ -107,7 +107,7 @@ def test_force_is_proportional_to_the_modulus():
 
 
 def test_what_cannot_be_differentiated_is_refused():
-    tube, tool = Tube(), Press(diameter=25e-3)
+    tube, tool = Tube(), Indenter(diameter=25e-3)
     whole = indent(tube, tool, depth=5e-5, mesh=SIZE, whole=True)
     with pytest.raises(ConfigError, match="must be symmetric about z = 0"):
         derivatives(whole)
@@ -121,7 +121,7 @@ def test_what_cannot_be_differentiated_is_refused():
 
 def test_length_of_the_mesh_and_a_layer_are_part_of_the_design():
     """dF/dmu = F / mu on a longer piece; on a layer, a thicker wall against a new equilibrium."""
-    tube, tool = Tube(), Press(diameter=25e-3)
+    tube, tool = Tube(), Indenter(diameter=25e-3)
     longer = sweep(tube, 80e-3, SIZE)
     press = indent(tube, tool, depth=5e-4, support="free", mesh=longer)
     found = derivatives(press).contact_force.shear_modulus

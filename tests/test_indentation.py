@@ -12,9 +12,9 @@ from solids import HEXAHEDRA_AT_4_MM
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.indentation import (
+    Indenter,
     Layer,
     MeshSize,
-    Press,
     PressError,
     indent,
     load_path,
@@ -51,7 +51,12 @@ def _pressed(depths_mm, tool, mesh, support, tube, whole):
 def pressed(*depths_mm, tool=None, size=None, support="free", tube=None, whole=False):
     """Press the paper's tube, by default with the reference's rod; shared between tests."""
     return _pressed(
-        depths_mm, tool or Press(diameter=ROD), size or MeshSize(), support, tube or Tube(), whole
+        depths_mm,
+        tool or Indenter(diameter=ROD),
+        size or MeshSize(),
+        support,
+        tube or Tube(),
+        whole,
     )
 
 
@@ -157,7 +162,7 @@ def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(mo
     """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
     with_skin = pressed(*DEEP)
     monkeypatch.setattr(wrinkle_penalty, "STIFFNESS", 0.0)
-    without = indent(Tube(), Press(diameter=ROD), depth=[4e-3, 6e-3], support="free")
+    without = indent(Tube(), Indenter(diameter=ROD), depth=[4e-3, 6e-3], support="free")
     for depth_mm in (4, 6):
         one, other = sections(with_skin, depth_mm), sections(without, depth_mm)
         assert one["force_N"] == pytest.approx(other["force_N"], rel=5e-3)
@@ -212,8 +217,8 @@ def test_twice_the_size_takes_four_times_the_force():
     """
     tube = Tube()
     twice = Tube(inner_diameter=2 * tube.inner_diameter, wall_thickness=2 * tube.wall_thickness)
-    small = indent(tube, Press(diameter=ROD), depth=5e-4, support="free", mesh=COARSE)
-    large = indent(twice, Press(diameter=2 * ROD), depth=1e-3, support="free", mesh=COARSE)
+    small = indent(tube, Indenter(diameter=ROD), depth=5e-4, support="free", mesh=COARSE)
+    large = indent(twice, Indenter(diameter=2 * ROD), depth=1e-3, support="free", mesh=COARSE)
     assert large.contact_force[-1] == pytest.approx(4 * small.contact_force[-1], rel=2e-5)
     assert large.displacement[-1] == pytest.approx(2 * small.displacement[-1], abs=1e-9)
 
@@ -258,11 +263,11 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
     def blocked(model, start, bodies, tolerance):
         result = minimise(model, start, bodies, tolerance)
         if result.converged and bodies[0].height < lowest:
-            return dataclasses.replace(result, converged=False, reason="the wall buckles")
+            return dataclasses.replace(result, converged=False, reason="buckling")
         return result
 
     monkeypatch.setattr(load_path, "minimise", blocked)
-    message = r"depth of 0\.30 mm of 1\.00 mm: the wall buckles.*less depth"
+    message = r"depth of 0\.30 mm of 1\.00 mm: buckling.*Reduce the depth"
     with pytest.raises(PressError, match=message) as stopped:
         indent(Tube(), depth=[1e-4, 1e-3], mesh=COARSE)
     kept = stopped.value.indentation
@@ -289,8 +294,8 @@ def test_newton_without_iterations_stops_the_press(monkeypatch):
 @pytest.mark.parametrize(
     "tool",
     [
-        pytest.param(Press(diameter=ROD), marks=pytest.mark.long),
-        Press(shape="sphere", diameter=20e-3),
+        pytest.param(Indenter(diameter=ROD), marks=pytest.mark.long),
+        Indenter(shape="sphere", diameter=20e-3),
     ],
 )
 def test_whole_tube_is_pressed_like_its_quarter(tool):
@@ -314,7 +319,7 @@ def test_turned_rod_presses_alike_to_either_side():
     """
     size = MeshSize(through_wall=1, around=6, along=5)
     left, right = (
-        pressed(1, tool=Press(diameter=ROD, yaw=yaw), size=size).contact_force[-1]
+        pressed(1, tool=Indenter(diameter=ROD, yaw=yaw), size=size).contact_force[-1]
         for yaw in np.deg2rad([-20, 20])
     )
     straight = pressed(1, size=size).contact_force[-1]
@@ -327,7 +332,7 @@ def test_press_beside_the_axis_leaves_the_lumen_lopsided():
     """2 mm to the right: the wall goes down there, and mirrored to the left; force to 1e-6."""
     size = MeshSize(through_wall=1, around=6, along=5)
     left, right = (
-        pressed(1, tool=Press(shape="sphere", diameter=10e-3, x=x), size=size)
+        pressed(1, tool=Indenter(shape="sphere", diameter=10e-3, x=x), size=size)
         for x in (-2e-3, 2e-3)
     )
     assert right.mesh.halved == (False, True)
@@ -348,12 +353,12 @@ def test_two_distant_presses_are_each_like_one_alone():
     """
     size = MeshSize(through_wall=1, around=8, along=20)
     tools = (
-        Press(diameter=10e-3, z=-30e-3),
-        Press(shape="sphere", diameter=10e-3, z=30e-3, share=0.5),
+        Indenter(diameter=10e-3, z=-30e-3),
+        Indenter(shape="sphere", diameter=10e-3, z=30e-3, depth_fraction=0.5),
     )
     both = pressed(1, tool=tools, size=size, support="held")
-    rod = pressed(1, tool=Press(diameter=10e-3), size=size, support="held")
-    sphere = pressed(0.5, tool=Press(shape="sphere", diameter=10e-3), size=size, support="held")
+    rod = pressed(1, tool=Indenter(diameter=10e-3), size=size, support="held")
+    sphere = pressed(0.5, tool=Indenter(shape="sphere", diameter=10e-3), size=size, support="held")
     assert both.press_force.shape == (len(both.depth), 2)
     assert both.press_force[-1, 0] == pytest.approx(rod.contact_force[-1], rel=0.01)
     assert both.press_force[-1, 1] == pytest.approx(sphere.contact_force[-1], rel=0.01)
@@ -376,7 +381,7 @@ def test_stiff_layer_is_a_floor_and_a_soft_one_takes_depth_away():
 
 def test_remembered_results_make_the_same_indentation():
     found = pressed(0.3, 0.31, 0.8, size=COARSE)
-    again = restored(Tube(), Press(diameter=ROD), found.results, support="free", mesh=COARSE)
+    again = restored(Tube(), Indenter(diameter=ROD), found.results, support="free", mesh=COARSE)
     assert again.touch_heights == found.touch_heights
     assert np.array_equal(again.mesh.points, found.mesh.points)
     assert np.array_equal(again.displacement, found.displacement)
@@ -410,7 +415,7 @@ def test_impossible_depths_are_refused(depth):
         ({"diameter": 0.0}, "diameter = 0.0 m is not a size"),
         ({"diameter": np.nan}, "diameter = nan m is not a size"),
         ({"shape": "cone"}, "shape = 'cone' is unknown; use 'rod', 'punch' or 'sphere'"),
-        ({"x": np.inf}, "x = inf m is no place"),
+        ({"x": np.inf}, "x = inf m is not a coordinate"),
         ({"yaw": 1.5}, "yaw = 1.5 rad is outside"),
         ({"share": 0.0}, "share = 0.0 of the depth"),
         ({"shape": "punch", "edge_radius": 0.02}, "edge_radius = 0.02 m must be"),
@@ -418,7 +423,7 @@ def test_impossible_depths_are_refused(depth):
 )
 def test_impossible_presses_are_refused(values, message):
     with pytest.raises(ConfigError, match=message):
-        Press(**values)
+        Indenter(**values)
 
 
 @pytest.mark.parametrize(
@@ -426,8 +431,8 @@ def test_impossible_presses_are_refused(values, message):
     [
         ({"support": "glued"}, "support = 'glued' is unknown"),
         ({"layer": Layer(thickness=1e-3, modulus=1e5)}, "support = 'held' needs a rigid floor"),
-        ({"press": ()}, "at least one Press"),
-        ({"press": Press(shape="sphere", diameter=5e-3, x=9e-3)}, "misses the tube"),
+        ({"indenter": ()}, "at least one Indenter"),
+        ({"indenter": Indenter(shape="sphere", diameter=5e-3, x=9e-3)}, "misses the tube"),
     ],
 )
 def test_impossible_arrangements_are_refused(arguments, message):
@@ -437,7 +442,7 @@ def test_impossible_arrangements_are_refused(arguments, message):
 
 def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
     """A 25 mm sphere 15 mm beside the axis touches 3.1 mm over the floor."""
-    beside = Press(shape="sphere", diameter=25e-3, x=15e-3)
+    beside = Indenter(shape="sphere", diameter=25e-3, x=15e-3)
     with pytest.raises(ConfigError, match=r"sphere at x = 0\.015 m into the floor.*0\.0030"):
         indent(Tube(), beside, depth=4e-3, mesh=COARSE)
 
@@ -447,10 +452,10 @@ def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
 @pytest.mark.parametrize(
     "tool",
     [
-        Press(diameter=10e-3),
-        pytest.param(Press(diameter=35e-3), marks=pytest.mark.long),
-        pytest.param(Press(shape="punch", diameter=10e-3), marks=pytest.mark.long),
-        Press(shape="sphere", diameter=20e-3),
+        Indenter(diameter=10e-3),
+        pytest.param(Indenter(diameter=35e-3), marks=pytest.mark.long),
+        pytest.param(Indenter(shape="punch", diameter=10e-3), marks=pytest.mark.long),
+        Indenter(shape="sphere", diameter=20e-3),
     ],
     ids=lambda tool: f"{1e3 * tool.diameter:g} mm {tool.shape}",
 )

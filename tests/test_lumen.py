@@ -10,9 +10,9 @@ from test_indentation import DEEP, pressed, reference
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import CLEARANCE, pressed_reach
-from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.indentation.mesh import sweep
-from acoustube.indentation.press import CLOSING_DISTANCE, build, first_touch, neo_hookean_wall
+from acoustube.indentation.press import BARRIER_DISTANCE, first_touch, neo_hookean_wall, press_model
 from acoustube.lumen import (
     deformed_wall,
     lumen,
@@ -39,15 +39,15 @@ def fabricated(displacement=0.0):
     with jax.enable_x64(True):
         untouched = first_touch(
             TUBE,
-            (Press(diameter=ROD),),
+            (Indenter(diameter=ROD),),
             support="held",
             layer=None,
             material=neo_hookean_wall(TUBE),
             mesh=mesh,
-            closing_distance=CLOSING_DISTANCE * TUBE.inner_diameter,
+            barrier_distance=BARRIER_DISTANCE * TUBE.inner_diameter,
         )
         moved = np.zeros(mesh.points.shape) + displacement
-        gap = build(untouched).lumen.smallest_gap(mesh.points + moved)
+        gap = press_model(untouched).lumen.smallest_gap(mesh.points + moved)
     return dataclasses.replace(
         untouched,
         depth=np.array([1e-3]),
@@ -336,7 +336,7 @@ def test_nearest_allowed_place_still_fits_the_tube(support):
     tube = Tube(length=0.16)
     pressed = indent(
         tube,
-        Press(diameter=10e-3),
+        Indenter(diameter=10e-3),
         depth=4e-3,
         support=support,
         mesh=MeshSize(through_wall=1, around=8, along=8),

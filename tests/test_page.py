@@ -17,9 +17,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.cli._app import main
 from acoustube.cli.indent import run_press
 from acoustube.cli.simulate import run
-from acoustube.indentation import MeshSize, Press
+from acoustube.indentation import Indenter, MeshSize
 from acoustube.indentation.mesh import sweep as swept_tube
-from acoustube.lumen.thinning import RINGS, thinned
+from acoustube.lumen.thinning import RINGS, decimate_rings
 from acoustube.reports.page import content, read, shapes, write
 from acoustube.reports.page.encoded import Arrays
 from acoustube.reports.page.solid import Solid
@@ -94,7 +94,7 @@ def pinched_rings(n_rings=161, n_around=240):
 def test_thinned_walls_are_within_20_um_of_all_rings():
     """The bound that the module states; linear between the rings that are kept."""
     inner, outer = pinched_rings()
-    kept, kept_outer = thinned(inner, outer)
+    kept, kept_outer = decimate_rings(inner, outer)
     assert kept.shape == kept_outer.shape == (RINGS, 120, 3)
     assert (kept[:, 0, 2] == 0).any()
     z, known = inner[:, 0, 2], kept[:, 0, 2]
@@ -105,7 +105,7 @@ def test_thinned_walls_are_within_20_um_of_all_rings():
 
 def test_thinning_keeps_what_is_few():
     inner, outer = pinched_rings(9, 90)
-    kept, kept_outer = thinned(inner, outer)
+    kept, kept_outer = decimate_rings(inner, outer)
     np.testing.assert_array_equal(kept, inner)
     np.testing.assert_array_equal(kept_outer, outer)
 
@@ -159,9 +159,13 @@ def test_tools_touch_a_straight_tube_at_its_top():
     radius = BORE / 2 + WALL
     angle, z = np.meshgrid(np.linspace(0, np.pi, 2001), np.linspace(-0.02, 0.02, 41))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
-    for press in (Press(diameter=25e-3), Press(diameter=10e-3, yaw=0.3), Press(shape="punch")):
+    for press in (
+        Indenter(diameter=25e-3),
+        Indenter(diameter=10e-3, yaw=0.3),
+        Indenter(shape="punch"),
+    ):
         assert shapes.tool_height(press, points) == pytest.approx(radius, rel=1e-6)
-    beside = Press(shape="sphere", diameter=20e-3, x=3e-3)
+    beside = Indenter(shape="sphere", diameter=20e-3, x=3e-3)
     expected = np.sqrt((radius + 10e-3) ** 2 - 3e-3**2) - 10e-3
     assert shapes.tool_height(beside, points) == pytest.approx(expected, rel=1e-5)
 
@@ -174,7 +178,7 @@ def test_round_tools_are_drawn_where_x_is_positive(shape, diameter, x):
     Facets of 5 degrees are within 1e-3 of a circle.
     """
     tube, radius = BORE + 2 * WALL, diameter / 2
-    press = Press(shape=shape, diameter=diameter, x=x)
+    press = Indenter(shape=shape, diameter=diameter, x=x)
     drawn = shapes.tool(press, tube)
     low, high = drawn.points.min(axis=0), drawn.points.max(axis=0)
     widest = radius if x >= 0 else np.sqrt(radius**2 - x**2)
@@ -193,7 +197,7 @@ def test_round_tools_are_drawn_where_x_is_positive(shape, diameter, x):
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -0.9])
 @pytest.mark.parametrize("diameter", [5e-3, 35e-3])
 def test_rod_is_cut_at_x_0_whatever_its_turn(diameter, yaw):
-    drawn = shapes.tool(Press(diameter=diameter, yaw=yaw), BORE + 2 * WALL)
+    drawn = shapes.tool(Indenter(diameter=diameter, yaw=yaw), BORE + 2 * WALL)
     assert drawn.points[:, 0].min() == pytest.approx(0.0, abs=1e-12)
     axis = np.array([-np.sin(yaw), np.cos(yaw)])
     s, y = drawn.points[:, [0, 2]] @ axis, drawn.points[:, 1]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from acoustube.indentation import Press
+from acoustube.indentation import Indenter
 from acoustube.reports.scenes import tube as scene
 from acoustube.runs.config import Mechanics, load_config
 
@@ -26,13 +26,13 @@ def rings(radius, sink=0.0):
 
 
 PRESSES = [
-    Press(diameter=25e-3),
-    Press(diameter=25e-3, yaw=0.5),
-    Press(diameter=25e-3, yaw=-0.5),
-    Press(shape="sphere", diameter=20e-3),
-    Press(shape="sphere", diameter=20e-3, x=-3e-3),
-    Press(shape="punch", diameter=8e-3, x=2e-3),
-    Press(shape="punch", diameter=8e-3, x=-2e-3),
+    Indenter(diameter=25e-3),
+    Indenter(diameter=25e-3, yaw=0.5),
+    Indenter(diameter=25e-3, yaw=-0.5),
+    Indenter(shape="sphere", diameter=20e-3),
+    Indenter(shape="sphere", diameter=20e-3, x=-3e-3),
+    Indenter(shape="punch", diameter=8e-3, x=2e-3),
+    Indenter(shape="punch", diameter=8e-3, x=-2e-3),
 ]
 
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
 from acoustube.indentation.reference_element import TET10, TRI6
-from acoustube.indentation.self_contact import SAFETY, self_contact, triangulated
+from acoustube.indentation.self_contact import STEP_SAFETY_FACTOR, self_contact, triangulated
 from acoustube.tube import Tube
 
 TUBE = Tube()
@@ -59,7 +59,7 @@ def moved(mesh, seed=0):
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 def test_barrier_forces_are_the_slope_of_its_energy(quarter, lumen, share):
-    """Central difference over 1e-9 m along a random motion, at gaps within the closing distance.
+    """Central difference over 1e-9 m along a random motion, at gaps within the barrier distance.
 
     Truncation is some (1e-9 / gap)^2 = 1e-9, round-off 1e-7 of the energy's change.
     """
@@ -183,8 +183,8 @@ def test_a_step_that_would_cross_is_stopped_short_of_the_first_collision(quarter
     """
     gap = 0.5 * DISTANCE
     start, end = (flattened(quarter, side * gap, askew=0.013) for side in (1, -1))
-    share = lumen.free_share(start, end)
-    assert 0.9 * SAFETY * 0.5 < share < SAFETY * 0.55
+    share = lumen.collision_free_fraction(start, end)
+    assert 0.9 * STEP_SAFETY_FACTOR * 0.5 < share < STEP_SAFETY_FACTOR * 0.55
     stopped = start + share * (end - start)
     height = (lumen.sampling @ stopped)[:, 1]
     above = (lumen.sampling @ quarter.points)[:, 1] > 0
@@ -194,8 +194,8 @@ def test_a_step_that_would_cross_is_stopped_short_of_the_first_collision(quarter
 
 def test_a_step_without_collision_is_taken_whole(quarter, lumen):
     start = flattened(quarter, 5 * DISTANCE)
-    assert lumen.free_share(start, flattened(quarter, 3 * DISTANCE)) == 1.0
-    assert lumen.free_share(start, start + np.array([1e-3, 2e-3, -1e-3])) == 1.0
+    assert lumen.collision_free_fraction(start, flattened(quarter, 3 * DISTANCE)) == 1.0
+    assert lumen.collision_free_fraction(start, start + np.array([1e-3, 2e-3, -1e-3])) == 1.0
 
 
 # Triangles

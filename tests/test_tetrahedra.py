@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces
 
 from acoustube.base.errors import ConfigError
-from acoustube.indentation import Press, boundary_nodes, element, indent, tetrahedra
+from acoustube.indentation import Indenter, boundary_nodes, element, indent, tetrahedra
 from acoustube.indentation.linear_solver import pattern
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import TET10, edges, gauss
@@ -427,7 +427,7 @@ REACH = 40e-3
 
 def pressed(surface, depth, support, size=None):
     tube = tube_of(surface, shear_modulus=507433.0, poisson_ratio=0.49)
-    press = Press(diameter=25e-3)
+    press = Indenter(diameter=25e-3)
     mesh = tetrahedral_mesh(surface, reach=REACH, halved=press.halves, size=size)
     assert mesh.halved == (True, True)
     return indent(tube, press, depth=depth, support=support, mesh=mesh)

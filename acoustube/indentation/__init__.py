@@ -1,19 +1,23 @@
-"""Pressing the tube: finite elements against rigid tools, up to a closed lumen.
+"""Indentation of the tube: finite elements pressed by rigid indenters until the lumen is closed.
 
-Reading order: ``reference`` (shape functions), ``mesh`` (the swept tube), ``material`` (the strain
-energy), ``element`` (its integral), ``contact`` and ``tools`` (what presses and what supports),
-``self_contact`` (the lumen's walls), ``folds`` (what keeps its folds smooth), ``linear`` (the
-stiffness matrix), ``equilibrium`` (Newton's method), ``press`` (the increments), ``derivatives``
-(by the design), ``tetrahedra`` (walls of any shape).
+Reading order: ``reference_element`` (shape functions and quadrature), ``mesh`` (the swept round
+tube), ``material`` (strain energies), ``element`` (energy, force and stiffness of an element),
+``contact`` (distances and contact laws), ``indenters`` (rods, punches, spheres and the ground),
+``self_contact`` (the barrier between the lumen's walls), ``wrinkle_penalty`` (smooth folds),
+``linear_solver`` (the sparse matrix and its factorisation), ``assembly`` (energy, residual and
+tangent of the whole tube), ``newton`` (equilibrium at one depth), ``result``, ``load_path``
+(increments of depth), ``press`` (the public function), ``derivatives`` (sensitivities), and for
+imported walls ``wall_surface``, ``boundary_nodes`` and ``tetrahedra``.
 """
 
-from acoustube.indentation.indenters import Layer, Press, Support
+from acoustube.indentation.indenters import Indenter, Layer, Press, Support
 from acoustube.indentation.mesh import Mesh, MeshSize
 from acoustube.indentation.press import indent, restored
 from acoustube.indentation.result import Indentation, PressError
 
 __all__ = [
     "Indentation",
+    "Indenter",
     "Layer",
     "Mesh",
     "MeshSize",

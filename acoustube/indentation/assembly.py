@@ -1,4 +1,4 @@
-"""Energy of the pressed tube, and Newton's method for its minimum."""
+"""Potential energy of the pressed tube, its gradient and tangent stiffness, and derived results."""
 
 from __future__ import annotations
 
@@ -25,28 +25,29 @@ _wall_tangents = jax.jit(element.tangents)
 _touch = jax.jit(contact.energies_and_forces)
 _touch_tangents = jax.jit(contact.tangents)
 _force = jax.jit(contact.force)
-_touched = jax.jit(contact.touched_area)
+_contact_area = jax.jit(contact.contact_area)
 _areas = jax.jit(contact.areas)
 _volume_ratios = jax.jit(element.volume_ratios)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A discretised tube: everything that does not change during a press.
+    """The discretised tube: everything that is constant during a press.
 
     Attributes
     ----------
     mesh : Mesh
     material : Material
     rule : Quadrature
+        Of the wall's elements.
     outer_area : array of shape (n_faces, n_points)
-        Undeformed area in m2 at the points of the outer faces.
+        Undeformed area in m2 of the outer faces' quadrature points.
     pattern : Pattern
+        Sparsity of the stiffness matrix.
     lumen : SelfContact
         Contact of the inner wall with itself.
-    skin : sparse array of shape (3 n_nodes, 3 n_nodes)
-        Stiffness in N/m that keeps the inner wall smooth; see
-        :mod:`acoustube.indentation.wrinkle_penalty`.
+    wrinkle_stiffness : sparse array of shape (3 n_nodes, 3 n_nodes)
+        In N/m; see :func:`acoustube.indentation.wrinkle_penalty.stiffness`.
     """
 
     mesh: Mesh
@@ -55,16 +56,16 @@ class Model:
     outer_area: Array
     pattern: Pattern
     lumen: SelfContact
-    skin: sparse.csr_array
+    wrinkle_stiffness: sparse.csr_array
 
     @cached_property
-    def skin_tangent(self) -> sparse.csc_array:
-        """The lower triangle of `skin` for the unknowns."""
-        return self.pattern.restrict(self.skin)
+    def wrinkle_tangent(self) -> sparse.csc_array:
+        """Lower triangle of `wrinkle_stiffness` for the unknowns."""
+        return self.pattern.restrict(self.wrinkle_stiffness)
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Displacement components that are unknowns, shape (n_nodes, 3)."""
+        """Mask of the unknown displacement components, shape (n_nodes, 3)."""
         return self.pattern.free
 
 
@@ -73,13 +74,23 @@ def build_model(
     material: Material,
     fixed: NDArray[np.bool_],
     lumen: SelfContact,
-    skin: sparse.csr_array | None = None,
+    wrinkle_stiffness: sparse.csr_array | None = None,
 ) -> Model:
-    """Prepare the assembly on a mesh with the displacement components `fixed` held at zero.
+    """Discretise a tube.
 
-    Without a `skin` nothing keeps the inner wall from wrinkling.
+    Parameters
+    ----------
+    mesh : Mesh
+    material : Material
+    fixed : array of bool, shape (n_nodes, 3)
+        Displacement components held at zero.
+    lumen : SelfContact
+    wrinkle_stiffness : sparse array of shape (3 n_nodes, 3 n_nodes), optional
+        In N/m; zero by default.
     """
     face, n_components = mesh.face, mesh.points.size
+    if wrinkle_stiffness is None:
+        wrinkle_stiffness = sparse.csr_array((n_components, n_components))
     outer_area = _areas(mesh.points[mesh.outer_faces], face.slopes, face.weights)
     return Model(
         mesh=mesh,
@@ -88,12 +99,24 @@ def build_model(
         outer_area=np.asarray(outer_area),
         pattern=linear_solver.pattern(~fixed, [mesh.elements, mesh.outer_faces]),
         lumen=lumen,
-        skin=sparse.csr_array((n_components, n_components)) if skin is None else skin,
+        wrinkle_stiffness=wrinkle_stiffness,
     )
 
 
 class State(NamedTuple):
-    """Displacements (n_nodes, 3) with their energy, gradient (n_free,) and its norm."""
+    """Potential energy and its gradient at given displacements.
+
+    Attributes
+    ----------
+    displacement : array of shape (n_nodes, 3)
+        In m.
+    energy : float
+        Of the modelled part, in J.
+    gradient : array of shape (n_free,)
+        Residual (out-of-balance) forces on the unknowns, in N.
+    norm : float
+        Of the gradient, in N.
+    """
 
     displacement: Array
     energy: float
@@ -102,46 +125,66 @@ class State(NamedTuple):
 
 
 def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> State:
-    """Return energy and out-of-balance forces; NaN where an element is inverted."""
+    """Evaluate the potential energy and the residual forces.
+
+    Parameters
+    ----------
+    model : Model
+    displacement : array of shape (n_nodes, 3)
+        In m.
+    bodies : tuple of Body
+        Indenters and ground.
+
+    Returns
+    -------
+    State
+        NaN where an element is inverted (J <= 0).
+    """
     mesh, position = model.mesh, model.mesh.points + displacement
     wall, inner = _wall(displacement[mesh.elements], model.rule, model.material)
     touch, outer = _touch(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies)
-    closing, total = model.lumen.energy_and_forces(position)
+    barrier, total = model.lumen.energy_and_forces(position)
     np.add.at(total, mesh.elements, inner)
     np.add.at(total, mesh.outer_faces, outer)
-    smoothing = (model.skin @ displacement.ravel()).reshape(displacement.shape)
+    smoothing = (model.wrinkle_stiffness @ displacement.ravel()).reshape(displacement.shape)
     gradient = (total + smoothing)[model.free]
-    energy = float(np.sum(wall) + np.sum(touch) + 0.5 * np.sum(smoothing * displacement)) + closing
+    energy = float(np.sum(wall) + np.sum(touch) + 0.5 * np.sum(smoothing * displacement)) + barrier
     return State(displacement, energy, gradient, float(np.linalg.norm(gradient)))
 
 
 def stiffness(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> sparse.csc_array:
-    """Return the lower triangle of the tangent for the unknowns, in N/m."""
+    """Assemble the tangent stiffness; arguments as of :func:`evaluate`.
+
+    Returns
+    -------
+    sparse array of shape (n_free, n_free)
+        Its lower triangle, in N/m.
+    """
     mesh, position = model.mesh, model.mesh.points + displacement
     matrices = [
         _wall_tangents(displacement[mesh.elements], model.rule, model.material),
         _touch_tangents(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies),
     ]
-    lower = model.pattern.assemble(matrices) + model.skin_tangent
-    closing = model.lumen.tangent(position)
-    return lower if closing is None else lower + model.pattern.restrict(closing)
+    lower = model.pattern.assemble(matrices) + model.wrinkle_tangent
+    barrier = model.lumen.tangent(position)
+    return lower if barrier is None else lower + model.pattern.restrict(barrier)
 
 
-class Measures(NamedTuple):
-    """What is told of a converged state, for the whole tube.
+class EquilibriumResults(NamedTuple):
+    """Post-processed quantities of a converged equilibrium, for the whole tube.
 
     Attributes
     ----------
-    press_force : array of shape (n_presses,)
-        Force on each press, upwards, in N.
-    contact_area : array of shape (n_presses,)
-        Deformed outer wall that touches each press, in m2.
+    press_force : array of shape (n_indenters,)
+        Upward force on each indenter, in N.
+    contact_area : array of shape (n_indenters,)
+        Deformed area of the outer wall in contact with each indenter, in m2.
     energy : float
         Elastic energy of the wall in J.
     smallest_volume_ratio : float
-        Smallest J at any quadrature point.
+        Smallest J at the quadrature points.
     smallest_gap : float
-        Between the lower and the upper inner wall, in m.
+        Smallest distance between the lower and the upper inner wall, in m.
     """
 
     press_force: Array
@@ -151,16 +194,21 @@ class Measures(NamedTuple):
     smallest_gap: float
 
 
-def measures(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Measures:
-    """Return force, contact area and soundness of a state; the last of the bodies is the ground."""
+def equilibrium_results(
+    model: Model, displacement: Array, bodies: tuple[Body, ...]
+) -> EquilibriumResults:
+    """Compute forces, contact areas and energy of an equilibrium.
+
+    Arguments as of :func:`evaluate`; the last of the bodies is the ground.
+    """
     mesh, position = model.mesh, model.mesh.points + displacement
     local = displacement[mesh.elements]
     wall, _ = _wall(local, model.rule, model.material)
     faces = position[mesh.outer_faces]
     deformed = _areas(faces, mesh.face.slopes, mesh.face.weights)
-    touched = [_touched(faces, deformed, mesh.face.shapes, body) for body in bodies[:-1]]
-    return Measures(
-        press_force=np.array([tool_force(model, displacement, body) for body in bodies[:-1]]),
+    touched = [_contact_area(faces, deformed, mesh.face.shapes, body) for body in bodies[:-1]]
+    return EquilibriumResults(
+        press_force=np.array([indenter_force(model, displacement, body) for body in bodies[:-1]]),
         contact_area=mesh.copies * np.array(touched),
         energy=mesh.copies * float(np.sum(wall)),
         smallest_volume_ratio=float(np.min(_volume_ratios(local, model.rule))),
@@ -168,8 +216,16 @@ def measures(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Mea
     )
 
 
-def tool_force(model: Model, displacement: Array, body: Body) -> float:
-    """Return the force in N on a body from the whole tube, upwards."""
+def indenter_force(model: Model, displacement: Array, body: Body) -> float:
+    """Return the upward force in N of the whole tube on a body.
+
+    Parameters
+    ----------
+    model : Model
+    displacement : array of shape (n_nodes, 3)
+        In m.
+    body : Body
+    """
     position = (model.mesh.points + displacement)[model.mesh.outer_faces]
     part = _force(position, model.outer_area, model.mesh.face.shapes, body)
     return model.mesh.copies * float(part)

@@ -1,10 +1,17 @@
-"""How force and lumen area change with the design, by the implicit function theorem.
+"""Derivatives of force and lumen area with respect to the design: direct sensitivity analysis.
 
-An equilibrium u makes the out-of-balance forces r(u, p) vanish for the design p. If p changes at a
-fixed depth, u follows by ``du = -K^-1 dr``, with the tangent K that Newton's method has, and a
-result q(u, p) changes by ``q_u du + q_p dp``: one factorisation and one solution for each
-parameter, no further press. The partial derivatives are JAX's, but for those of the barrier between
-the lumen's walls; see :meth:`acoustube.indentation.self_contact.SelfContact.forces_along`.
+An equilibrium u makes the residual forces r(u, p) vanish for the design p. By the implicit function
+theorem a change of p at a fixed depth changes u by ``du = -K^-1 r_p dp``, with the tangent
+stiffness K of Newton's method, and a result q(u, p) by ``q_u du + q_p dp`` [1]_: one factorisation,
+one right-hand side for each parameter, and no further press. JAX computes the partial derivatives,
+except those of the self-contact barrier; see
+:meth:`acoustube.indentation.self_contact.SelfContact.forces_along`.
+
+References
+----------
+.. [1] P. Michaleris, D. A. Tortorelli, C. A. Vidal, "Tangent operators and design sensitivity
+   formulations for transient non-linear coupled problems with applications to elastoplasticity",
+   Int. J. Numer. Methods Eng. 37, 2471-2499 (1994).
 """
 
 from __future__ import annotations
@@ -22,29 +29,30 @@ from threadpoolctl import threadpool_limits
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.types import Array
-from acoustube.indentation import contact, element, indenters, linear_solver
+from acoustube.indentation import contact, element, linear_solver
 from acoustube.indentation.assembly import Model, stiffness
 from acoustube.indentation.contact import Body
+from acoustube.indentation.indenters import Indenter, ground_body
 from acoustube.indentation.material import Material, neo_hookean
-from acoustube.indentation.press import build, neo_hookean_wall
+from acoustube.indentation.press import neo_hookean_wall, press_model
 from acoustube.indentation.result import Indentation
 from acoustube.indentation.self_contact import triangulated
 
 SECTION_PARTS = 8
-"""Edges of the polygon in which the lumen's area is measured, along the edge of an element."""
+"""Sides of the polygon in which the lumen's area is measured, along the edge of an element."""
 
 
 class Design(NamedTuple):
-    """The parameters, or a derivative with respect to each of them.
+    """Design parameters, or the derivatives with respect to each of them.
 
     Attributes
     ----------
     shear_modulus : float
-        In Pa, at a given Poisson's ratio.
+        In Pa, at constant Poisson's ratio.
     wall_thickness, inner_diameter : float
         Of the tube, in m.
     indenter_diameter : float
-        Of the press, in m.
+        In m.
     """
 
     shear_modulus: Any
@@ -54,14 +62,14 @@ class Design(NamedTuple):
 
 
 class Derivatives(NamedTuple):
-    """Derivatives of the results with respect to the design.
+    """Derivatives of force and lumen area with respect to the design.
 
     Attributes
     ----------
     contact_force : Design
         In N per unit of each parameter.
     lumen_area : Design
-        Of the cross-section at the press, in m2 per unit of each parameter.
+        Of the cross-section at the indenter, in m2 per unit of each parameter.
     """
 
     contact_force: Design
@@ -69,41 +77,41 @@ class Derivatives(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The discretised press of one design: what the energy and the results are functions of."""
+    """The discretised press of one design: the arguments of its energy and results."""
 
     points: Any
     material: Material
     rule: element.Quadrature
     outer_area: Any
     bodies: tuple[Body, ...]
-    skin: Any
+    wrinkle_forces: Any
 
 
 def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
-    """Differentiate force and lumen area at a depth with respect to the design.
+    """Differentiate force and lumen area with respect to the design.
 
     Parameters
     ----------
     indentation : Indentation
-        One press at z = 0 on a round, Neo-Hookean tube, of which the half z >= 0 is modelled.
+        One indenter at z = 0 on a round Neo-Hookean tube, of which the half z >= 0 is modelled.
     increment : int, optional
-        Which increment; the last by default. The lumen may be closed there.
+        Number of the increment; the last by default. The lumen may be closed there.
 
     Returns
     -------
     Derivatives
-        At a fixed depth, and a fixed distance at which the lumen's walls feel each other.
+        At constant depth and constant barrier distance.
 
     Raises
     ------
     ConfigError
-        If the indentation is not of that kind.
+        If the tube, its material or the indenter is not as above.
     SimulationError
-        If the state is at a point of instability, where a derivative does not exist.
+        If the tangent stiffness is not positive definite (buckling), where no derivative exists.
     """
-    _check(indentation)
+    _check_differentiable(indentation)
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
-        model, displacement = build(indentation), indentation.displacement[increment]
+        model, displacement = press_model(indentation), indentation.displacement[increment]
         design = _design(indentation)
         problem = _problem(indentation, model, increment)
         try:
@@ -111,31 +119,33 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
             solve = linear_solver.factorise(lower)
         except LinAlgError as error:
             raise SimulationError(
-                "The press has no derivative at a depth of "
-                f"{1e3 * indentation.depth[increment]:.3f} mm, where the tube is unstable; "
-                "ask for another depth."
+                "The press cannot be differentiated at a depth of "
+                f"{1e3 * indentation.depth[increment]:.3f} mm: the tangent stiffness is not "
+                "positive definite (buckling); choose another depth."
             ) from error
-        change_of_forces = _forces_along(indentation, model, problem, displacement, design)
+        residual_derivative = _residual_derivative(
+            indentation, model, problem, displacement, design
+        )
         results = [
-            _along(result, displacement, design)
+            _directional(result, displacement, design)
             for result in (_force(indentation, problem), _area(indentation, problem))
         ]
         rows = []
         for direction in np.eye(len(design)):
             along = Design(*direction)
             moved = np.zeros_like(displacement)
-            moved[model.free] = -solve(change_of_forces(along)[model.free])
+            moved[model.free] = -solve(residual_derivative(along)[model.free])
             rows.append([float(result(moved, along)) for result in results])
     force, area = np.transpose(rows)
     return Derivatives(Design(*force), Design(*area))
 
 
-def _check(indentation: Indentation) -> None:
-    mesh, presses = indentation.mesh, indentation.presses
-    if mesh.sweep is None or not mesh.halved[1] or len(presses) != 1:
+def _check_differentiable(indentation: Indentation) -> None:
+    mesh, indenters = indentation.mesh, indentation.indenters
+    if mesh.sweep is None or not mesh.halved[1] or len(indenters) != 1:
         raise ConfigError(
-            "Only one press at z = 0 on a round tube can be differentiated; it must be symmetric "
-            "about z = 0."
+            "Only a press of a round tube by one indenter at z = 0 can be differentiated; it must "
+            "be symmetric about z = 0."
         )
     material, own = indentation.material, neo_hookean_wall(indentation.tube)
     if material.isochoric.func is not neo_hookean or not (
@@ -147,34 +157,34 @@ def _check(indentation: Indentation) -> None:
 def _design(indentation: Indentation) -> Design:
     tube = indentation.tube
     numbers = tube.shear_modulus, tube.wall_thickness, tube.inner_diameter
-    return Design(*map(np.float64, (*numbers, indentation.presses[0].diameter)))
+    return Design(*map(np.float64, (*numbers, indentation.indenters[0].diameter)))
 
 
 def _problem(
     indentation: Indentation, model: Model, increment: int
 ) -> Callable[[Design], _Problem]:
     """Return the problem as a function of the design that JAX can differentiate."""
-    tube, mesh, (press,) = indentation.tube, indentation.mesh, indentation.presses
+    tube, mesh, (indenter,) = indentation.tube, indentation.mesh, indentation.indenters
     assert mesh.sweep is not None
     grid, ratio = mesh.sweep, tube.bulk_modulus / tube.shear_modulus
     reach = mesh.points[:, 2].max()
     sampling, _ = triangulated(mesh, mesh.outer_faces)
     (touch,), depth = indentation.touch_heights, indentation.depth[increment]
-    first = _first_point(sampling @ mesh.points, press, touch)
+    first = _first_touched(sampling @ mesh.points, indenter, touch)
     row = sampling[[first]].toarray()[0]
-    skin = model.skin / (tube.shear_modulus * reach)
-    # A mesh of another length than the default keeps its share of it.
-    share = reach / pressed_reach(tube.outer_diameter, press.diameter)
+    wrinkles = model.wrinkle_stiffness / (tube.shear_modulus * reach)
+    # A mesh of another length than the default keeps its ratio to it.
+    ratio_of_reach = reach / pressed_reach(tube.outer_diameter, indenter.diameter)
 
     def problem(design: Design) -> _Problem:
         mu, wall, bore, diameter = design
-        length = share * pressed_reach(bore + 2 * wall, diameter)
+        length = ratio_of_reach * pressed_reach(bore + 2 * wall, diameter)
         points = jnp.stack(grid.place(bore, wall, length), axis=-1)
-        gap = press.gap(diameter)
+        gap = indenter.gap(diameter)
         height = _touch_height(gap, row @ points, touch)
         bodies = (
-            Body(gap, height - press.share * depth, indenters.rigid_law(mu, wall)),
-            indenters.ground(mu, wall, -(bore / 2 + wall), indentation.layer),
+            Body(gap, height - indenter.depth_fraction * depth, contact.rigid_law(mu, wall)),
+            ground_body(mu, wall, -(bore / 2 + wall), indentation.layer),
         )
         corners = points[mesh.outer_faces]
         return _Problem(
@@ -183,20 +193,20 @@ def _problem(
             rule=element.quadrature(points[mesh.elements], mesh.reference),
             outer_area=contact.areas(corners, mesh.face.slopes, mesh.face.weights),
             bodies=bodies,
-            skin=lambda displacement: mu * length * _apply(skin, displacement),
+            wrinkle_forces=lambda displacement: mu * length * _apply(wrinkles, displacement),
         )
 
     return problem
 
 
-def _first_point(points: Array, press: indenters.Press, touch: float) -> int:
-    """Return which of the outer wall's points is touched first."""
-    gaps = jax.vmap(press.gap())(points - np.array([0.0, touch, 0.0]))
+def _first_touched(points: Array, indenter: Indenter, touch: float) -> int:
+    """Return the number of the outer wall's point that is touched first."""
+    gaps = jax.vmap(indenter.gap())(points - np.array([0.0, touch, 0.0]))
     return int(np.argmin(gaps))
 
 
 def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
-    """Return the height of first touch with its derivative: one step of Newton's method."""
+    """Return the height of first touch, differentiable: one step of Newton's method."""
     up = jnp.array([0.0, 1.0, 0.0])
 
     def clearance(height: Any, point: Any) -> Any:
@@ -207,21 +217,24 @@ def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
 
 
 def _apply(matrix: Any, values: Any) -> Any:
-    """Multiply a constant sparse matrix by the components of an array that JAX traces."""
+    """Return the product of a constant sparse matrix with an array that JAX traces."""
     entries = matrix.tocoo()
     flat = jnp.ravel(values)
     product = entries.data * flat[entries.col]
     return jnp.zeros_like(flat).at[entries.row].add(product).reshape(values.shape)
 
 
-def _forces_along(
+def _residual_derivative(
     indentation: Indentation,
     model: Model,
     problem: Callable[[Design], _Problem],
     displacement: Array,
     design: Design,
 ) -> Callable[[Design], Array]:
-    """Return how the nodal forces (n_nodes, 3) of fixed displacements change along a design."""
+    """Return the directional derivative of the nodal forces (n_nodes, 3) by the design.
+
+    The displacements are constant.
+    """
     mesh = indentation.mesh
     position = mesh.points + displacement
     _, barrier = model.lumen.energy_and_forces(position)
@@ -233,22 +246,22 @@ def _forces_along(
         _, touch = contact.energies_and_forces(
             faces, case.outer_area, mesh.face.shapes, case.bodies
         )
-        total = case.skin(displacement).at[mesh.elements].add(wall)
+        total = case.wrinkle_forces(displacement).at[mesh.elements].add(wall)
         return total.at[mesh.outer_faces].add(touch), case.points
 
     tangent = jax.jit(lambda along: jax.jvp(forces, (design,), (along,))[1])
 
-    def along_design(along: Design) -> Array:
+    def derivative(along: Design) -> Array:
         change, moved = tangent(along)
-        stiffer = along.shear_modulus / design.shear_modulus
-        walls = model.lumen.forces_along(position, np.asarray(moved)) + stiffer * barrier
-        return np.asarray(change) + walls
+        stiffening = along.shear_modulus / design.shear_modulus
+        of_barrier = model.lumen.forces_along(position, np.asarray(moved)) + stiffening * barrier
+        return np.asarray(change) + of_barrier
 
-    return along_design
+    return derivative
 
 
 def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
-    """Return the force of the whole tube on the press, as a function of displacement and design."""
+    """Return the force of the whole tube on the indenter by displacement and design."""
     mesh = indentation.mesh
 
     def force(displacement: Any, design: Design) -> Any:
@@ -261,7 +274,7 @@ def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> A
 
 
 def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
-    """Return the lumen's cross-section at z = 0, as a function of displacement and design."""
+    """Return the lumen's cross-sectional area at z = 0 by displacement and design."""
     mesh = indentation.mesh
     sampling, _ = triangulated(mesh, parts=SECTION_PARTS)
     rest = sampling @ mesh.points
@@ -272,15 +285,15 @@ def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> An
 
     def area(displacement: Any, design: Design) -> Any:
         x, y, _ = (rows @ (problem(design).points + displacement)).T
-        # The closing line of a half, x = 0, adds nothing.
+        # The shoelace formula; the closing line of a half, x = 0, adds nothing.
         cross = x * jnp.roll(y, -1) - y * jnp.roll(x, -1)
         return (1 if symmetric else 0.5) * jnp.abs(jnp.sum(cross))
 
     return area
 
 
-def _along(result: Any, displacement: Array, design: Design) -> Any:
-    """Return the derivative of a result along a change of displacement and design."""
+def _directional(result: Any, displacement: Array, design: Design) -> Any:
+    """Return the directional derivative of a result by displacement and design."""
 
     def directional(moved: Any, along: Design) -> Any:
         return jax.jvp(result, (displacement, design), (moved, along))[1]

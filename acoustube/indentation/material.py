@@ -1,7 +1,7 @@
-"""Strain energy of the wall's material.
+"""Strain energies of the wall's material: Neo-Hookean and Mooney-Rivlin.
 
-A material is its isochoric energy, one function of its parameters and the deformation gradient, and
-its bulk modulus. Another energy is another such function; JAX derives stress and tangent.
+A material is its isochoric energy, a function of its parameters and the deformation gradient, and
+its bulk modulus. Another material is another such function; JAX derives stress and tangent.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class Material(NamedTuple):
     Attributes
     ----------
     isochoric : jax.tree_util.Partial
-        Energy per undeformed volume as a function of F; its parameters are leaves, so that a new
-        value compiles nothing.
+        Energy per undeformed volume in J/m3 as a function of F; its parameters are JAX leaves, so
+        that new values do not compile anew.
     bulk_modulus : float
         In Pa.
     """
@@ -58,11 +58,13 @@ def neo_hookean(shear_modulus: Scalar, deformation_gradient: Array) -> Array:
     ``dP = mu J^(-2/3) (dF - 2/3 (F : dF) F^-T - 2/3 t (F - I1/3 F^-T) + I1/3 T)
     + K J (2 J - 1) t F^-T - K (J - 1) J T``.
 
-    The form with J^(-2/3) is due to Flory [1]_.
+    The incompressible solid is Rivlin's [1]_; the isochoric form with J^(-2/3) is Flory's [2]_.
 
     References
     ----------
-    .. [1] P. J. Flory, "Thermodynamic relations for high elastic materials", Trans. Faraday Soc.
+    .. [1] R. S. Rivlin, "Large elastic deformations of isotropic materials I. Fundamental
+       concepts", Phil. Trans. R. Soc. A 240, 459-490 (1948). doi:10.1098/rsta.1948.0002
+    .. [2] P. J. Flory, "Thermodynamic relations for high elastic materials", Trans. Faraday Soc.
        57, 829-838 (1961). doi:10.1039/TF9615700829
     """
     f = deformation_gradient
@@ -86,12 +88,14 @@ def mooney_rivlin(c1: Scalar, c2: Scalar, deformation_gradient: Array) -> Array:
 
     Notes
     -----
-    ``W = c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3)``, where I2, the second invariant of F^T F,
-    is the squared norm of the cofactor matrix of F [1]_.
+    ``W = c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3)`` [1]_ [2]_, where I2, the second invariant of
+    F^T F, is the squared norm of the cofactor matrix of F.
 
     References
     ----------
-    .. [1] R. S. Rivlin, D. W. Saunders, "Large elastic deformations of isotropic materials VII",
+    .. [1] M. Mooney, "A theory of large elastic deformation", J. Appl. Phys. 11, 582-592 (1940).
+       doi:10.1063/1.1712836
+    .. [2] R. S. Rivlin, D. W. Saunders, "Large elastic deformations of isotropic materials VII",
        Phil. Trans. R. Soc. A 243, 251-288 (1951). doi:10.1098/rsta.1951.0004
     """
     f = deformation_gradient
@@ -102,18 +106,26 @@ def mooney_rivlin(c1: Scalar, c2: Scalar, deformation_gradient: Array) -> Array:
 
 
 def volumetric(volume_ratio: Array, bulk_modulus: Scalar) -> Array:
-    """Return the volumetric part ``K/2 (J - 1)^2`` of the strain energy in J/m3."""
+    """Return the volumetric part ``K/2 (J - 1)^2`` of the strain energy in J/m3.
+
+    Parameters
+    ----------
+    volume_ratio : array
+        J, dimensionless.
+    bulk_modulus : float
+        K in Pa.
+    """
     return 0.5 * bulk_modulus * (volume_ratio - 1) ** 2
 
 
 def shear_modulus(material: Material) -> Array:
-    """Return a material's small-strain shear modulus in Pa: its energy's curvature in shear."""
+    """Return the small-strain shear modulus in Pa: second derivative of the energy in shear."""
     shear = jnp.zeros((3, 3)).at[0, 1].set(1.0)
     return jax.hessian(lambda strain: material.isochoric(jnp.eye(3) + strain * shear))(0.0)
 
 
 def determinant(f: Array) -> Array:
-    """Return the determinant of a 3 x 3 matrix as a triple product of its rows.
+    """Return the determinant of a matrix of shape (3, 3) as the triple product of its rows.
 
     Written out because ``jnp.linalg.det`` goes through an LU factorisation, which is slow in
     batches of small matrices and has no cheap second derivative.

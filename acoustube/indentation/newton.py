@@ -1,4 +1,16 @@
-"""Newton's method with a line search for the equilibrium of a press."""
+"""Newton's method with a backtracking line search for the equilibrium of a press.
+
+A step is halved until the energy falls by a fixed fraction of what its slope predicts, the
+condition of sufficient decrease (Armijo [1]_); see [2]_, chapter 3. The first step tried is already
+short of any crossing of the lumen's walls.
+
+References
+----------
+.. [1] L. Armijo, "Minimization of functions having Lipschitz continuous first partial derivatives",
+   Pacific J. Math. 16, 1-3 (1966). doi:10.2140/pjm.1966.16.1
+.. [2] J. Nocedal, S. J. Wright, "Numerical Optimization", 2nd ed., Springer (2006).
+   doi:10.1007/978-0-387-40065-5
+"""
 
 from __future__ import annotations
 
@@ -15,22 +27,25 @@ from acoustube.indentation.contact import Body
 MAX_ITERATIONS = 25
 MAX_HALVINGS = 8
 SUFFICIENT_DECREASE = 1e-4
+"""Fraction of the predicted decrease of the energy that a step must reach (Armijo's constant)."""
+RESIDUAL_DECREASE = 0.5
+"""Ratio of the residuals after and before a step below which it is taken whatever the energy."""
 
 
 @dataclass(frozen=True, eq=False)
-class Equilibrium:
-    """Where Newton's method came to.
+class NewtonResult:
+    """Result of a Newton solve.
 
     Attributes
     ----------
     displacement : array of shape (n_nodes, 3)
-        In m.
+        Nodal displacements in m, converged or not.
     converged : bool
     iterations : int
     residual : float
-        Norm of the out-of-balance nodal forces, in N.
+        Norm of the residual (out-of-balance) nodal forces, in N.
     reason : str
-        Why it did not converge.
+        Cause of the failure; empty if converged.
     """
 
     displacement: Array
@@ -40,62 +55,66 @@ class Equilibrium:
     reason: str = ""
 
 
-def minimise(model: Model, start: Array, bodies: tuple[Body, ...], tolerance: float) -> Equilibrium:
-    """Find the displacements at which the energy is least, from a given start.
-
-    Newton's method with a line search on the energy, in which no step crosses the lumen. A tangent
-    that is not positive definite ends the search: the start lies across a buckling, and the caller
-    does better to come closer in a shorter increment than to follow it into a crumpled state.
+def minimise(
+    model: Model, start: Array, bodies: tuple[Body, ...], tolerance: float
+) -> NewtonResult:
+    """Minimise the potential energy by Newton's method with a line search.
 
     Parameters
     ----------
     model : Model
     start : array of shape (n_nodes, 3)
-        First guess of the displacements, in m; the inner wall does not cross itself there.
+        Initial displacements in m, at which the inner wall does not cross itself.
     bodies : tuple of Body
+        Indenters and ground at their heights.
     tolerance : float
-        Largest accepted norm of the out-of-balance nodal forces, in N.
+        Largest norm of the residual nodal forces at convergence, in N.
 
     Returns
     -------
-    Equilibrium
-        With ``converged`` false if the iterations ran out, no step went downhill or the tangent
-        was indefinite.
+    NewtonResult
+        Not converged if the iterations ran out, the line search found no decrease, an element was
+        inverted, or the tangent was not positive definite.
+
+    Notes
+    -----
+    An indefinite tangent ends the search: the start lies beyond a point of instability (buckling),
+    and a shorter increment follows the stable branch better than a step to a distant minimum.
     """
     state = evaluate(model, start, bodies)
     order = linear_solver.section_order(model.mesh.points, model.free)
     for iteration in range(MAX_ITERATIONS + 1):
         if not state.norm > tolerance:
             # Also reached where the start inverts an element, by NaN.
-            reason = "" if state.norm <= tolerance else "an element is turned inside out"
+            reason = "" if state.norm <= tolerance else "an element is inverted (J <= 0)"
             break
         if iteration == MAX_ITERATIONS:
-            reason = "Newton's method does not settle"
+            reason = f"Newton's method did not converge in {MAX_ITERATIONS} iterations"
             break
         try:
             solve = linear_solver.factorise(stiffness(model, state.displacement, bodies), order)
         except LinAlgError:
-            reason = "the wall buckles"
+            reason = "the tangent stiffness is not positive definite (buckling)"
             break
         step = np.zeros_like(start)
         step[model.free] = -solve(state.gradient)
-        lower = _search_line(model, state, step, bodies)
+        lower = _line_search(model, state, step, bodies)
         if lower is None:
-            reason = "no step lowers the energy"
+            reason = "the line search found no decrease of the energy"
             break
         state = lower
-    return Equilibrium(state.displacement, not reason, iteration, state.norm, reason)
+    return NewtonResult(state.displacement, not reason, iteration, state.norm, reason)
 
 
-def _search_line(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:
-    """Return the first of the halved steps that lowers the energy enough, if any does."""
+def _line_search(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:
+    """Return the first of the halved steps with a sufficient decrease of the energy, or None."""
     position = model.mesh.points + state.displacement
-    longest = model.lumen.free_share(position, position + step)
+    longest = model.lumen.collision_free_fraction(position, position + step)
     slope = float(state.gradient @ step[model.free])
     for length in longest * 0.5 ** np.arange(MAX_HALVINGS):
         trial = evaluate(model, state.displacement + length * step, bodies)
         enough = state.energy + SUFFICIENT_DECREASE * length * slope
-        # Close to the solution the energy's decrease drowns in round-off, the residual's does not.
-        if trial.energy <= enough or trial.norm < 0.5 * state.norm:
+        # Near the solution the decrease of the energy is lost in round-off, but not the residual's.
+        if trial.energy <= enough or trial.norm < RESIDUAL_DECREASE * state.norm:
             return trial
     return None

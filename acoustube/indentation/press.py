@@ -1,4 +1,4 @@
-"""A press from first touch to the asked depth, in adaptive increments."""
+"""Press of a tube by rigid indenters: the model at first touch, and its load path to a depth."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.types import Array, Progress
-from acoustube.indentation import indenters, wrinkle_penalty
+from acoustube.indentation import wrinkle_penalty
 from acoustube.indentation.assembly import Model, build_model
-from acoustube.indentation.indenters import Layer, Press, Support
+from acoustube.indentation.indenters import SUPPORTS, Indenter, Layer, Support, touch_height
 from acoustube.indentation.load_path import load_path
 from acoustube.indentation.material import Material, neo_hookean
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
@@ -25,13 +25,15 @@ from acoustube.indentation.result import RESULTS, Indentation
 from acoustube.indentation.self_contact import self_contact, triangulated
 from acoustube.tube import Tube
 
-CLOSING_DISTANCE = 2.5e-3
-"""Gap at which the lumen's walls begin to feel each other: 0.02 mm in the paper's tube."""
+BARRIER_DISTANCE = 2.5e-3
+"""Activation distance d_hat of the self-contact barrier (IPC), in bore diameters.
+
+0.02 mm in the default tube; see :mod:`acoustube.indentation.self_contact`."""
 
 
 def indent(
     tube: Tube,
-    press: Press | Sequence[Press] | None = None,
+    indenter: Indenter | Sequence[Indenter] | None = None,
     *,
     depth: float | Sequence[float],
     support: Support = "held",
@@ -39,35 +41,35 @@ def indent(
     material: Material | None = None,
     mesh: Mesh | MeshSize | None = None,
     whole: bool = False,
-    closing_distance: float | None = None,
+    barrier_distance: float | None = None,
     progress: Progress | None = None,
 ) -> Indentation:
-    """Press one or several rigid tools down on a tube.
+    """Press a tube with one or several rigid indenters.
 
-    The tube lies on a floor or on an elastic layer; nothing has friction.
+    The tube lies on a rigid floor or on an elastic layer; contact is frictionless.
 
     Parameters
     ----------
     tube : Tube
         The tube; its axis is z, its top line at +y.
-    press : Press or sequence of Press, optional
-        What presses it; a 25 mm rod by default.
+    indenter : Indenter or sequence of Indenter, optional
+        The indenters; a 25 mm rod by default.
     depth : float or sequence of float
-        Depth to reach in m, counted from first touch. Of a rising sequence each is met exactly by
-        an increment. The lumen closes when the depth is about the bore.
+        Indentation depth in m, measured from first touch. Each depth of a rising sequence is met
+        exactly by an increment. The lumen closes when the depth is about the bore.
     support : {"held", "free"}
         ``"held"``: the bottom line cannot leave the floor, as in a pocket. ``"free"``: the tube
-        rests on the floor and can tilt off it beside the press.
+        rests on the floor and can lift off it away from the indenter.
     layer : Layer, optional
-        An elastic layer in place of the rigid floor; for a free tube.
+        An elastic layer in place of the rigid floor; requires a free tube.
     material : Material, optional
-        The wall's; Neo-Hookean with the tube's moduli by default.
+        Material of the wall; Neo-Hookean with the tube's moduli by default.
     mesh : Mesh or MeshSize, optional
-        A mesh of the wall, as of an imported surface, or the number of elements of the tube's.
+        A mesh of the wall, for instance of an imported surface, or the numbers of elements.
     whole : bool
-        Model the whole tube even where it is symmetric, so that it may leave its symmetry.
-    closing_distance : float, optional
-        Gap in m at which the lumen's walls begin to feel each other; 1/400 of the bore by default.
+        Model the whole tube even where it is symmetric, so that symmetry can break.
+    barrier_distance : float, optional
+        Activation distance of the self-contact barrier in m; 1/400 of the bore by default.
     progress : callable, optional
         Called after every increment with the fraction of the expected increments that is done.
 
@@ -79,63 +81,69 @@ def indent(
     Raises
     ------
     ConfigError
-        If the depth or the support is outside what the model holds for, or a press misses the tube.
+        If the depth, the support or the layer is outside the model's range, or an indenter misses
+        the tube.
     PressError
-        If no increment, however small, can be converged. It says what depth was reached, and holds
-        the increments up to there.
+        If an increment does not converge however small it is. It states the depth reached, and
+        holds the increments up to there.
 
     Notes
     -----
-    Each increment starts from the quadratic through the last three states, cut short where the
-    lumen's walls would meet on the way. One that does not converge, or meets an indefinite tangent,
-    is halved.
+    The increments adapt; see :mod:`acoustube.indentation.load_path`. At each depth Newton's method
+    finds the equilibrium; see :mod:`acoustube.indentation.newton`.
     """
     targets = np.atleast_1d(np.asarray(depth, dtype=float))
-    presses = _presses(press)
-    _check(tube, targets, support, layer)
+    indenters = _indenters(indenter)
+    _check_range(tube, targets, support, layer)
     # A nearly incompressible wall needs double precision; the rest of acoustube does not, and must
-    # not be made to. The banded factorisation works on blocks too small to share: on two busy cores
-    # it took 3 to 7 s with two threads and 0.14 s with one.
+    # not be made to. The banded factorisation works on blocks too small for several threads: on two
+    # busy cores it took 3 to 7 s with two threads and 0.14 s with one.
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         untouched = first_touch(
             tube,
-            presses,
+            indenters,
             support=support,
             layer=layer,
             material=material or neo_hookean_wall(tube),
-            mesh=_mesh(tube, presses, mesh, whole),
-            closing_distance=closing_distance or CLOSING_DISTANCE * tube.inner_diameter,
+            mesh=_mesh(tube, indenters, mesh, whole),
+            barrier_distance=barrier_distance or BARRIER_DISTANCE * tube.inner_diameter,
         )
-        _check_room(untouched, targets[-1])
-        return load_path(untouched, build(untouched), targets, progress)
+        _check_clearance(untouched, targets[-1])
+        return load_path(untouched, press_model(untouched), targets, progress)
 
 
 def restored(
     tube: Tube,
-    press: Press | Sequence[Press] | None,
+    indenter: Indenter | Sequence[Indenter] | None,
     results: Mapping[str, Array],
     *,
     support: Support = "held",
     layer: Layer | None = None,
     mesh: Mesh | MeshSize | None = None,
 ) -> Indentation:
-    """Return an indentation whose results were computed before; see :func:`indent`.
+    """Return an indentation from results computed before.
 
     Parameters
     ----------
+    tube, indenter, support, layer, mesh
+        As for :func:`indent`.
     results : mapping of str to array
         From :attr:`Indentation.results`.
+
+    Returns
+    -------
+    Indentation
     """
-    presses = _presses(press)
+    indenters = _indenters(indenter)
     with jax.enable_x64(True):
         untouched = first_touch(
             tube,
-            presses,
+            indenters,
             support=support,
             layer=layer,
             material=neo_hookean_wall(tube),
-            mesh=_mesh(tube, presses, mesh, whole=False),
-            closing_distance=CLOSING_DISTANCE * tube.inner_diameter,
+            mesh=_mesh(tube, indenters, mesh, whole=False),
+            barrier_distance=BARRIER_DISTANCE * tube.inner_diameter,
         )
     known: dict[str, Any] = {name: results[name] for name in RESULTS}
     return dataclasses.replace(untouched, **known)
@@ -143,20 +151,32 @@ def restored(
 
 def first_touch(
     tube: Tube,
-    presses: tuple[Press, ...],
+    indenters: tuple[Indenter, ...],
     *,
     support: Support,
     layer: Layer | None,
     material: Material,
     mesh: Mesh,
-    closing_distance: float,
+    barrier_distance: float,
 ) -> Indentation:
-    """Return an indentation of no depth; see :func:`indent`."""
+    """Return the indentation at first touch, with one row of depth zero.
+
+    Parameters
+    ----------
+    tube, support, layer, material, mesh, barrier_distance
+        As for :func:`indent`.
+    indenters : tuple of Indenter
+
+    Raises
+    ------
+    ConfigError
+        If an indenter misses the tube.
+    """
     sampling, _ = triangulated(mesh, mesh.outer_faces)
     points = sampling @ mesh.points
     return Indentation(
         tube=tube,
-        presses=presses,
+        indenters=indenters,
         support=support,
         layer=layer,
         material=material,
@@ -165,94 +185,98 @@ def first_touch(
         displacement=np.zeros((1, *mesh.points.shape)),
         iterations=np.zeros(1, int),
         residual=np.zeros(1),
-        press_force=np.zeros((1, len(presses))),
-        contact_area=np.zeros((1, len(presses))),
+        press_force=np.zeros((1, len(indenters))),
+        contact_area=np.zeros((1, len(indenters))),
         energy=np.zeros(1),
         smallest_volume_ratio=np.ones(1),
         smallest_gap=np.full(1, np.nan),
-        touch_heights=tuple(indenters.touch_height(points, p.gap()) for p in presses),
-        closing_distance=closing_distance,
+        touch_heights=tuple(touch_height(points, tool.gap()) for tool in indenters),
+        barrier_distance=barrier_distance,
     )
 
 
 def neo_hookean_wall(tube: Tube) -> Material:
-    """Return the Neo-Hookean material with a tube's moduli."""
+    """Return the Neo-Hookean material with the moduli of a tube."""
     return Material(
         Partial(neo_hookean, np.float64(tube.shear_modulus)), np.float64(tube.bulk_modulus)
     )
 
 
-def build(indentation: Indentation) -> Model:
-    """Return the discretised tube of an indentation."""
+def press_model(indentation: Indentation) -> Model:
+    """Return the discretised tube of an indentation, at any of its increments."""
     mesh, tube = indentation.mesh, indentation.tube
     fixed = _fixed(mesh, indentation.support)
-    lumen = self_contact(mesh, tube.shear_modulus, indentation.closing_distance)
-    return build_model(
-        mesh, indentation.material, fixed, lumen, wrinkle_penalty.skin(mesh, tube.shear_modulus)
-    )
+    lumen = self_contact(mesh, tube.shear_modulus, indentation.barrier_distance)
+    smooth_folds = wrinkle_penalty.stiffness(mesh, tube.shear_modulus)
+    return build_model(mesh, indentation.material, fixed, lumen, smooth_folds)
 
 
-def _presses(press: Press | Sequence[Press] | None) -> tuple[Press, ...]:
-    if press is None:
-        return (Press(),)
-    presses = (press,) if isinstance(press, Press) else tuple(press)
-    if not presses:
-        raise ConfigError("press = () presses nothing; give at least one Press.")
-    return presses
+def _indenters(indenter: Indenter | Sequence[Indenter] | None) -> tuple[Indenter, ...]:
+    if indenter is None:
+        return (Indenter(),)
+    indenters = (indenter,) if isinstance(indenter, Indenter) else tuple(indenter)
+    if not indenters:
+        raise ConfigError("indenter = () is empty; give at least one Indenter.")
+    return indenters
 
 
 def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
-    """Return the largest depth in m that is followed: the bore and half a wall thickness.
+    """Return the largest supported depth in m: the bore and half a wall thickness.
 
-    A layer under the tube gives way besides, by less than its own thickness.
+    The thickness of a layer under the tube is added, because it is compressed as well.
     """
     return tube.inner_diameter + tube.wall_thickness / 2 + (layer.thickness if layer else 0.0)
 
 
-def _check(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
-    """Refuse what the model does not hold for."""
+def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
+    """Raise if depth, support or layer is outside the model's range."""
     deepest = deepest_press(tube, layer)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
-        raise ConfigError(f"depth = {shown} m must be one or more depths over 0 that rise.")
+        raise ConfigError(f"depth = {shown} m must be one or more rising depths above 0.")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "
             f"closed{' and the layer is flat' * (layer is not None)}; use at most {deepest:.6g}."
         )
-    if support not in indenters.SUPPORTS:
+    if support not in SUPPORTS:
         raise ConfigError(f"support = {support!r} is unknown; use 'held' or 'free'.")
     if layer is not None and support == "held":
         raise ConfigError("support = 'held' needs a rigid floor; use 'free' on an elastic layer.")
 
 
-def _check_room(untouched: Indentation, depth: float) -> None:
-    """Refuse to push a tool beside the tube into the floor."""
+def _check_clearance(untouched: Indentation, depth: float) -> None:
+    """Raise if an indenter with an offset would reach the floor next to the tube."""
     floor = untouched.mesh.points[:, 1].min()
     floor -= untouched.layer.thickness if untouched.layer else 0.0
-    for touch, press in zip(untouched.touch_heights, untouched.presses, strict=True):
-        room = (touch - floor) / press.share
-        if depth >= room:
+    for touch, indenter in zip(untouched.touch_heights, untouched.indenters, strict=True):
+        clearance = (touch - floor) / indenter.depth_fraction
+        if depth >= clearance:
             raise ConfigError(
-                f"depth = {depth:.6g} m pushes the {press.shape} at x = {press.x:.6g} m into the "
-                f"floor, which is {room:.6g} m below first touch; use less, or less offset."
+                f"depth = {depth:.6g} m pushes the {indenter.shape} at x = {indenter.x:.6g} m into "
+                f"the floor, which is {clearance:.6g} m below first touch; reduce the depth or the "
+                "offset."
             )
 
 
-def _mesh(tube: Tube, presses: Sequence[Press], mesh: Mesh | MeshSize | None, whole: bool) -> Mesh:
-    """Return the mesh that was given, or that of the smallest part that symmetry leaves."""
+def _mesh(
+    tube: Tube, indenters: Sequence[Indenter], mesh: Mesh | MeshSize | None, whole: bool
+) -> Mesh:
+    """Return the mesh given, or mesh the smallest part of the tube that symmetry allows."""
     if isinstance(mesh, Mesh):
         return mesh
-    reach = max(pressed_reach(tube.outer_diameter, p.diameter) + abs(p.z) for p in presses)
-    x, z = (all(p.halves[i] for p in presses) and not whole for i in (0, 1))
-    return sweep(tube, reach, mesh, halved=(x, z), presses=[p.z for p in presses])
+    reach = max(
+        pressed_reach(tube.outer_diameter, tool.diameter) + abs(tool.z) for tool in indenters
+    )
+    x, z = (all(tool.halves[i] for tool in indenters) and not whole for i in (0, 1))
+    return sweep(tube, reach, mesh, halved=(x, z), presses=[tool.z for tool in indenters])
 
 
 def _fixed(mesh: Mesh, support: Support) -> NDArray[np.bool_]:
-    """Return which displacement components are held at zero, shape (n_nodes, 3).
+    """Return the mask of displacement components held at zero, shape (n_nodes, 3).
 
-    Beside the planes of symmetry and the support, what a rigid motion needs: a tube that is whole
-    across lies in a groove that guides its bottom line, and one that is whole along cannot slide.
+    Symmetry planes, the support, and constraints against rigid-body motion: a tube modelled whole
+    across is guided sideways along its bottom line, one modelled whole along is held at one node.
     """
     x, _, z = mesh.points.T
     fixed = np.zeros(mesh.points.shape, bool)

@@ -1,7 +1,15 @@
-"""Reference elements: shape functions, quadrature and the functions that pressure may vary by.
+"""Reference elements: shape functions, quadrature rules and projection modes.
 
-Every element here is described by its nodes and by the powers of the monomials that span its shape
-functions; one Vandermonde matrix serves them all.
+The 20-node serendipity brick and the 10-node tetrahedron with their faces [1]_. Each is given by
+its nodes and by the monomials that span its shape functions; the inverse of their Vandermonde
+matrix holds the coefficients.
+
+References
+----------
+.. [1] O. C. Zienkiewicz, R. L. Taylor, J. Z. Zhu, "The Finite Element Method: Its Basis and
+   Fundamentals", 6th ed., Elsevier (2005).
+.. [2] M. G. Duffy, "Quadrature over a pyramid or cube of integrands with a singularity at a
+   vertex", SIAM J. Numer. Anal. 19, 1260-1262 (1982).
 """
 
 from __future__ import annotations
@@ -19,7 +27,7 @@ Powers = NDArray[np.int64]
 
 
 def monomials(points: Array, powers: Powers) -> tuple[Array, Array]:
-    """Return monomials and their slopes.
+    """Return monomials and their derivatives.
 
     Parameters
     ----------
@@ -41,7 +49,7 @@ def monomials(points: Array, powers: Powers) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A reference element or face, with its quadrature rule.
+    """A reference element or face: shape functions, quadrature rule and projection modes.
 
     Parameters
     ----------
@@ -52,9 +60,9 @@ class Reference:
     points, weights : arrays of shape (n_points, d) and (n_points,)
         Quadrature rule.
     modes : array of int, shape (n_modes, d)
-        Monomials onto which the volume ratio is projected; none for a face.
-    remainder : float
-        Modulus against what that projection leaves out, in shear moduli.
+        Monomials onto which the volume ratio is projected; empty for a face.
+    stabilisation : float
+        Stabilisation modulus on the unprojected part of the volume ratio, in shear moduli.
     """
 
     nodes: Array
@@ -62,10 +70,10 @@ class Reference:
     points: Array
     weights: Array
     modes: Powers
-    remainder: float = 0.0
+    stabilisation: float = 0.0
 
     def shape_functions(self, points: Array) -> tuple[Array, Array]:
-        """Return the shape functions at local points, and their slopes.
+        """Return the shape functions and their derivatives at local points.
 
         Parameters
         ----------
@@ -87,22 +95,22 @@ class Reference:
 
     @cached_property
     def slopes(self) -> Array:
-        """Their slopes, shape (n_points, n_nodes, d)."""
+        """Derivatives of the shape functions at the quadrature points, (n_points, n_nodes, d)."""
         return self.shape_functions(self.points)[1]
 
     @cached_property
     def projection(self) -> Array:
-        """The modes at the quadrature points, shape (n_points, n_modes)."""
+        """Projection modes at the quadrature points, shape (n_points, n_modes)."""
         return monomials(self.points, self.modes)[0]
 
 
 def lattice(highest: int, d: int) -> Powers:
-    """Return all points of {0, ..., highest}^d, the first coordinate fastest."""
+    """Return the grid {0, ..., highest}^d as points (n, d), the first coordinate fastest."""
     return np.array(list(product(range(highest + 1), repeat=d)))[:, ::-1]
 
 
 def gauss(n: int, d: int) -> tuple[Array, Array]:
-    """Return the points (n**d, d) and weights of the Gauss-Legendre rule on [-1, 1]^d."""
+    """Return the Gauss-Legendre rule on [-1, 1]^d: points (n**d, d) and weights (n**d,)."""
     x, w = np.polynomial.legendre.leggauss(n)
     index = lattice(n - 1, d)
     return x[index], np.prod(w[index], axis=1)
@@ -111,7 +119,7 @@ def gauss(n: int, d: int) -> tuple[Array, Array]:
 def collapsed_gauss(n: int) -> tuple[Array, Array]:
     """Return a rule of n**2 points on the triangle (0,0), (1,0), (0,1), exact to degree 2 n - 2.
 
-    A Gauss-Legendre rule on the square, one side of which is collapsed to a corner.
+    The Gauss-Legendre rule on the square with one side collapsed to a corner (Duffy [2]_).
     """
     points, weights = gauss(n, 2)
     a, b = (points.T + 1) / 2
@@ -125,7 +133,7 @@ def tetrahedron_rule() -> tuple[Array, Array]:
 
 
 def _brick(d: int) -> tuple[Array, Powers]:
-    """Return nodes and powers of the serendipity element: 8 nodes in the plane, 20 in space."""
+    """Return nodes and monomials of the serendipity element: 8 nodes in 2-D, 20 in 3-D."""
     grid = lattice(2, d)
     at_corner_or_edge = np.sum(grid == 1, axis=1) <= 1
     superlinear = np.sum(np.where(grid > 1, grid, 0), axis=1)
@@ -133,7 +141,7 @@ def _brick(d: int) -> tuple[Array, Powers]:
 
 
 def _simplex(d: int) -> tuple[Array, Powers]:
-    """Return nodes (corners, then the middles of all pairs of them) and powers up to degree 2."""
+    """Return nodes (corners, then mid-edge nodes) and monomials of the quadratic simplex."""
     corners = np.vstack([np.zeros((1, d)), np.eye(d)])
     pairs = np.array(edges(d))
     grid = lattice(2, d)
@@ -142,13 +150,13 @@ def _simplex(d: int) -> tuple[Array, Powers]:
 
 
 def edges(d: int) -> list[tuple[int, int]]:
-    """Return the pairs of corners of a simplex, in the order of its middle nodes."""
+    """Return the edges of a simplex as pairs of corners, in the order of its mid-edge nodes."""
     return [(i, j) for i in range(d + 1) for j in range(i + 1, d + 1)]
 
 
 _NO_MODES = np.zeros((0, 2), int)
 HEX20 = Reference(*_brick(3), *gauss(3, 3), lattice(1, 3))
 QUAD8 = Reference(*_brick(2), *gauss(5, 2), _NO_MODES)
-TET10 = Reference(*_simplex(3), *tetrahedron_rule(), lattice(0, 3), remainder=8.0)
+TET10 = Reference(*_simplex(3), *tetrahedron_rule(), lattice(0, 3), stabilisation=8.0)
 TRI6 = Reference(*_simplex(2), *collapsed_gauss(4), _NO_MODES)
 FACE = {HEX20: QUAD8, TET10: TRI6}

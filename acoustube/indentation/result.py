@@ -1,4 +1,4 @@
-"""Results of an indentation."""
+"""Result of an indentation: displacements, forces and contact at every increment."""
 
 from __future__ import annotations
 
@@ -10,56 +10,61 @@ from numpy.typing import NDArray
 
 from acoustube.base.errors import SimulationError
 from acoustube.base.types import Array
-from acoustube.indentation import indenters
-from acoustube.indentation.assembly import Measures
+from acoustube.indentation.assembly import EquilibriumResults
 from acoustube.indentation.contact import Body
-from acoustube.indentation.indenters import Layer, Press, Support
+from acoustube.indentation.indenters import (
+    Indenter,
+    Layer,
+    Support,
+    ground_body,
+    indenter_bodies,
+)
 from acoustube.indentation.material import Material
 from acoustube.indentation.mesh import Mesh
 from acoustube.tube import Tube
 
-RESULTS = ("depth", "displacement", "iterations", "residual", *Measures._fields)
-"""Names of an indentation's arrays with a row per increment."""
+RESULTS = ("depth", "displacement", "iterations", "residual", *EquilibriumResults._fields)
+"""Names of the arrays of an indentation with a row per increment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Indentation:
-    """A press, increment by increment; the first row is first touch.
+    """Result of a press at every increment; the first row is first touch.
 
     Parameters
     ----------
     tube : Tube
-    presses : tuple of Press
+    indenters : tuple of Indenter
     support : {"held", "free"}
     layer : Layer or None
     material : Material
     mesh : Mesh
-        The undeformed part that is modelled.
+        Undeformed mesh of the modelled part.
     depth : array of shape (n_increments,)
-        How far the presses have come down from first touch, in m (times the share of each).
+        Indentation depth in m: travel of the indenters from first touch (times the
+        `depth_fraction` of each).
     displacement : array of shape (n_increments, n_nodes, 3)
         Nodal displacements in m.
     iterations : array of shape (n_increments,)
-        Newton iterations that each increment took.
+        Newton iterations of each increment.
     residual : array of shape (n_increments,)
-        Norm of the out-of-balance nodal forces, in N.
-    press_force, contact_area : arrays of shape (n_increments, n_presses)
-        Of the whole tube: upward force in N on each press, and the deformed area in m2 that it
-        touches.
+        Norm of the residual (out-of-balance) nodal forces, in N.
+    press_force, contact_area : arrays of shape (n_increments, n_indenters)
+        Upward force on each indenter in N and its contact area in m2, of the whole tube.
     energy : array of shape (n_increments,)
         Elastic energy of the whole tube in J.
     smallest_volume_ratio : array of shape (n_increments,)
-        Smallest J at any quadrature point.
+        Smallest J at the quadrature points.
     smallest_gap : array of shape (n_increments,)
-        Between the lower and the upper inner wall, in m.
+        Smallest distance between the lower and the upper inner wall, in m.
     touch_heights : tuple of float
-        Height y in m of the lowest point of each press at first touch.
-    closing_distance : float
-        Gap in m at which the lumen's walls begin to feel each other.
+        Height y in m of the lowest point of each indenter at first touch.
+    barrier_distance : float
+        Activation distance of the self-contact barrier, in m.
     """
 
     tube: Tube
-    presses: tuple[Press, ...]
+    indenters: tuple[Indenter, ...]
     support: Support
     layer: Layer | None
     material: Material
@@ -74,17 +79,17 @@ class Indentation:
     smallest_volume_ratio: Array
     smallest_gap: Array
     touch_heights: tuple[float, ...]
-    closing_distance: float
+    barrier_distance: float
 
     @property
     def contact_force(self) -> Array:
-        """Force in N of all presses together, shape (n_increments,)."""
+        """Total force in N on all indenters, shape (n_increments,)."""
         return self.press_force.sum(axis=1)
 
     @property
     def closed(self) -> NDArray[np.bool_]:
-        """Whether the lumen's walls feel each other, shape (n_increments,)."""
-        return self.smallest_gap < self.closing_distance
+        """Mask of increments with a closed lumen: gap under `barrier_distance`, (n_increments,)."""
+        return self.smallest_gap < self.barrier_distance
 
     @property
     def results(self) -> dict[str, Array]:
@@ -92,7 +97,7 @@ class Indentation:
         return {name: getattr(self, name) for name in RESULTS}
 
     def rows_at(self, depths: Sequence[float]) -> list[int]:
-        """Return the numbers of those increments that are at one of the given depths, in m."""
+        """Return the numbers of the increments at given depths in m."""
         wanted = set(depths)
         return [i for i, depth in enumerate(self.depth) if depth in wanted]
 
@@ -101,17 +106,17 @@ class Indentation:
         return self.mesh.points + self.displacement[increment]
 
     def bodies(self, increment: int = -1) -> tuple[Body, ...]:
-        """Return the presses at an increment, and last the ground."""
+        """Return the indenters and, last, the ground as contact bodies at an increment."""
         return bodies_at(self, self.depth[increment])
 
 
 class PressError(SimulationError):
-    """A press that could not go on.
+    """A press whose increments stopped converging.
 
     Attributes
     ----------
     indentation : Indentation
-        Every increment that had converged.
+        Every converged increment.
     """
 
     def __init__(self, message: str, indentation: Indentation) -> None:
@@ -120,14 +125,20 @@ class PressError(SimulationError):
 
 
 def bodies_at(indentation: Indentation, depth: float) -> tuple[Body, ...]:
-    """Return the presses at a depth in m, and last the ground."""
-    tube, presses = indentation.tube, indentation.presses
+    """Return the indenters and, last, the ground as contact bodies.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    depth : float
+        Indentation depth in m.
+    """
+    tube, indenters = indentation.tube, indentation.indenters
     heights = [
-        touch - press.share * depth
-        for touch, press in zip(indentation.touch_heights, presses, strict=True)
+        touch - indenter.depth_fraction * depth
+        for touch, indenter in zip(indentation.touch_heights, indenters, strict=True)
     ]
     bottom = np.float64(indentation.mesh.points[:, 1].min())
     wall = np.float64(tube.shear_modulus), np.float64(tube.wall_thickness)
-    return *indenters.tools(tube, presses, heights), indenters.ground(
-        *wall, bottom, indentation.layer
-    )
+    ground = ground_body(*wall, bottom, indentation.layer)
+    return *indenter_bodies(tube, indenters, heights), ground

@@ -1,15 +1,20 @@
 """Contact of the inner wall with itself: the barrier of incremental potential contact.
 
-The inner wall is sampled by triangles. Where two of them come closer than a small distance, a
-barrier that grows to infinity as they meet keeps them apart; a continuous collision check keeps
-every Newton step short of a crossing. The method is that of Li et al. [1]_, in the library of its
-authors, ``ipctk``.
+The inner wall is sampled by triangles. Between two that are closer than the activation distance
+d_hat acts a barrier energy, infinite at contact (incremental potential contact, IPC [1]_), with the
+area weights of its convergent form [2]_; continuous collision detection [3]_ limits every Newton
+step to a collision-free part. Both are computed by ``ipctk``, the library of the method's authors.
 
 References
 ----------
 .. [1] M. Li, Z. Ferguson, T. Schneider, T. Langlois, D. Zorin, D. Panozzo, C. Jiang, D. M. Kaufman,
    "Incremental potential contact: intersection- and inversion-free, large-deformation dynamics",
    ACM Trans. Graph. 39, 49 (2020). doi:10.1145/3386569.3392425
+.. [2] M. Li, Z. Ferguson, T. Schneider, T. Langlois, D. Zorin, D. Panozzo, C. Jiang, D. M. Kaufman,
+   "Convergent incremental potential contact", arXiv:2307.15908 (2023).
+.. [3] B. Wang, Z. Ferguson, T. Schneider, X. Jiang, M. Attene, D. Panozzo, "A large-scale benchmark
+   and an inclusion-based algorithm for continuous collision detection", ACM Trans. Graph. 40, 188
+   (2021). doi:10.1145/3460775
 """
 
 from __future__ import annotations
@@ -27,30 +32,34 @@ from acoustube.base.types import Array, Index
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import QUAD8
 
-PARTS = 4
-"""Triangles' edges along the edge of an element's face."""
+SUBDIVISIONS = 4
+"""Triangle edges along the edge of an element's face."""
 BARRIER_STIFFNESS = 0.3
-"""Of the barrier, in shear moduli."""
+"""Stiffness of the barrier, in shear moduli."""
+LIBRARY_UNIT = 400
+"""Unit of length in the collision library, in activation distances (a bore, by default)."""
 REST_STEP = 1e-6
-"""Step of the undeformed wall's vertices in a central difference, in the library's unit."""
-SAFETY = 0.9
-"""Share of the way to the first collision that a step may go."""
+"""Central-difference step of the undeformed vertices, in the collision library's unit."""
+STEP_SAFETY_FACTOR = 0.9
+"""Fraction of the step to the first collision that is taken."""
+FACING_ANGLE = np.pi / 6
+"""Largest angle in rad from the vertical of the normals of walls that face each other."""
 
 
 @dataclass(frozen=True, eq=False)
 class SelfContact:
-    """The triangulated inner wall and its barrier.
+    """The triangulated inner wall and its self-contact barrier.
 
     Parameters
     ----------
     sampling : sparse array of shape (n_vertices, n_nodes)
-        Takes nodal values to the vertices of the triangles.
+        Interpolates nodal values at the vertices of the triangles.
     faces : array of shape (n_triangles, 3)
     mesh : ipctk.CollisionMesh
-        In units of `length`.
+        The triangles for the collision library, in units of `length`.
     barrier : ipctk.BarrierPotential
     length : float
-        Unit of length of the collision library in m, for its tolerances are absolute.
+        Unit of length in the collision library in m; its tolerances are absolute.
     """
 
     sampling: Any
@@ -70,7 +79,18 @@ class SelfContact:
         return collisions
 
     def energy_and_forces(self, position: Array) -> tuple[float, Array]:
-        """Return the barrier's energy in J and its gradient (n_nodes, 3) in N."""
+        """Return the barrier energy in J and its gradient in N.
+
+        Parameters
+        ----------
+        position : array of shape (n_nodes, 3)
+            Deformed nodes in m.
+
+        Returns
+        -------
+        energy : float
+        gradient : array of shape (n_nodes, 3)
+        """
         vertices = self._vertices(position)
         collisions = self._collisions(vertices)
         if collisions.empty():
@@ -80,9 +100,17 @@ class SelfContact:
         return energy, self.sampling.T @ gradient.reshape(-1, 3)
 
     def tangent(self, position: Array) -> Any:
-        """Return the barrier's second derivative, sparse (3 n_nodes, 3 n_nodes), in N/m, or None.
+        """Return the stiffness of the barrier in N/m.
 
-        None where nothing is in contact.
+        Parameters
+        ----------
+        position : array of shape (n_nodes, 3)
+            Deformed nodes in m.
+
+        Returns
+        -------
+        sparse array of shape (3 n_nodes, 3 n_nodes), or None
+            None if no triangles are within the activation distance.
         """
         vertices = self._vertices(position)
         collisions = self._collisions(vertices)
@@ -93,14 +121,14 @@ class SelfContact:
         return (to_nodes.T @ hessian @ to_nodes).tocsc()
 
     def forces_along(self, position: Array, moved: Array) -> Array:
-        """Return how the forces change, per unit, as the undeformed nodes are moved.
+        """Return the directional derivative of the barrier forces by the undeformed nodes.
 
         Parameters
         ----------
         position : array of shape (n_nodes, 3)
-            In m. The displacements are fixed, so that it moves along.
+            Deformed nodes in m; they move with the undeformed ones (constant displacements).
         moved : array of shape (n_nodes, 3)
-            Motion of the undeformed nodes, in m per unit.
+            Direction: motion of the undeformed nodes, in m per unit.
 
         Returns
         -------
@@ -109,8 +137,9 @@ class SelfContact:
 
         Notes
         -----
-        What the undeformed wall decides, areas and when edges count as parallel, is differentiated
-        by central differences: the library's own derivative misses 6e-4 of it in a closed lumen.
+        The dependence on the undeformed wall (area weights, and the tolerance for parallel edges)
+        is differentiated by central differences: the library's own derivative is off by 6e-4 in a
+        closed lumen.
         """
         tangent = self.tangent(position)
         if tangent is None:
@@ -130,43 +159,56 @@ class SelfContact:
     def smallest_gap(self, position: Array) -> float:
         """Return the smallest distance in m between the lower and the upper inner wall.
 
-        Of those parts whose undeformed normals are within 30 degrees of the vertical, where a
-        lumen that is pressed from above closes first.
+        Parameters
+        ----------
+        position : array of shape (n_nodes, 3)
+            Deformed nodes in m.
+
+        Notes
+        -----
+        Between the parts with undeformed normals within `FACING_ANGLE` of the vertical, where a
+        lumen pressed from above closes first.
         """
         vertices = self.sampling @ position
         lower, upper = self._facing
         away, nearest = KDTree(vertices[upper]).query(vertices[lower])
         across = vertices[upper[nearest]] - vertices[lower]
         normal = np.abs(np.sum(across * vertex_normals(vertices, self.faces)[lower], axis=1))
-        # Where the nearest vertex is only beside the nearest point, the point is along the normal.
-        beside = np.sqrt(np.maximum(away**2 - normal**2, 0)) < self._spacing
-        return float(np.min(np.where(beside, normal, away)))
+        # Where the nearest vertex is next to the nearest point, the point is along the normal.
+        adjacent = np.sqrt(np.maximum(away**2 - normal**2, 0)) < self._spacing
+        return float(np.min(np.where(adjacent, normal, away)))
 
     @cached_property
     def _facing(self) -> tuple[Index, Index]:
-        """Numbers of the vertices of the lower and of the upper wall."""
+        """Vertex numbers of the lower and of the upper wall."""
         normal = vertex_normals(np.asarray(self.mesh.rest_positions), self.faces)
-        upright = np.abs(normal[:, 1]) > np.cos(np.pi / 6)
+        upright = np.abs(normal[:, 1]) > np.cos(FACING_ANGLE)
         low = np.asarray(self.mesh.rest_positions)[:, 1]
         is_low = low < (low.min() + low.max()) / 2
         return np.flatnonzero(upright & is_low), np.flatnonzero(upright & ~is_low)
 
     @cached_property
     def _spacing(self) -> float:
-        """Longest distance in m between neighbouring vertices where the mesh is fine."""
+        """Median over the triangles of the longest edge, in m."""
         rest = np.asarray(self.mesh.rest_positions)
         sides = rest[self.faces] - rest[np.roll(self.faces, 1, axis=1)]
         return float(np.median(np.linalg.norm(sides, axis=-1).max(axis=1))) * self.length
 
-    def free_share(self, start: Array, end: Array) -> float:
-        """Return how far from one position to another no wall meets another, from 0 to 1."""
+    def collision_free_fraction(self, start: Array, end: Array) -> float:
+        """Return the fraction of a step, from 0 to 1, that is free of collisions.
+
+        Parameters
+        ----------
+        start, end : array of shape (n_nodes, 3)
+            Nodes before and after the step, in m.
+        """
         before, after = self._vertices(start), self._vertices(end)
-        share = ipctk.compute_collision_free_stepsize(self.mesh, before, after)
-        return 1.0 if share >= 1 else SAFETY * float(share)
+        free = ipctk.compute_collision_free_stepsize(self.mesh, before, after)
+        return 1.0 if free >= 1 else STEP_SAFETY_FACTOR * float(free)
 
 
 def self_contact(mesh: Mesh, shear_modulus: float, distance: float) -> SelfContact:
-    """Prepare the contact of a mesh's inner wall with itself.
+    """Build the self-contact barrier of a mesh's inner wall.
 
     Parameters
     ----------
@@ -174,10 +216,10 @@ def self_contact(mesh: Mesh, shear_modulus: float, distance: float) -> SelfConta
     shear_modulus : float
         Of the wall, in Pa.
     distance : float
-        Gap in m below which the barrier acts.
+        Activation distance d_hat of the barrier, in m.
     """
     sampling, faces = triangulated(mesh)
-    length = 400 * distance
+    length = LIBRARY_UNIT * distance
     collision_mesh = _collision_mesh(sampling @ mesh.points / length, faces)
     stiffness = BARRIER_STIFFNESS * shear_modulus
     barrier = ipctk.BarrierPotential(distance / length, stiffness, use_physical_barrier=True)
@@ -189,35 +231,47 @@ def _collision_mesh(rest: Array, faces: Index) -> Any:
 
 
 def vertex_normals(vertices: Array, faces: Index) -> Array:
-    """Return the unit normals (n_vertices, 3) of a triangulated surface at its vertices."""
+    """Return the area-weighted unit normals of a triangulated surface at its vertices.
+
+    Parameters
+    ----------
+    vertices : array of shape (n_vertices, 3)
+    faces : array of shape (n_triangles, 3)
+
+    Returns
+    -------
+    array of shape (n_vertices, 3)
+    """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     total = np.zeros_like(vertices)
     np.add.at(total, faces, np.cross(b - a, c - a)[:, None])
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 
-def triangulated(mesh: Mesh, faces: Index | None = None, parts: int = PARTS) -> tuple[Any, Index]:
-    """Sample a wall by triangles whose vertices lie on the element faces.
+def triangulated(
+    mesh: Mesh, faces: Index | None = None, parts: int = SUBDIVISIONS
+) -> tuple[Any, Index]:
+    """Triangulate a wall of the mesh; the vertices lie on the element faces.
 
     Parameters
     ----------
     mesh : Mesh
-    faces : array of int, optional
-        Element faces of the wall; the inner one's by default.
+    faces : array of int, shape (n_faces, n_face_local), optional
+        Element faces of the wall; those of the inner wall by default.
     parts : int
-        Edges of triangles along the edge of a face.
+        Triangle edges along the edge of an element's face.
 
     Returns
     -------
     sampling : sparse array of shape (n_vertices, n_nodes)
-        Takes values at the mesh's nodes to the vertices.
+        Interpolates nodal values at the vertices.
     triangles : array of shape (n_triangles, 3)
     """
     faces = mesh.inner_faces if faces is None else faces
     local, pattern = _pattern(mesh.face is QUAD8, parts)
     shapes, _ = mesh.face.shape_functions(local)
     points = np.einsum("vn,fni->fvi", shapes, mesh.points[faces]).reshape(-1, 3)
-    # Vertices on shared edges are the same numbers up to round-off.
+    # Coordinates of vertices on common edges are equal up to round-off.
     scale = 1e-7 * np.ptp(points, axis=0).max()
     _, first, vertex = np.unique(
         np.round(points / scale).astype(np.int64), axis=0, return_index=True, return_inverse=True
@@ -233,7 +287,7 @@ def triangulated(mesh: Mesh, faces: Index | None = None, parts: int = PARTS) -> 
 
 
 def _pattern(square: bool, parts: int) -> tuple[Array, Index]:
-    """Return local vertices and triangles of a face that is divided into `parts` per edge."""
+    """Return local vertices and triangles of a face divided into `parts` per edge."""
     i, j = (index.ravel() for index in np.indices((parts + 1, parts + 1)))
     number = np.arange((parts + 1) ** 2).reshape(parts + 1, parts + 1)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]

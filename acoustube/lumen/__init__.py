@@ -13,12 +13,13 @@ from acoustube.lumen.surface import (
     ring_faces,
     whole_tube,
 )
-from acoustube.lumen.thinning import thinned
+from acoustube.lumen.thinning import decimate_rings
 
 __all__ = [
     "TRIANGLES_PER_EDGE",
     "Lumen",
     "Profile",
+    "decimate_rings",
     "deformed_wall",
     "inner_wall",
     "lumen",
@@ -27,6 +28,5 @@ __all__ = [
     "profile",
     "ring_faces",
     "straighten",
-    "thinned",
     "whole_tube",
 ]

@@ -13,7 +13,7 @@ AROUND = 120
 """Points of a ring that are kept, at most."""
 
 
-def thinned(
+def decimate_rings(
     inner: NDArray[np.float64], outer: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Leave those rings and points that tell the shape of both walls.

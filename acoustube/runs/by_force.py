@@ -96,7 +96,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 def _along(indentation: Indentation) -> tuple[Array, Array, Array, Array]:
     """Return depth, closing, sinking and lumen area at each increment."""
     mesh, wall = indentation.mesh, inner_wall(indentation.mesh)
-    middle = np.array([indentation.presses[0].z])
+    middle = np.array([indentation.indenters[0].z])
     rows = range(len(indentation.depth))
     sections = [measure(indentation, row, middle, wall) for row in rows]
     height = np.array([float(section.height[0]) for section in sections])

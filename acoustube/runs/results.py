@@ -151,7 +151,7 @@ def press_dataset(
         "precision": "float64",
         "closed": (
             "the lumen counts as closed where smallest_gap is under "
-            f"{MM * indentation.closing_distance:.4g} mm, where its walls feel each other"
+            f"{MM * indentation.barrier_distance:.4g} mm, where its walls feel each other"
         ),
     }
     return xr.Dataset(found, coordinates, origin)
@@ -169,7 +169,7 @@ def _lengthened(value: Variable, missing: int) -> Variable:
 def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
     """Return the press at some of its increments."""
     wall = inner_wall(indentation.mesh)
-    place = np.array([indentation.presses[0].z])
+    place = np.array([indentation.indenters[0].z])
     sections = [measure(indentation, i, place, wall) for i in rows]
 
     def at_press(quantity: str) -> list[float]:

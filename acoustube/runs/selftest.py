@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acoustube import signals
 from acoustube.air import Air
 from acoustube.base.types import Array
-from acoustube.indentation import MeshSize, Press, indent
+from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.lumen import ring_faces
 from acoustube.tube import Tube
 from acoustube.waves import (
@@ -166,5 +166,5 @@ def _bore(narrowing: Array, z: Array, resolution: int) -> CutCells:
 
 def _force() -> float:
     """Return the force in N of a press on a coarse mesh of the paper's tube."""
-    pressed = indent(Tube(), Press(diameter=25e-3), depth=0.2e-3, mesh=COARSE)
+    pressed = indent(Tube(), Indenter(diameter=25e-3), depth=0.2e-3, mesh=COARSE)
     return float(pressed.contact_force[-1])

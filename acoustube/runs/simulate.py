@@ -121,7 +121,7 @@ def warnings_for(settings: SISettings) -> list[str]:
 
 def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
     """Return a warning where the lumen is so narrow that its boundary layers fill it."""
-    height = measure(indentation, -1, np.array([indentation.presses[0].z])).height[0]
+    height = measure(indentation, -1, np.array([indentation.indenters[0].z])).height[0]
     layers = height / viscous_thickness(settings.air, settings.pulse.frequency)
     warning = (
         f"The lumen is {UM * height:.0f} um high under the tool, {layers:.0f} viscous boundary "

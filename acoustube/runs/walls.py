@@ -1,4 +1,4 @@
-"""The deformed walls of a pressed tube, thinned out for files and pictures."""
+"""The deformed walls of a pressed tube, with fewer rings, for files and pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from acoustube.base.netcdf import variable
 from acoustube.lumen import Lumen, profile, ring_faces
-from acoustube.lumen.thinning import thinned
+from acoustube.lumen.thinning import decimate_rings
 
 MANTISSA = 12
 """Bits of a coordinate's mantissa that are kept: 1e-4 of it, which packs twice as small."""
@@ -29,7 +29,7 @@ def walls(part: Lumen) -> xr.Dataset:
         ``area_profile`` (z) in m2; the press at z = 0.
     """
     here = np.array([0.0, 0.0, part.position])
-    inner, outer = thinned(part.rings - here, part.outer_rings - here)
+    inner, outer = decimate_rings(part.rings - here, part.outer_rings - here)
     surface = (part.rings - here).reshape(-1, 3), ring_faces(*part.rings.shape[:2])
     z = part.rings[1:-1, 0, 2] - part.position
     along = profile(*surface, z)

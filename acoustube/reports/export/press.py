@@ -13,7 +13,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.mesh import sweep
-from acoustube.indentation.press import CLOSING_DISTANCE, neo_hookean_wall
+from acoustube.indentation.press import BARRIER_DISTANCE, neo_hookean_wall
 from acoustube.indentation.reference_element import HEX20, TET10
 from acoustube.runs.config import Mechanics, configured
 from acoustube.runs.config.si import press_in_si
@@ -88,7 +88,7 @@ def indentation_of(run: xr.Dataset) -> Indentation:
         return run[name].values[rows]
 
     return Indentation(
-        tube=tube, presses=(indenter,), support=settings.support,
+        tube=tube, indenters=(indenter,), support=settings.support,
         layer=settings.layer, material=neo_hookean_wall(tube), mesh=mesh,
         depth=taken("indentation_depth"), displacement=taken("node_displacement"),
         iterations=taken("newton_iterations"), residual=taken("newton_residual"),
@@ -96,5 +96,5 @@ def indentation_of(run: xr.Dataset) -> Indentation:
         energy=taken("elastic_energy"),
         smallest_volume_ratio=taken("smallest_volume_ratio"), smallest_gap=taken("smallest_gap"),
         touch_heights=(tube.outer_diameter / 2,),
-        closing_distance=CLOSING_DISTANCE * tube.inner_diameter,
+        barrier_distance=BARRIER_DISTANCE * tube.inner_diameter,
     )  # fmt: skip

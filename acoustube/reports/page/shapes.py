@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from acoustube.base.types import Array, Index
-from acoustube.indentation import Press
-from acoustube.lumen.thinning import thinned
+from acoustube.indentation import Indenter
+from acoustube.lumen.thinning import decimate_rings
 
 OUTLINE_POINTS = 81
 TOOL_RESOLUTION = 72
@@ -67,11 +67,11 @@ def from_rings(inner: Array, outer: Array) -> Shape:
     Returns
     -------
     Shape
-        With no more rings and points than :func:`acoustube.lumen.thinning.thinned` leaves.
+        With no more rings and points than :func:`acoustube.lumen.thinning.decimate_rings` leaves.
     """
     here = int(np.argmin(np.abs(inner[:, 0, 2])))
     sections = [_closed(wall[here, :, :2]) for wall in (inner, outer)]
-    inner, outer = thinned(inner, outer)
+    inner, outer = decimate_rings(inner, outer)
     middle = inner.shape[1] // 2
     # Rings run up on the side x > 0.
     halves = [wall[:, : middle + 1] for wall in (inner, outer)]
@@ -114,12 +114,12 @@ def _closed(outline: Array) -> Array:
     return np.concatenate([outline, outline[:1]])
 
 
-def underside(press: Press, x: Array, z: Array) -> Array:
+def underside(press: Indenter, x: Array, z: Array) -> Array:
     """Return how far a tool's lower side is above its lowest point, in m; nan beside it.
 
     Parameters
     ----------
-    press : Press
+    press : Indenter
     x, z : array
         In m.
     """
@@ -137,18 +137,18 @@ def underside(press: Press, x: Array, z: Array) -> Array:
     return np.where(inside, height, np.nan)
 
 
-def tool_height(press: Press, outer: Array) -> float:
+def tool_height(press: Indenter, outer: Array) -> float:
     """Return the height in m of the lowest point of a tool that just touches points (n, 3)."""
     gap = outer[:, 1] - underside(press, outer[:, 0], outer[:, 2])
     return float(np.nanmax(gap))
 
 
-def tool(press: Press, tube_diameter: float) -> Tool:
+def tool(press: Indenter, tube_diameter: float) -> Tool:
     """Return the surface of a tool: its half x >= 0, up to `TOOL_HEIGHT`.
 
     Parameters
     ----------
-    press : Press
+    press : Indenter
     tube_diameter : float
         Outer, in m.
 
@@ -203,7 +203,7 @@ def _sphere_side(radius: float, top: float) -> tuple[Array, Array]:
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
 
-def _punch_side(press: Press, top: float) -> tuple[Array, Array]:
+def _punch_side(press: Indenter, top: float) -> tuple[Array, Array]:
     """Return radius and height along the side of a punch, from its middle out and up."""
     edge, turn = press.edge, np.linspace(0, np.pi / 2, 13)
     flat = np.linspace(0, press.diameter / 2 - edge, 7)

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # the solvers, which a command that draws nothing does not need
-    from acoustube.indentation import Press
+    from acoustube.indentation import Indenter
 
 Image = NDArray[np.uint8]
 
@@ -109,14 +109,14 @@ def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float)
     return plotter
 
 
-def close_up(dataset: xr.Dataset, press: Press, layer: float | None = None) -> Image:
+def close_up(dataset: xr.Dataset, press: Indenter, layer: float | None = None) -> Image:
     """Draw the pressed part in true proportions, with the tool and what the tube rests on.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         A run.
-    press : Press
+    press : Indenter
     layer : float, optional
         Thickness of the elastic layer under the tube in m, if there is one.
     """
@@ -148,12 +148,12 @@ def close_up(dataset: xr.Dataset, press: Press, layer: float | None = None) -> I
     return np.asarray(plotter.screenshot(return_img=True))
 
 
-def tool_behind(press: Press, outer: Any) -> tuple[Any, Any]:
+def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
     """Return points and triangles of a tool's half with x <= 0, where it touches the wall.
 
     Parameters
     ----------
-    press : Press
+    press : Indenter
     outer : array of shape (n_rings, n_around, 3)
         The outer wall in m, the press at z = 0.
     """

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from acoustube.air import Air, air_at
-from acoustube.indentation import Layer, MeshSize, Press, Support
+from acoustube.indentation import Indenter, Layer, MeshSize, Support
 from acoustube.runs.config.config import Config, Mechanics
 from acoustube.runs.config.settings import IndentationSettings, TubeSettings
 from acoustube.tube import Tube, shear_modulus_from_shore
@@ -39,7 +39,7 @@ class SIPress:
         Of a wall from a file only the moduli count.
     surface : str or None
         File of a wall's surface in place of the round tube.
-    indenter : Press
+    indenter : Indenter
     layer : Layer or None
         Elastic layer under the tube; None for a rigid floor.
     support : {"held", "free"}
@@ -53,7 +53,7 @@ class SIPress:
 
     tube: Tube
     surface: str | None
-    indenter: Press
+    indenter: Indenter
     layer: Layer | None
     support: Support
     mesh: MeshSize
@@ -190,8 +190,8 @@ def _shear_modulus(settings: TubeSettings) -> float:
     return shear_modulus_from_shore(settings.hardness_shore_a)
 
 
-def _indenter(settings: IndentationSettings) -> Press:
-    return Press(
+def _indenter(settings: IndentationSettings) -> Indenter:
+    return Indenter(
         shape=settings.shape,
         diameter=MILLI * settings.indenter_mm,
         x=MILLI * settings.offset_mm,

@@ -119,7 +119,7 @@ def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
 
 
 def _pressed(indentation: Indentation, row: int, wall: Any) -> Pressed:
-    section = measure(indentation, row, np.array([indentation.presses[0].z]), wall)
+    section = measure(indentation, row, np.array([indentation.indenters[0].z]), wall)
     part = pressed_part(indentation, row)
     return Pressed(
         force=float(indentation.contact_force[row]),
