@@ -239,7 +239,7 @@ def test_homogeneous_stretch_stores_the_closed_form_energy():
 
 
 def test_volume_ratios_are_the_determinants_at_the_points():
-    """Of an affine motion, det F everywhere, and negative for one turned inside out."""
+    """Of an affine motion, det F everywhere, and negative for an inverted element."""
     points, elements, _ = patch()
     rule = element.quadrature(points[elements], HEX20)
     for f in (STRETCH, STRETCH @ np.diag([1, 1, -1])):
@@ -506,7 +506,7 @@ def test_stiffness_hardly_changes_with_incompressibility_and_layers():
 
 
 def test_newton_gives_up_across_a_buckling_and_in_inverted_elements():
-    """A ring shrunk by 40 % is in pressure beyond any stable shape; turned inside out, it is NaN.
+    """A ring shrunk by 40 % is in pressure beyond any stable shape; inverted, its energy is NaN.
 
     Neither may be reported as an equilibrium, nor be left by a step from a meaningless tangent.
     """
@@ -514,7 +514,7 @@ def test_newton_gives_up_across_a_buckling_and_in_inverted_elements():
     bottom = ring.at(0.0, 0.0)
     model = ring.model([(bottom, [1])])
     about = ring.mesh.points[bottom[0]]
-    cases = (([-0.4, -0.4, 0.0], True, "buckles"), ([-1.5, 0.0, 0.0], False, "inside out"))
+    cases = (([-0.4, -0.4, 0.0], True, "buckling"), ([-1.5, 0.0, 0.0], False, "inverted"))
     for factors, finite, reason in cases:
         squeeze = (ring.mesh.points - about) * factors
         result = minimise(model, squeeze, (), 1e-9)
