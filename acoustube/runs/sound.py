@@ -164,6 +164,7 @@ def scattering_of(
         lowest + FREQUENCY_STEP * np.arange(count + 1),
         reference=(part.position, part.position),
         lossy=lossy,
+        symmetric=part.symmetric,
         symmetric_only=part.symmetric,
         progress=progress,
     )

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells, with_straight_ends
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.grid.straight_part import is_reversible
+from acoustube.waves.grid.straight_part import SKEWED_TOLERANCE, SYMMETRY_TOLERANCE, is_reversible
 from acoustube.waves.modes.grid_modes import duct_modes, labels, phases
 from acoustube.waves.scheme.leapfrog import march
 from acoustube.waves.scheme.problem import FADING, Setup, prepare
@@ -103,7 +103,8 @@ class PortProblem:
             )
             for source, inwards in zip(self.sources, INWARD_DIRECTION, strict=True)
         )
-        self.driven = (0,) if is_reversible(core) else (0, 1)
+        tolerance = SKEWED_TOLERANCE if odd is None else SYMMETRY_TOLERANCE
+        self.driven = (0,) if is_reversible(core, tolerance) else (0, 1)
         self._find_modes(air, band[1], odd)
 
     def _find_modes(self, air: Air, highest: float, odd: bool | None) -> None:

@@ -86,6 +86,7 @@ def scatter(
     *,
     reference: tuple[float, float] = (0.0, 0.0),
     lossy: bool = True,
+    symmetric: bool | None = None,
     symmetric_only: bool = False,
     longest: float = 12e-3,
     absorber_thickness: float = 0.01,
@@ -105,6 +106,9 @@ def scatter(
         the cells. The ends are continued straight to there.
     lossy : bool
         With viscothermal losses at the wall and absorption in the air.
+    symmetric : bool, optional
+        Whether the lumen is symmetric about x = 0, where that is known. By default it is, if cells
+        and their mirror images differ by less than a fiftieth of a cell.
     symmetric_only : bool
         For a lumen symmetric about x = 0, compute the symmetric modes only: a plane wave couples
         to no others.
@@ -141,7 +145,7 @@ def scatter(
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     core = straight_ends_cut(cells)
     parities: tuple[bool | None, ...] = (None,)
-    if is_symmetric(core):
+    if is_symmetric(core) if symmetric is None else symmetric:
         parities = (False,) if symmetric_only else (False, True)
     band = float(frequency[0]), float(frequency[-1])
     parts = [
