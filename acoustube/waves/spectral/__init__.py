@@ -1,0 +1,14 @@
+"""Scattering of a lumen in the frequency domain: polynomials in space, rational in frequency.
+
+Reading order: `polynomials`, `walls` and `lumens` (what is integrated over), `assembly` (stiffness
+and mass), `ports` (modes of the ends), `elimination` (direct solution along the tube),
+`discretisation` (a basis and a richer one), `reduction` (many frequencies at once), `partition` and
+`solver` (what is chosen, and the error).
+"""
+
+from acoustube.waves.spectral.lumens import wall_of
+from acoustube.waves.spectral.result import SpectralScattering
+from acoustube.waves.spectral.solver import scatter_spectral
+from acoustube.waves.spectral.walls import Wall, analytic_wall
+
+__all__ = ["SpectralScattering", "Wall", "analytic_wall", "scatter_spectral", "wall_of"]

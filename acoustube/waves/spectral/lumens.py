@@ -1,0 +1,161 @@
+"""Walls of lumens that are stacks of rings."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.sound import ConfigError
+from acoustube.waves.spectral.walls import Wall
+
+SAME = 1e-9
+"""Largest distance in m between rings, or mirror images, that counts as none."""
+ROUND = 1e-3
+"""Largest deviation of an end from a circle, as a share of its radius."""
+NEWTON_STEPS = 30
+
+
+class Rings(Protocol):
+    """A stack of rings, as :class:`acoustube.lumen.Lumen`.
+
+    Attributes
+    ----------
+    rings : ndarray
+        (n_rings, n_around, 3) in m, anticlockwise seen from the end of high z, the first point of
+        each at the bottom.
+    position : float
+        z in m of what heights are told from.
+    symmetric : bool
+        Whether symmetric about x = 0.
+    """
+
+    @property
+    def rings(self) -> Array: ...  # noqa: D102
+
+    @property
+    def position(self) -> float: ...  # noqa: D102
+
+    @property
+    def symmetric(self) -> bool: ...  # noqa: D102
+
+
+def wall_of(lumen: Rings) -> Wall:
+    """Return the wall of a lumen, smooth between its rings.
+
+    Parameters
+    ----------
+    lumen : Rings
+        Its first and last rings equal and round about x = y = 0, as those of a tube beyond a press.
+
+    Returns
+    -------
+    Wall
+        With heights z from the lumen's `position`.
+
+    Raises
+    ------
+    ConfigError
+        If an end is not round, or the lumen is the same all along.
+
+    Notes
+    -----
+    Lines that join the points of the same number are cubic splines through the rings of the pressed
+    part, over the rings' mean heights, and straight from there to the last round ring on each side.
+    """
+    rings = lumen.rings - [0.0, 0.0, lumen.position]
+    radius = _radius(rings[0])
+    changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > SAME
+    if not changed.any():
+        raise ConfigError(
+            "the lumen is straight all along and scatters nothing; press it, or use the modes of a "
+            "straight bore"
+        )
+    first, last = np.flatnonzero(changed)[[0, -1]]
+    if first == 0 or last == len(rings) - 1:
+        raise ConfigError("the lumen is not straight at its ends; let both end in one round ring")
+    mirrored = np.abs(rings[::-1] * [1, 1, -1] - rings)[first - 1 : last + 2]
+    lines = Lines(rings[first - 1 : last + 2])
+    heights = rings[..., 2]
+    return Wall(
+        lines=lines,
+        ends=(float(heights[first - 1].min()), float(heights[last + 1].max())),
+        radius=radius,
+        breaks=(float(heights[first].min()), float(heights[last].max())),
+        symmetric=lumen.symmetric,
+        reversible=bool(first + last == len(rings) - 1 and mirrored.max() < SAME),
+    )
+
+
+def _radius(ring: Array) -> float:
+    """Return the radius of a round ring about x = y = 0."""
+    distance = np.hypot(ring[:, 0], ring[:, 1])
+    radius = float(distance.mean())
+    if np.abs(distance - radius).max() > ROUND * radius:
+        raise ConfigError(
+            f"the lumen's end is not a circle about x = y = 0: its radius goes from "
+            f"{1e3 * distance.min():.4g} to {1e3 * distance.max():.4g} mm; use the march "
+            "(acoustube.waves.scatter) for such ends"
+        )
+    return radius
+
+
+class Lines:
+    """Lines through the points of one number of rings, by height.
+
+    Parameters
+    ----------
+    rings : ndarray
+        (n_rings, n_around, 3) in m; the first and the last where the lumen becomes straight.
+    """
+
+    def __init__(self, rings: Array) -> None:
+        inner = rings[1:-1]
+        self.knots = inner[..., 2].mean(axis=1)
+        self.coefficients = CubicSpline(self.knots, inner).c
+        self.rings = rings
+
+    def __call__(self, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Return x, y and their derivatives by z, (n, n_around), at heights z (n,)."""
+        low, high = self.rings[1, :, 2], self.rings[-2, :, 2]
+        height = np.broadcast_to(z[:, None], (len(z), len(low)))
+        s = np.clip(height, self.knots[0], self.knots[-1])
+        for _ in range(NEWTON_STEPS):
+            point, slope = self._at(s)
+            step = (np.clip(height, low, high) - point[..., 2]) / slope[..., 2]
+            s = np.clip(s + step, self.knots[0], self.knots[-1])
+            if np.abs(step).max() < 1e-13:
+                break
+        point, slope = self._at(s)
+        place, along = point[..., :2], slope[..., :2] / slope[..., 2:]
+        for rim, end, beyond in ((1, 0, height < low), (-2, -1, height > high)):
+            place, along = self._beyond(height, rim, end, beyond, place, along)
+        return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
+
+    def _at(self, s: Array) -> tuple[Array, Array]:
+        """Return points (n, n_around, 3) and their derivatives by the rings' mean height."""
+        piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
+        t = (s - self.knots[piece])[..., None]
+        a, b, c, d = self.coefficients[:, piece, np.arange(s.shape[1])]
+        return ((a * t + b) * t + c) * t + d, (3 * a * t + 2 * b) * t + c
+
+    def _beyond(
+        self,
+        height: Array,
+        rim: int,
+        end: int,
+        there: NDArray[np.bool_],
+        place: Array,
+        along: Array,
+    ) -> tuple[Array, Array]:
+        """Put straight lines from the ring `rim` to the ring `end`, where the tube is round."""
+        start, stop = self.rings[rim], self.rings[end]
+        slope = (stop[:, :2] - start[:, :2]) / (stop[:, 2:] - start[:, 2:])
+        share = (height - start[:, 2]) / (stop[:, 2] - start[:, 2])
+        sloping = (share <= 1.0)[..., None]
+        straight = start[:, :2] + np.minimum(share, 1.0)[..., None] * (stop - start)[:, :2]
+        here = there[..., None]
+        return np.where(here, straight, place), np.where(here, np.where(sloping, slope, 0.0), along)

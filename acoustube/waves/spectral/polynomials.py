@@ -1,0 +1,261 @@
+"""Polynomials of a section: products of Legendre polynomials in the box around it.
+
+With X = (x - x0) / a and Y = (y - y0) / b, both within -1 to 1, the functions are combinations of
+P_i(X) P_j(Y), i + j <= N, orthonormal over the ellipse in the box: each by those before it, so that
+the first ones span all polynomials of a lower degree. They need not know the section: a rigid wall
+is the natural condition of the weak form. All integrals of two of them over a section
+follow from its moments,
+
+    m_ij = int P_i(X) P_j(Y) dx dy = - closed int P_i(X) (int^Y P_j) b dx,
+
+by the expansion of a product of Legendre polynomials in Legendre polynomials; and all derivatives
+are in their span again. A contour may overhang, for the integral along it counts what lies between
+it and y0 with its sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomials:
+    """Polynomials up to a total degree, orthonormal over an ellipse, in the order of that degree.
+
+    Attributes
+    ----------
+    degree : int
+    odd : bool or None
+        Whether antisymmetric about x = x0, or symmetric; None is both.
+    i, j : ndarray of int
+        Degree in X and in Y of the products of Legendre polynomials, (n,).
+    mix : ndarray
+        The functions in these products, (n, n).
+    partner : ndarray of int
+        Products, as rows i and j, in whose span the derivatives by X are, (2, n_partner).
+    partner_mix : ndarray
+        Orthonormal functions in these, (n_partner, n_partner).
+    dx : ndarray
+        Derivative by X in the partners, (n, n_partner).
+    x_dx, dy, y_dy : ndarray
+        X times the derivative by X, the derivative by Y, Y times that, (n, n).
+    """
+
+    degree: int
+    odd: bool | None
+    i: Index
+    j: Index
+    mix: Array
+    partner: Index
+    partner_mix: Array
+    dx: Array
+    x_dx: Array
+    dy: Array
+    y_dy: Array
+
+    @property
+    def size(self) -> int:
+        """Number of functions."""
+        return len(self.i)
+
+    def count(self, degree: int) -> int:
+        """Return how many functions, the first ones, have a total degree up to a given one."""
+        return int(np.sum(self.i + self.j <= degree))
+
+    def values(self, x: Array, y: Array) -> Array:
+        """Return the functions (n, ...) at points of the box."""
+        p, q = legendre(self.degree, x), legendre(self.degree, y)
+        return np.tensordot(self.mix, p[self.i] * q[self.j], 1)
+
+
+@lru_cache(maxsize=32)
+def polynomials(degree: int, odd: bool | None = None) -> Polynomials:
+    """Return the polynomials up to a total degree; see :class:`Polynomials`."""
+    i, j = _degrees(degree, odd)
+    k, m = _degrees(degree, None if odd is None else not odd)
+    d, xd = _derivatives(degree)
+
+    mix, partner_mix = _mix(degree, i, j), _mix(degree, k, m)
+
+    def product(across: Array, along: Array, other: tuple[Index, Index]) -> Array:
+        return np.asarray(mix @ (across[np.ix_(i, other[0])] * along[np.ix_(j, other[1])]))
+
+    one, back = np.eye(degree + 1), np.linalg.inv(mix)
+    return Polynomials(
+        degree=degree,
+        odd=odd,
+        i=i,
+        j=j,
+        mix=mix,
+        partner=np.stack([k, m]),
+        partner_mix=partner_mix,
+        dx=product(d, one, (k, m)) @ np.linalg.inv(partner_mix),
+        x_dx=product(xd, one, (i, j)) @ back,
+        dy=product(one, d, (i, j)) @ back,
+        y_dy=product(one, xd, (i, j)) @ back,
+    )
+
+
+def _degrees(degree: int, odd: bool | None) -> tuple[Index, Index]:
+    """Return the degrees in X and Y in the order of their sum."""
+    i, j = np.indices((degree + 1, degree + 1)).reshape(2, -1)
+    kept = i + j <= degree
+    if odd is not None:
+        kept &= i % 2 == int(odd)
+    i, j = i[kept], j[kept]
+    order = np.argsort(i + j, kind="stable")
+    return i[order], j[order]
+
+
+def _mix(degree: int, i: Index, j: Index) -> Array:
+    """Return what makes products of Legendre polynomials orthonormal over the unit disc."""
+    r, weight = gauss(degree + 2, 0.0, 1.0)
+    n_phi = 2 * degree + 4
+    phi = 2 * np.pi * np.arange(n_phi) / n_phi
+    p, q = (legendre(degree, np.outer(r, side)) for side in (np.cos(phi), np.sin(phi)))
+    values = (p[i] * q[j] * np.sqrt(weight * r / n_phi)[:, None]).reshape(len(i), -1)
+    # By QR and not from the Gram matrix, whose condition is the square.
+    triangle = np.linalg.qr(values.T, mode="r")
+    return np.asarray(solve_triangular(triangle, np.eye(len(i)), trans="T"))
+
+
+def legendre(degree: int, x: Array) -> Array:
+    """Return the Legendre polynomials of a mean square of one, (degree + 1, ...)."""
+    p = np.ones((degree + 1, *np.shape(x)))
+    if degree > 0:
+        p[1] = x
+    for n in range(1, degree):
+        p[n + 1] = ((2 * n + 1) * x * p[n] - n * p[n - 1]) / (n + 1)
+    return p * _norm(degree, x)
+
+
+def integrated_legendre(degree: int, x: Array) -> Array:
+    """Return antiderivatives of the normalised Legendre polynomials, (degree + 1, ...)."""
+    norm = _norm(degree + 1, x)
+    p = legendre(degree + 1, x) / norm
+    q = np.empty((degree + 1, *np.shape(x)))
+    q[0] = x
+    q[1:] = (p[2:] - p[:-2]) / norm[1:-1] ** 2
+    return q * norm[:-1]
+
+
+def _norm(degree: int, x: Array) -> Array:
+    return np.sqrt(2 * np.arange(degree + 1) + 1.0).reshape((-1,) + (1,) * np.ndim(x))
+
+
+def _derivatives(degree: int) -> tuple[Array, Array]:
+    """Return the derivative, and x times it, of normalised Legendre polynomials in themselves."""
+    x, w = np.polynomial.legendre.leggauss(degree + 1)
+    p = legendre(degree, x)
+    slope = np.stack(
+        [
+            np.polynomial.legendre.Legendre.basis(n).deriv()(x) * np.sqrt(2 * n + 1.0)
+            for n in range(degree + 1)
+        ]
+    )
+    return (slope * w / 2) @ p.T, (slope * x * w / 2) @ p.T
+
+
+@lru_cache(maxsize=8)
+def _products(degree: int) -> Array:
+    """Return P_i P_k in the P_m, (degree + 1, degree + 1, 2 degree + 1)."""
+    x, w = np.polynomial.legendre.leggauss(2 * degree + 1)
+    p = legendre(2 * degree, x)
+    low = p[: degree + 1]
+    return np.asarray(np.einsum("iq,kq,mq,q->ikm", low, low, p, w / 2, optimize=True))
+
+
+def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
+    """Integrate the products of Legendre polynomials over sections.
+
+    Parameters
+    ----------
+    degree : int
+        Highest in X, and in Y.
+    x, y : ndarray
+        Contours, anticlockwise, in the coordinates of their boxes, (n_sections, n_points).
+    dx : ndarray
+        What an integral along the contour is weighed with, in m, (n_sections, n_points).
+    height : ndarray
+        Half heights b of the boxes in m, (n_sections,).
+
+    Returns
+    -------
+    ndarray
+        In m2, (n_sections, degree + 1, degree + 1).
+    """
+    p = legendre(degree, x).transpose(1, 0, 2)
+    q = (integrated_legendre(degree, y) * (dx * height[:, None])).transpose(1, 2, 0)
+    return -np.matmul(p, q)
+
+
+def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:
+    """Integrate products of two polynomials over sections from their moments.
+
+    Parameters
+    ----------
+    moment : ndarray
+        (n_sections, 2 degree + 1, 2 degree + 1).
+    degree : int
+    i, j : ndarray of int
+        Degrees of the functions in X and Y, (n,).
+
+    Returns
+    -------
+    ndarray
+        In m2, (n_sections, n, n).
+    """
+    product = _products(degree)
+    used, place = np.unique(i, return_inverse=True)
+    across = product[np.ix_(used, used)].reshape(len(used) ** 2, -1)
+    along = product.reshape((degree + 1) ** 2, -1).T
+    both = np.matmul(np.matmul(across, moment), along)
+    row = place[:, None] * len(used) + place
+    column = j[:, None] * (degree + 1) + j
+    return np.asarray(both[:, row, column])
+
+
+def lobatto(degree: int, x: Array) -> tuple[Array, Array]:
+    """Return the functions of a line element and their slopes.
+
+    Parameters
+    ----------
+    degree : int
+    x : ndarray
+        Points from -1 to 1, (n,).
+
+    Returns
+    -------
+    values, slopes : ndarray
+        (degree + 1, n): the two that are one at the left and at the right end, and then the
+        integrated Legendre polynomials of degrees 2, 3, ..., zero at both.
+    """
+    value = np.empty((degree + 1, len(x)))
+    slope = np.empty_like(value)
+    value[0], value[1] = (1 - x) / 2, (1 + x) / 2
+    slope[0], slope[1] = -0.5, 0.5
+    # Slopes that are orthonormal make the stiffness of a straight rod the identity.
+    value[2:] = integrated_legendre(degree - 1, x)[1:] / np.sqrt(2)
+    slope[2:] = legendre(degree - 1, x)[1:] / np.sqrt(2)
+    return value, slope
+
+
+def gauss(n: int, low: float = -1.0, high: float = 1.0) -> tuple[Array, Array]:
+    """Return the points and weights of Gauss's rule over an interval."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    return low + (high - low) * (x + 1) / 2, w * (high - low) / 2
+
+
+def gauss_lobatto(n: int) -> Array:
+    """Return n Gauss-Lobatto points from -1 to 1, the ends among them."""
+    inner: Any = np.polynomial.legendre.Legendre.basis(n - 1).deriv().roots()
+    return np.concatenate([[-1.0], np.sort(inner.real), [1.0]])

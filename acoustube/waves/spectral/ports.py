@@ -1,0 +1,132 @@
+"""Round ends: their modes, and scattering matrices from a lumen's response to them.
+
+With the flux of mode n into a lumen whose ends are rigid otherwise, the pressures of its modes are
+Z times it. Waves in and out, a and b, have pressures (a + b) / sqrt(kz) and fluxes
+j sqrt(kz) (a - b), so that with D = sqrt(j kz) and Q = D Z D
+
+    b = S a,    S = (I + Q)^-1 (Q - I),
+
+which is regular at cut-ons, where D vanishes. Modes far below their cut-on are given their own
+impedance, linear in k^2, for good: sqrt(kt^2 - k^2) about a wavenumber in the band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import jnp_zeros, jv
+
+from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+MARGIN = 1.3
+"""How far in j' over the band's k R modes count as those that sound travels in, or nearly so."""
+FARTHEST = 12.0
+"""How far in j' beyond these modes have impedances of their own."""
+
+
+@dataclass(frozen=True, eq=False)
+class PortModes:
+    """Modes of a round bore of one symmetry about x = 0, or of both, in the order of their cut-ons.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As ``00``, ``11c``, ``21s``.
+    m : ndarray of int
+        Nodal diameters, (n,).
+    zeros : ndarray
+        j'mn, (n,).
+    sine : ndarray of bool
+        Whether sin(m phi) rather than cos(m phi), phi from -y towards +x, (n,).
+    """
+
+    names: tuple[str, ...]
+    m: NDArray[np.intp]
+    zeros: Array
+    sine: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
+    """Return the modes whose j'mn lies from over `lowest` up to `highest`."""
+    found = [] if odd else [(0.0, "00", 0, False)]
+    for m in range(int(highest) + 1):
+        zeros = jnp_zeros(m, int(highest / 2) + 2)
+        sides = (False,) if m == 0 else (False, True)
+        found += [
+            (float(zero), f"{m}{n}" + ("" if m == 0 else "cs"[side]), m, side)
+            for n, zero in enumerate(zeros, start=1)
+            for side in sides
+        ]
+    if odd is not None:
+        found = [mode for mode in found if mode[3] == odd]
+    found = sorted(mode for mode in found if lowest < mode[0] <= highest)
+    return PortModes(
+        names=tuple(mode[1] for mode in found),
+        m=np.array([mode[2] for mode in found], int),
+        zeros=np.array([mode[0] for mode in found], float),
+        sine=np.array([mode[3] for mode in found], bool),
+    )
+
+
+def port_functions(modes: PortModes, basis: Polynomials, box: Array, radius: float) -> Array:
+    """Integrate polynomials times the normalised modes over a round end.
+
+    Parameters
+    ----------
+    modes : PortModes
+    basis : Polynomials
+    box : ndarray
+        x0, a, y0, b of the end in m, (4,).
+    radius : float
+        In m.
+
+    Returns
+    -------
+    ndarray
+        In m, (n, n_modes).
+    """
+    reach = basis.degree + int(np.max(modes.zeros, initial=0.0))
+    r, wr = gauss(reach // 2 + 8, 0.0, radius)
+    n_phi = 2 * (reach // 2 + 4)
+    phi = 2 * np.pi * (np.arange(n_phi) + 0.5) / n_phi
+    x, y = np.outer(r, np.sin(phi)), -np.outer(r, np.cos(phi))
+    weight = (wr * r)[:, None] * (2 * np.pi / n_phi)
+    p = basis.values((x - box[0]) / box[1], (y - box[2]) / box[3]) * weight
+    radial = jv(modes.m[:, None], modes.zeros[:, None] * r / radius)
+    angle = modes.m[:, None] * phi
+    around = np.where(modes.sine[:, None], np.sin(angle), np.cos(angle))
+    shape = radial[:, :, None] * around[:, None, :]
+    norm = np.sqrt((shape**2 * weight).sum((1, 2)))
+    return np.asarray(
+        p.reshape(basis.size, -1) @ (shape / norm[:, None, None]).reshape(len(modes), -1).T
+    )
+
+
+def axial_wavenumbers(k: Array, zeros: Array, radius: float) -> Complex:
+    """Return k_z (n_frequencies, n_modes) in 1/m of waves that travel, or decay, towards +z."""
+    root = np.sqrt(k[:, None] ** 2 - (zeros / radius) ** 2 + 0j)
+    return np.where(root.imag > 0, -root, root)
+
+
+def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
+    """Return S (n_frequencies, n, n) from a response Z of that shape, as in the module's text."""
+    root = np.sqrt(1j * kz)
+    q = root[:, :, None] * response * root[:, None, :]
+    one = np.eye(q.shape[-1])
+    return np.asarray(np.linalg.solve(one + q, q - one))
+
+
+def changed_scattering(response: Array, change: Array, kz: Complex) -> Complex:
+    """Return the change of S with one of the response, to first order; shapes as above."""
+    root = np.sqrt(1j * kz)
+    one = np.eye(response.shape[-1])
+    inverse = np.linalg.inv(one + root[:, :, None] * response * root[:, None, :])
+    return 2 * inverse @ (root[:, :, None] * change * root[:, None, :]) @ inverse

@@ -1,0 +1,36 @@
+"""Scattering matrices that come with the error of each frequency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.sound import ModalScattering
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpectralScattering(ModalScattering):
+    """Scattering of duct modes by a lumen, from the spectral solver.
+
+    Attributes
+    ----------
+    error : ndarray
+        Estimate of the largest error of any coefficient, (n,).
+    tolerance : float
+        What was asked for.
+    degree : int
+        Highest total degree of the polynomials across the tube.
+    n_elements : int
+        Along the tube, or along its half where it is symmetric.
+    n_shifts : int
+        Frequencies at which the full equations were solved.
+    n_fields : int
+        Of the reduced basis.
+    """
+
+    error: Array
+    tolerance: float
+    degree: int
+    n_elements: int
+    n_shifts: int
+    n_fields: int

@@ -1,0 +1,356 @@
+"""Scattering of a lumen over a band, with its error estimated and brought under a tolerance.
+
+The wave equation is solved exactly in the finite-element sense at a few squared wavenumbers, the
+shifts, where the solutions and their derivatives by k^2 span a space in which the whole band is
+then solved: a rational Krylov space [1]_. Errors are estimated, each by what a richer space adds
+to S:
+
+* that of the degree across the tube, and
+* that of the elements along it, by solving for the residual in the functions that the basis lacks
+  (the next two degrees; one more degree along each element) at each shift, and adding these
+  corrections to the reduced space;
+* that of the shifts, by one more where the last block of each changes S the most.
+
+S is taken from the richest space, with matrices integrated at more points along z, for walls may
+be rough; its error is what all of this changes.
+
+References
+----------
+.. [1] Ruhe, A. (1984). Rational Krylov sequence methods for eigenvalue computation. Linear Algebra
+   and its Applications 58, 391-405. doi:10.1016/0024-3795(84)90221-0
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.waves.spectral.discretisation import (
+    SPARE_POINTS,
+    Discretisation,
+    Response,
+    discretise,
+    respond,
+)
+from acoustube.waves.spectral.partition import partition, split
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.ports import (
+    Complex,
+    axial_wavenumbers,
+    changed_scattering,
+    port_modes,
+    scattering_of,
+)
+from acoustube.waves.spectral.reduction import Reduced, extended, impedance, reassembled
+from acoustube.waves.spectral.result import SpectralScattering
+from acoustube.waves.spectral.sound import Air, ConfigError
+from acoustube.waves.spectral.walls import Wall
+
+ORDER = 7
+"""Degree along an element."""
+LEAST_DEGREE = 8
+DEGREE_PER_WAVE = 1.2
+"""Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
+DEGREE_MARGIN = 3
+MOST_DEGREE = 16
+BLOCKS = 3
+"""Of the Krylov space at each shift."""
+FIELDS_PER_WAVE = 2.2
+"""Fields of the reduced space per standing wave that fits the lumen in the band."""
+SPARE_SHIFTS = 3
+GRADING = 1.4
+"""Shifts are even in this power of the frequency."""
+PROBES = (0.5, 0.8, 1.0)
+"""Shifts at which the basis is tried first, as shares of the way from the first to the last."""
+SHARE = 0.25
+"""Share of the tolerance for each of the three errors while the basis is chosen."""
+FAR_OFF = 30.0
+"""Ratio to that from which the degree is raised by twice as much."""
+SAFETY = 2.0
+"""By how much a correction is smaller than the error: it leaves out what it does to the basis."""
+MORE_POINTS = 3
+"""Gauss points along an element that the result has more than the equations that were solved."""
+TRIALS = 2
+"""How often the whole band is solved at most."""
+ROUNDS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """What is chosen: degree across, borders of elements along the tube, and shifts."""
+
+    degree: int
+    edges: Array
+    shifts: Array
+
+
+class _Part(NamedTuple):
+    """Scattering of the modes of one symmetry: (n, 2, m, 2, m), errors (n,), and sizes."""
+
+    names: tuple[str, ...]
+    zeros: Array
+    s: Complex
+    error: Array
+    basis: _Basis
+    n_fields: int
+    heights: tuple[float, float]
+
+
+def scatter_spectral(
+    wall: Wall,
+    air: Air,
+    frequency: Array,
+    *,
+    tolerance: float = 1e-3,
+    reference: tuple[float, float] = (0.0, 0.0),
+    symmetric_only: bool = False,
+) -> SpectralScattering:
+    """Return how a lumen with rigid walls scatters the modes of its ends, without losses.
+
+    Parameters
+    ----------
+    wall : Wall
+        From :func:`wall_of` or :func:`analytic_wall`.
+    air : Air
+    frequency : ndarray
+        Rising frequencies in Hz, (n,).
+    tolerance : float
+        Largest error of a coefficient.
+    reference : tuple of float
+        Heights z in m, in the coordinates of the wall, at which the amplitudes at low z and at
+        high z are given, as if the ends went on straight to there.
+    symmetric_only : bool
+        Of a lumen symmetric about x = 0, compute the modes that are so too.
+
+    Returns
+    -------
+    SpectralScattering
+
+    Raises
+    ------
+    ConfigError
+        If the frequencies do not rise, or the tolerance is outside 1e-6 to 0.1.
+
+    Notes
+    -----
+    Where a resonance is so narrow that the best basis tried does not meet the tolerance, the
+    result's `error` says so.
+    """
+    frequency = np.asarray(frequency, float)
+    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
+    if not 1e-6 <= tolerance <= 0.1:
+        raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
+    k = 2 * np.pi * frequency / air.sound_speed
+    parities: tuple[bool | None, ...] = (None,)
+    if wall.symmetric:
+        parities = (False,) if symmetric_only else (False, True)
+    # Below the cut-on of (1,1) there is no antisymmetric mode.
+    parities = tuple(odd for odd in parities if len(port_modes(k[-1] * wall.radius, odd)))
+    parts = [_part(wall, odd, k, tolerance, reference) for odd in parities]
+    return _joined(parts, frequency, wall, air, tolerance, reference)
+
+
+def _joined(
+    parts: list[_Part],
+    frequency: Array,
+    wall: Wall,
+    air: Air,
+    tolerance: float,
+    reference: tuple[float, float],
+) -> SpectralScattering:
+    """Put the parts of both symmetries together, in the order of the cut-ons."""
+    names = [name for part in parts for name in part.names]
+    zeros = np.concatenate([part.zeros for part in parts])
+    s = np.zeros((len(frequency), 2, len(names), 2, len(names)), complex)
+    end = 0
+    for part in parts:
+        here = slice(end, end := end + len(part.names))
+        s[:, :, here, :, here] = part.s
+    order = sorted(range(len(names)), key=lambda i: (zeros[i], names[i]))
+    cut_ons = zeros[order] * air.sound_speed / (2 * np.pi * wall.radius)
+    low, high = parts[0].heights
+    return SpectralScattering(
+        frequency=frequency,
+        modes=tuple(names[i] for i in order),
+        s=s[:, :, order][..., order],
+        propagates=frequency[:, None] > cut_ons,
+        cut_ons=cut_ons,
+        sound_speed=air.sound_speed,
+        extent=(low - reference[0], high - reference[1]),
+        error=np.max([part.error for part in parts], axis=0),
+        tolerance=tolerance,
+        degree=max(part.basis.degree for part in parts),
+        n_elements=max(len(part.basis.edges) - 1 for part in parts),
+        n_shifts=max(len(part.basis.shifts) for part in parts),
+        n_fields=max(part.n_fields for part in parts),
+    )
+
+
+def _part(
+    wall: Wall, odd: bool | None, k: Array, tolerance: float, reference: tuple[float, float]
+) -> _Part:
+    """Return the scattering of the modes of one symmetry."""
+    basis, wanted, spare = _first_basis(wall, odd, k), SHARE * tolerance, SPARE_POINTS
+    for _ in range(TRIALS):
+        system, basis, responses = _adapted(wall, odd, k, basis, wanted, spare)
+        spaces, rough, error = _swept(system, basis, responses, k, tolerance)
+        finer = discretise(
+            wall, basis.edges, basis.degree, ORDER, odd, float(k[-1]),
+            spare_points=spare + MORE_POINTS,
+        )  # fmt: skip
+        s = _scattering(finer, [reassembled(finer, space) for space in spaces], k)
+        by_points = _difference(system, s, rough, k)
+        basis = _Basis(basis.degree, basis.edges, np.array(sorted(responses)))
+        if (error + by_points).max() <= tolerance:
+            break
+        # Narrow resonances magnify what is small at the shifts.
+        if by_points.max() > SHARE * tolerance:
+            spare += 2 * MORE_POINTS
+        if error.max() > SHARE * tolerance:
+            wanted *= min(0.5 * tolerance / error.max(), 0.3)
+    error = error + by_points
+    n_kept = int(np.sum(system.modes.zeros < k[-1] * wall.radius))
+    zeros, names = system.modes.zeros[:n_kept], system.modes.names[:n_kept]
+    kz = axial_wavenumbers(k, zeros, wall.radius).real
+    away = reference[0] - system.heights[0], system.heights[1] - reference[1]
+    turn = np.stack([np.exp(1j * kz * d) for d in away], axis=1)
+    turn = np.where(k[:, None, None] * wall.radius > zeros, turn, 0.0)
+    s = turn[..., None, None] * s[:, :, :n_kept, :, :n_kept] * turn[:, None, None]
+    return _Part(names, zeros, s, error, basis, spaces[0].size, system.heights)
+
+
+def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
+    """Return the basis to begin with, by the wavelength and the bore."""
+    reach = float(k[-1]) * wall.radius
+    degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
+    edges = partition(wall, float(k[-1]))
+    modes = port_modes(reach, odd)
+    kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
+    waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
+    per_shift = BLOCKS * len(modes) * (1 if wall.reversible else 2)
+    n_shifts = SPARE_SHIFTS + int(np.ceil(FIELDS_PER_WAVE * waves / per_shift))
+    high = float(k[-1])
+    low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
+    grades = np.linspace(low**GRADING, high**GRADING, n_shifts)
+    return _Basis(degree + degree % 2, edges, grades ** (2 / GRADING))
+
+
+def _adapted(
+    wall: Wall, odd: bool | None, k: Array, basis: _Basis, wanted: float, spare: int
+) -> tuple[Discretisation, _Basis, dict[float, list[Response]]]:
+    """Raise the degree and split elements until both errors at the probes are as wanted."""
+    shifts = basis.shifts
+    probes = shifts[np.round(np.array(PROBES) * (len(shifts) - 1)).astype(int)]
+    for _ in range(ROUNDS):
+        system = discretise(
+            wall, basis.edges, basis.degree, ORDER, odd, float(k[-1]), spare_points=spare
+        )
+        responses = {float(shift): respond(system, float(shift), BLOCKS) for shift in probes}
+        by_degree, by_element = _errors(system, responses)
+        too_low, too_long = by_degree > wanted, by_element.sum() > wanted
+        if not (too_low or too_long):
+            return system, basis, responses
+        degree, edges = basis.degree, basis.edges
+        if too_low:
+            degree += 4 if by_degree > FAR_OFF * wanted else 2
+        if too_long:
+            edges = split(edges, by_element > 0.5 * wanted / len(by_element))
+        if degree > MOST_DEGREE:
+            break
+        basis = _Basis(degree, edges, shifts)
+    return system, basis, responses
+
+
+def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
+    """Return what a higher degree, and one more along each element, changes S by at the shifts."""
+    by_degree, by_element = 0.0, np.zeros(len(system.mass))
+    zeros = np.tile(system.modes.zeros, len(system.ports))
+    for shift, sides in responses.items():
+        k = np.sqrt([shift])
+        travels = np.flatnonzero(zeros < k * system.radius)
+        kz = axial_wavenumbers(k, zeros, system.radius)
+        for side in sides:
+            changes = np.concatenate([side.by_degree[None], side.by_element])
+            changed = changed_scattering(side.impedance[None], changes, kz)
+            largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2))
+            by_degree = max(by_degree, SAFETY * float(largest[0]))
+            by_element = np.maximum(by_element, SAFETY * largest[1:])
+    return by_degree, by_element
+
+
+def _swept(
+    system: Discretisation,
+    basis: _Basis,
+    responses: dict[float, list[Response]],
+    k: Array,
+    tolerance: float,
+) -> tuple[list[Reduced], Complex, Array]:
+    """Return the richest space of each side, S at all wavenumbers, and its errors."""
+    for shift in basis.shifts:
+        if float(shift) not in responses:
+            responses[float(shift)] = respond(system, float(shift), BLOCKS)
+    fields = [[r[side].fields for r in responses.values()] for side in range(len(system.sides))]
+    kept = (BLOCKS - 1) * fields[0][0].shape[-1] // BLOCKS
+    spaces = [extended(system, None, _side_by_side(f, slice(None, kept))) for f in fields]
+    before = _scattering(system, spaces, k)
+    spaces = [
+        extended(system, space, _side_by_side(f, slice(kept, None)))
+        for space, f in zip(spaces, fields, strict=True)
+    ]
+    now = _scattering(system, spaces, k)
+    for _ in range(ROUNDS):
+        doubt = _difference(system, now, before, k)
+        shift = _worst(k, doubt, np.array(list(responses)))
+        responses[shift] = respond(system, shift, BLOCKS)
+        before = now
+        spaces = [
+            extended(system, space, response.fields)
+            for space, response in zip(spaces, responses[shift], strict=True)
+        ]
+        now = _scattering(system, spaces, k)
+        if _difference(system, now, before, k).max() <= SHARE * tolerance:
+            break
+    corrections = [[r[side].correction for r in responses.values()] for side in range(len(spaces))]
+    spaces = [
+        extended(system, space, _side_by_side(c, slice(None)))
+        for space, c in zip(spaces, corrections, strict=True)
+    ]
+    richest = _scattering(system, spaces, k)
+    lacking = SAFETY * _difference(system, richest, now, k)
+    error = lacking + _difference(system, now, before, k)
+    return spaces, richest, error
+
+
+def _side_by_side(fields: list[Array], columns: slice) -> Array:
+    return np.concatenate([field[..., columns] for field in fields], axis=-1)
+
+
+def _worst(k: Array, doubt: Array, shifts: Array) -> float:
+    """Return the squared wavenumber of the greatest doubt, away from those solved already."""
+    gap = np.diff(np.sort(shifts)).min()
+    away = np.abs(k[:, None] ** 2 - shifts).min(axis=1) > 0.1 * gap
+    if not away.any():
+        return float(np.sort(shifts)[-2:].mean())
+    return float(k[np.argmax(np.where(away, doubt, -1.0))] ** 2)
+
+
+def _difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:
+    """Return the largest difference of two matrices at each wavenumber, where modes propagate."""
+    travels = k[:, None] * system.radius > system.modes.zeros
+    both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
+    return np.asarray(np.where(both, np.abs(a - b), 0.0).max(axis=(1, 2, 3, 4)))
+
+
+def _scattering(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
+    """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
+    m = len(system.modes)
+    kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
+    found = [scattering_of(impedance(space, k), kz) for space in spaces]
+    if not system.halved:
+        return found[0].reshape(len(k), 2, m, 2, m)
+    reflected, passed = (found[0] + found[1]) / 2, (found[0] - found[1]) / 2
+    rows = [np.stack(row, axis=2) for row in ((reflected, passed), (passed, reflected))]
+    return np.stack(rows, axis=1)

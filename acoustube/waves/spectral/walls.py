@@ -1,0 +1,169 @@
+"""Walls of lumens as contours of their sections, and boxes around these.
+
+A wall is a family of closed contours x(t, z), y(t, z), t from 0 to 2 pi: lines along the tube that
+keep their t, and round it, anticlockwise seen with z towards the reader. Its ends are straight and
+round, about x = y = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from math import factorial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from acoustube.waves.spectral.polynomials import Array, gauss
+
+LEAST_POINTS, MOST_POINTS = 2, 8
+"""Gauss points of each piece of a contour between two of its points."""
+
+
+class Contours(NamedTuple):
+    """Contours of sections, each quantity (n_sections, n_points), in m.
+
+    Attributes
+    ----------
+    x, y : ndarray
+    x_t, y_t : ndarray
+        Derivatives along the contour, by t.
+    x_z, y_z : ndarray
+        Derivatives along the tube, at a t.
+    weight : ndarray
+        For integrals over t, (n_points,); of a wall symmetric about x = 0 the points are those of
+        one half, and their weights count for both.
+    """
+
+    x: Array
+    y: Array
+    x_t: Array
+    y_t: Array
+    x_z: Array
+    y_z: Array
+    weight: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wall:
+    """The wall of a lumen between straight round ends.
+
+    Attributes
+    ----------
+    lines : callable
+        Takes z (n,) in m and returns x, y and their derivatives by z, each (n, n_points), at
+        points of equal steps of t.
+    ends : tuple of float
+        From where to where the lumen is not straight, z in m.
+    radius : float
+        Of the ends, in m.
+    breaks : tuple of float
+        Heights z in m where the wall is not smooth along z, besides its ends.
+    symmetric : bool
+        Whether symmetric about x = 0.
+    reversible : bool
+        Whether symmetric about the plane z = `middle`.
+    middle : float
+        In m.
+    """
+
+    lines: Callable[[Array], tuple[Array, Array, Array, Array]]
+    ends: tuple[float, float]
+    radius: float
+    breaks: tuple[float, ...] = ()
+    symmetric: bool = True
+    reversible: bool = False
+    middle: float = 0.0
+
+    def contours(self, z: Array, degree: int) -> Contours:
+        """Return the contours at heights z (n,) in m, as cubic splines through their points.
+
+        There are enough of these for integrals of products of two polynomials of a total degree.
+        """
+        lines = self.lines(z)
+        n = lines[0].shape[1]
+        value, slope, weight = _spline(n, _gauss_points(n, degree), self.symmetric)
+        x, y, x_z, y_z = (part @ value for part in lines)
+        return Contours(x, y, lines[0] @ slope, lines[1] @ slope, x_z, y_z, weight)
+
+
+def _gauss_points(n: int, degree: int) -> int:
+    """Return how many points integrate polynomials along one of n pieces of a contour.
+
+    Notes
+    -----
+    Gauss's rule of g points errs by (k h)^2g (g!)^4 / ((2g + 1) (2g)!^3) on a piece of length h,
+    for a wavenumber k, here twice the degree. That has to be small against the least eigenvalue of
+    the Gram matrix of Legendre polynomials over a disc, 3e-6 at degree 10 and 30 times less with
+    each two degrees more, or the matrix is not positive.
+    """
+    step = 4 * np.pi * degree / n
+    allowed = 1e-2 * 3e-6 * 30.0 ** ((10 - degree) / 2)
+    for g in range(LEAST_POINTS, MOST_POINTS):
+        error = step ** (2 * g) * factorial(g) ** 4 / ((2 * g + 1) * factorial(2 * g) ** 3)
+        if error < allowed:
+            return g
+    return MOST_POINTS
+
+
+@lru_cache(maxsize=8)
+def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array]:
+    """Return what takes n values round a contour to those of their spline at Gauss's points.
+
+    Returns
+    -------
+    value, slope : ndarray
+        For the values and their derivatives by t, (n, n_points).
+    weight : ndarray
+        (n_points,).
+    """
+    n_pieces = n // 2 if half else n
+    point, share = gauss(n_gauss, 0.0, 1.0)
+    t = (np.arange(n_pieces)[:, None] + point).ravel() * 2 * np.pi / n
+    ones = np.concatenate([np.eye(n), np.eye(n)[:1]])
+    spline = CubicSpline(2 * np.pi * np.arange(n + 1) / n, ones, bc_type="periodic")
+    weight = np.tile(share, n_pieces) * 2 * np.pi / n
+    return spline(t).T, spline(t, 1).T, weight * (2 if half else 1)
+
+
+def analytic_wall(
+    shape: Callable[[Array, Array], tuple[Array, Array, Array, Array]],
+    *,
+    ends: tuple[float, float],
+    radius: float,
+    n_points: int = 96,
+    symmetric: bool = True,
+    reversible: bool = False,
+) -> Wall:
+    """Return a wall from its formula.
+
+    Parameters
+    ----------
+    shape : callable
+        Takes z (n, 1) and t (n_points,) and returns x, y and their derivatives by z, in m.
+    ends : tuple of float
+        From where to where the lumen is not straight, in m.
+    radius : float
+        Of the ends, in m.
+    n_points : int
+        Around; even, and the first at the bottom if symmetric about x = 0.
+    symmetric, reversible : bool
+        Whether symmetric about x = 0, and about the middle between the ends.
+
+    Returns
+    -------
+    Wall
+    """
+    t = 2 * np.pi * np.arange(n_points) / n_points
+
+    def lines(z: Array) -> tuple[Array, Array, Array, Array]:
+        like = np.zeros((len(z), n_points))
+        x, y, x_z, y_z = (like + part for part in shape(z[:, None], t))
+        return x, y, x_z, y_z
+
+    return Wall(
+        lines=lines, ends=ends, radius=radius, symmetric=symmetric, reversible=reversible,
+        middle=(ends[0] + ends[1]) / 2,
+    )  # fmt: skip

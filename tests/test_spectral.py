@@ -1,0 +1,226 @@
+"""Scattering from the spectral solver."""
+
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from acoustube.air import Air
+from acoustube.base.errors import ConfigError
+from acoustube.waves import Scattering, spectral
+from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.spectral.discretisation import discretise, respond
+from acoustube.waves.spectral.ports import axial_wavenumbers, changed_scattering, scattering_of
+
+RADIUS = 3.95e-3
+AIR = Air(sound_speed=343.2, density=1.204)
+CASES = {"A": (0.30, 12e-3), "E": (0.40, 8e-3)}
+REFERENCE = Path(__file__).parent / "data" / "spectral_reference.csv"
+"""Of an independent spectral solution with exact modal ends, which agrees with quintic finite
+elements (NGSolve) to 3e-7; frequencies over 8 kHz, all cut-ons among them."""
+
+
+def shape(case, turned=0.0):
+    """Lumens A (flattened from above) and E (narrowed all round), turned about the axis."""
+    h, w = CASES[case]
+    c, s = np.cos(turned), np.sin(turned)
+
+    def lines(z, t):
+        inside = np.abs(z) < w
+        f = h * np.where(inside, 0.5 * (1 + np.cos(np.pi * z / w)), 0.0)
+        f_z = h * np.where(inside, -0.5 * np.pi / w * np.sin(np.pi * z / w), 0.0)
+        x, y = RADIUS * np.sin(t), -RADIUS * np.cos(t)
+        if case == "A":
+            moved = x * (1 + 0.45 * f), (y + RADIUS) * (1 - f) - RADIUS
+            along = 0.45 * x * f_z, -(y + RADIUS) * f_z
+        else:
+            moved, along = (x * (1 - f), y * (1 - f)), (-x * f_z, -y * f_z)
+        return tuple(part for a, b in (moved, along) for part in (c * a - s * b, s * a + c * b))
+
+    return lines
+
+
+def wall(case, turned=0.0, *, reversible=True):
+    w = CASES[case][1]
+    return spectral.analytic_wall(
+        shape(case, turned), ends=(-w, w), radius=RADIUS, symmetric=turned == 0.0,
+        reversible=reversible,
+    )  # fmt: skip
+
+
+@cache
+def reference(case):
+    rows = [row.split(",") for row in REFERENCE.read_text().splitlines()]
+    values = np.array([row[1:] for row in rows if row[0] == case], float).T
+    return values[0], values[1] + 1j * values[2], values[3] + 1j * values[4]
+
+
+@cache
+def solved(case):
+    return spectral.scatter_spectral(wall(case), AIR, reference(case)[0], symmetric_only=True)
+
+
+def plane(found):
+    return found.s[:, 0, 0, 0, 0], found.s[:, 1, 0, 0, 0]
+
+
+@pytest.mark.parametrize("case", ["A", "E"])
+def test_plane_mode_scatters_as_in_independent_solution(case):
+    """Cut-ons and the trapped mode of A at 42.2 kHz included."""
+    _, reflected, passed = reference(case)
+    found = plane(solved(case))
+    error = np.maximum(np.abs(found[0] - reflected), np.abs(found[1] - passed))
+    assert error.max() < 1e-5
+
+
+@pytest.mark.parametrize("case", ["A", "E"])
+def test_estimated_error_bounds_that_against_independent_solution(case):
+    _, reflected, passed = reference(case)
+    found = plane(solved(case))
+    error = np.maximum(np.abs(found[0] - reflected), np.abs(found[1] - passed))
+    # The reference is printed with seven digits.
+    assert np.all(error < solved(case).error + 2e-6)
+    assert solved(case).error.max() < 1e-4
+
+
+def test_richer_basis_changes_no_coefficient_by_more_than_estimated():
+    """All modes, also those antisymmetric about x = 0, of lumen A."""
+    frequency = np.arange(8e3, 60.1e3, 2.6e3)
+    found, richer = (
+        spectral.scatter_spectral(wall("A"), AIR, frequency, tolerance=tolerance)
+        for tolerance in (1e-2, 1e-5)
+    )
+    assert found.modes == ("00", "11c", "11s", "21c", "21s", "01", "31c", "31s")
+    change = np.abs(found.s - richer.s).max(axis=(1, 2, 3, 4))
+    assert np.all(change < found.error + richer.error)
+
+
+def response(degree, order, n_elements, frequency=41e3):
+    """S of lumen A at one frequency from one basis, and what it is estimated to lack."""
+    edges = np.concatenate([np.linspace(0, 12e-3, n_elements + 1), [14e-3]])
+    k = 2 * np.pi * np.array([frequency]) / AIR.sound_speed
+    system = discretise(wall("A"), edges, degree, order, False, float(2 * np.pi * 6e4 / 343.2))
+    kz = axial_wavenumbers(k, system.modes.zeros, RADIUS)
+    sides = respond(system, float(k[0] ** 2), 1)
+    s = [scattering_of(side.impedance[None], kz)[0, :2, :2] for side in sides]
+    by_degree = [
+        changed_scattering(q.impedance[None], q.by_degree[None], kz)[0, :2, :2] for q in sides
+    ]
+    by_element = [
+        changed_scattering(q.impedance[None], q.by_element.sum(0)[None], kz)[0, :2, :2]
+        for q in sides
+    ]
+    return np.array(s), np.array(by_degree), np.array(by_element)
+
+
+def test_error_falls_exponentially_with_degree_and_is_estimated_within_a_factor():
+    best = response(16, 7, 6)[0]
+    errors = []
+    for degree in (6, 8, 10):
+        s, lacks, _ = response(degree, 7, 6)
+        errors.append(np.abs(s - best).max())
+        assert 0.4 < np.abs(lacks).max() / errors[-1] < 1.1
+    assert errors[1] < 0.01 * errors[0]
+    assert errors[2] < 0.3 * errors[1]
+
+
+def test_error_falls_with_the_elements_and_is_estimated_within_a_factor():
+    best = response(10, 7, 12)[0]
+    errors = []
+    for n_elements in (2, 4):
+        s, _, lacks = response(10, 3, n_elements)
+        errors.append(np.abs(s - best).max())
+        assert 0.4 < np.abs(lacks).max() / errors[-1] < 1.1
+    assert errors[0] / errors[1] > 2**5
+
+
+def test_lumen_without_mirror_plane_scatters_the_plane_mode_as_before_it_was_turned():
+    """Lumen A turned by 25 degrees about its axis: all modes are then solved for at once."""
+    frequency = np.array([20e3, 35e3, 47e3])
+    turned = spectral.scatter_spectral(wall("A", 0.4363), AIR, frequency)
+    straight = spectral.scatter_spectral(wall("A"), AIR, frequency)
+    assert turned.modes == straight.modes
+    np.testing.assert_allclose(plane(turned), plane(straight), atol=2e-5)
+    pair = slice(1, 3)
+    power = [(np.abs(s.s[:, 1, pair, 0, 0]) ** 2).sum(axis=-1) for s in (turned, straight)]
+    np.testing.assert_allclose(*power, atol=2e-5)
+    # And it does turn the pair.
+    assert abs(turned.s[2, 1, 2, 0, 0]) > 0.2
+
+
+def test_lumen_that_counts_as_not_reversible_scatters_as_by_halves():
+    frequency = np.array([20e3, 44e3])
+    whole = spectral.scatter_spectral(
+        wall("E", reversible=False), AIR, frequency, symmetric_only=True
+    )
+    halved = spectral.scatter_spectral(wall("E"), AIR, frequency, symmetric_only=True)
+    np.testing.assert_allclose(whole.s, halved.s, atol=1e-6)
+
+
+def rings(case, n_rings=97, n_around=120):
+    """A lumen of rings as a press leaves it: the pressed part between round rings."""
+    w = CASES[case][1]
+    z = np.concatenate([[-40e-3, -w], np.linspace(-w, w, n_rings)[1:-1], [w, 40e-3]])
+    t = 2 * np.pi * np.arange(n_around) / n_around
+    x, y, _, _ = (np.broadcast_to(part, (len(z), n_around)) for part in shape(case)(z[:, None], t))
+    points = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1)
+    return SimpleNamespace(rings=points + np.array([0, 0, 0.04]), position=0.04, symmetric=True)
+
+
+def test_lumen_of_rings_scatters_as_its_formula():
+    frequency, reflected, passed = (part[::4] for part in reference("E"))
+    found = plane(
+        spectral.scatter_spectral(spectral.wall_of(rings("E")), AIR, frequency, symmetric_only=True)
+    )
+    # The rings end in a corner: half a millimetre of cone where the formula is smooth.
+    np.testing.assert_allclose(found, (reflected, passed), atol=2e-4)
+
+
+def test_reference_planes_move_the_phases_of_each_mode():
+    frequency = np.array([30e3])
+    here = spectral.scatter_spectral(wall("A"), AIR, frequency, symmetric_only=True)
+    there = spectral.scatter_spectral(
+        wall("A"), AIR, frequency, symmetric_only=True, reference=(-1e-3, 2e-3)
+    )
+    kz = axial_wavenumbers(2 * np.pi * frequency / 343.2, np.array([0, 1.8411838]), RADIUS)[0]
+    turn = np.exp(-1j * np.stack([kz, 2 * kz]) * 1e-3)
+    np.testing.assert_allclose(there.s[0], turn[..., None, None] * here.s[0] * turn, atol=1e-6)
+    assert there.extent == pytest.approx((here.extent[0] + 1e-3, here.extent[1] - 2e-3))
+
+
+def test_result_is_a_scattering_matrix_that_a_tube_can_be_joined_from():
+    found = solved("A")
+    assert isinstance(found, ModalScattering)
+    assert not isinstance(found, Scattering)
+    assert found.s.shape == (len(found.frequency), 2, 5, 2, 5)
+    silent = ~found.propagates
+    assert np.all(found.s.transpose(0, 2, 1, 3, 4)[silent] == 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frequency": np.array([2e4, 1e4])}, "frequency must rise"),
+        ({"tolerance": 0.5}, "tolerance = 0.5 is outside"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused_in_one_sentence(change, words):
+    arguments = {"frequency": np.array([1e4, 2e4])} | change
+    with pytest.raises(ConfigError, match=words):
+        spectral.scatter_spectral(wall("A"), AIR, **arguments)
+
+
+def test_lumens_without_round_or_straight_ends_are_refused():
+    straight, oval, open_ended = (rings("E") for _ in range(3))
+    straight.rings[:] = straight.rings[0] + (straight.rings[:, :1, 2:] * [0, 0, 1] - [0, 0, 0])
+    oval.rings[..., 0] *= 1.01
+    open_ended.rings = open_ended.rings[20:]
+    for lumen, words in (
+        (straight, "straight all along"),
+        (oval, "not a circle"),
+        (open_ended, "straight at its ends"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            spectral.wall_of(lumen)
