@@ -17,18 +17,16 @@ import sys
 import tempfile
 import threading
 import time
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
 
 from test_live import DISTANCES, FRAMES, Board, garbled  # noqa: E402
 
-from acoustube.cli.live import Tally, run_live  # noqa: E402
+from acoustube.runs.live import Stream, Tally, follow  # noqa: E402
 
 CYCLES_PER_SECOND, BYTES_PER_SECOND, CHUNK = 20.0, 1e5, 200
 DAMAGED = 100
@@ -62,8 +60,8 @@ def listen(board: Board, n_cycles: int, log: Path) -> tuple[Tally, float]:
     words = [sys.executable, __file__, "--board", str(board.end), str(n_cycles)]
     with subprocess.Popen(words, pass_fds=[board.end]):
         seconds = 4.0 + n_cycles / CYCLES_PER_SECOND
-        console = Console(file=StringIO())
-        tally = run_live(board.port, console, prominence=0.05, out=log, duration=seconds)
+        stream = Stream(port=board.port, prominence=0.05)
+        tally, _ = follow(stream, lambda *_: None, out=log, duration=seconds)
     timer.join()
     return tally, memory[0]
 

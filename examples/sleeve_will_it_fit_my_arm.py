@@ -17,8 +17,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from acoustube.cli.sleeve import in_words
 from acoustube.reports.scenes.sleeve import Picture, draw
+from acoustube.reports.sleeve_table import in_words
 from acoustube.sleeve import design, layout
 
 LENGTH, GIRTHS = 0.25, (0.17, 0.26)

@@ -22,7 +22,7 @@ def fixed(value):
 
 def only(monkeypatch, *trials):
     """Leave only these tests, and nothing that takes long."""
-    monkeypatch.setattr(check_command, "all_trials", lambda: trials)
+    monkeypatch.setattr(selftest, "all_trials", lambda: trials)
     monkeypatch.setattr(check_command, "can_draw", lambda: True)
 
 
@@ -100,7 +100,7 @@ def test_json_holds_what_could_not_be_computed(monkeypatch, capsys):
 def test_vtk_that_ends_its_process_does_not_end_ours(monkeypatch, capsys):
     """As VTK does where EGL is missing."""
     monkeypatch.setattr(check_command, "DRAWING", "import os; os.abort()")
-    monkeypatch.setattr(check_command, "all_trials", lambda: (fixed(1.0),))
+    monkeypatch.setattr(selftest, "all_trials", lambda: (fixed(1.0),))
     assert main(["check"]) == 0
     assert "drawing: does not work" in capsys.readouterr().out
 

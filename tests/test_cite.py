@@ -132,7 +132,7 @@ def test_sleeve_cites_the_fit_where_there_were_markers(first, expected, tmp_path
     ("name", "part"),
     [
         ("none", "none does not exist"),
-        (".", ". is no result of acoustube"),
+        (".", ". is not a result of acoustube"),
         ("a.nc", "cannot be read"),
     ],
 )

@@ -6,13 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import pytest
 from commands import COMMAND, run_process
 
 import acoustube
-from acoustube.base.errors import SimulationError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.limits import SHALLOWEST_MM
 from acoustube.cli import _app
 
@@ -53,8 +54,8 @@ def test_help_names_every_option_with_its_unit():
         ("--resolution", "cells across the bore"),
         ("--source-end", "release, absorbing"),
         ("--config", "TOML"),
-        ("--out", "folder"),
-        ("--quiet", "nothing"),
+        ("--out", "Folder"),
+        ("--quiet", "except errors"),
     ):
         line = text[text.index(option) :]
         assert unit in line[: line.find("--", 2)]
@@ -86,15 +87,29 @@ WHOLE = [
 ]
 
 
+def parsed_or_refusal(tokens):
+    """Return the arguments of a command by name, or why a number is out of its range."""
+    try:
+        _, bound, _ = _app.app.parse_args(tokens, exit_on_error=False, print_error=False)
+    except ConfigError as error:
+        return str(error)
+    return bound.arguments
+
+
 @pytest.mark.parametrize(("words", "name"), WHOLE)
 def test_whole_numbers_are_exact_and_nothing_else_is_one(words, name, capsys):
     """2**53 + 1 is no double; 1e3 is whole as it is written; 3.5 is refused before anything."""
     Path("a.stl").touch()
     for text, number in (("9007199254740993", 2**53 + 1), ("-3", -3), ("1e3", 1000)):
         tokens = words.replace("16", text).split()
-        _, bound, _ = _app.app.parse_args(tokens, exit_on_error=False, print_error=False)
-        assert bound.arguments[name] == number
-        assert type(bound.arguments[name]) is int
+        found = parsed_or_refusal(tokens)
+        if isinstance(found, str):
+            assert f"{name.replace('_', '-')} = {number} is out of range" in found
+            continue
+        groups = [vars(group) for group in found.values() if is_dataclass(group)]
+        (value,) = [given[name] for given in (found, *groups) if name in given]
+        assert value == number
+        assert type(value) is int
     for text in ("3.5", "inf", "nan", "many"):
         assert _app.main(words.replace("16", text).split()) == 2
         captured = capsys.readouterr()
@@ -257,7 +272,7 @@ def test_cache_is_listed_sized_and_cleared(tmp_path):
     size = f"1 result, 2.0 MB in {folder}\ncompiled code, 3.0 MB\n"
     assert run_process("cache", "size", **environment).stdout == size
     cleared = run_process("cache", "clear", **environment).stdout
-    assert cleared == "1 result forgotten, 5.0 MB freed\n"
+    assert cleared == "deleted 1 result, 5.0 MB freed\n"
     size = f"0 results, 0.0 MB in {folder}\ncompiled code, 0.0 MB\n"
     assert run_process("cache", "size", **environment).stdout == size
 
@@ -321,7 +336,7 @@ def test_failure_in_a_command_is_one_sentence_and_a_code(monkeypatch, capsys, er
         raise error
 
     monkeypatch.setattr(_app, "app", fail)
-    assert _app.main([]) == code
+    assert _app.main(["check"]) == code
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err.count("\n") == 1

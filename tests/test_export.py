@@ -401,7 +401,7 @@ def test_frames_are_spread_over_files_of_whole_episodes(tmp_path, monkeypatch):
         (["cycles", "--format", "mp3"], ["mp3", "--format", "wav"]),
         (["none"], ["none does not exist"]),
         (["text.nc"], ["text.nc cannot be read as a result"]),
-        (["other.nc"], ["other.nc is no result of acoustube"]),
+        (["other.nc"], ["other.nc is not a result of acoustube"]),
     ],
     ids=lambda value: " ".join(value),
 )

@@ -26,8 +26,10 @@ from rich.console import Console
 
 from acoustube import signals
 from acoustube.base.errors import ConfigError
-from acoustube.cli.live import RATE, run_live, trace
+from acoustube.cli import live
+from acoustube.cli.live import trace
 from acoustube.recordings.echotube_stream import FRAME_BYTES, HEAD, Decoder, Receiver, encode
+from acoustube.runs.live import RATE, Stream
 from acoustube.signals import Processing, Tracker
 from acoustube.signals.calibration import arctan_fall
 
@@ -41,6 +43,11 @@ needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseud
 # What is lost between the samples of 42 kHz at 80 kHz moves a peak by up to 9 mm, as
 # `without_aliased_template` states.
 TOLERANCE = 0.012
+
+
+def run_live(port, console, *, out=None, duration=None, **stream):
+    """Run the command's work on a stream with some settings of its own."""
+    return live.run_live(Stream(port=port, **stream), console, out=out, duration=duration)
 
 
 def burst(delay, time):

@@ -16,7 +16,7 @@ import acoustube
 from acoustube.base.errors import ConfigError
 from acoustube.cli._app import main
 from acoustube.cli.indent import run_press
-from acoustube.cli.simulate import run
+from acoustube.cli.simulate import run_simulation
 from acoustube.indentation import Indenter, MeshSize
 from acoustube.indentation.mesh import sweep as swept_tube
 from acoustube.lumen.thinning import RINGS, decimate_rings
@@ -64,7 +64,7 @@ def press(tmp_path_factory):
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory):
     config = load_config(indenter_mm=25, depth_mm=4, resolution=11)
-    return run(config, tmp_path_factory.mktemp("pages") / "heard", QUIET)
+    return run_simulation(config, tmp_path_factory.mktemp("pages") / "heard", QUIET)
 
 
 def shown(page):
@@ -440,15 +440,6 @@ def test_what_cannot_be_shown_is_refused(tmp_path, capsys):
         assert message in " ".join(capsys.readouterr().err.split()), words
     assert (tmp_path / "taken.html").read_text() == "mine"
     assert not (tmp_path / "a.html").exists()
-
-
-def test_missing_library_is_told(tmp_path, monkeypatch, capsys):
-    def absent(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(write.importlib, "import_module", absent)
-    assert main(["show", str(tmp_path), "--html", "a.html"]) == 2
-    assert "pip install 'acoustube[page]'" in " ".join(capsys.readouterr().err.split())
 
 
 @slow

@@ -13,11 +13,15 @@ from acoustube.base.report import ShowProgress, TimeLeft, time_in_words
 from acoustube.base.version import __version__
 
 if TYPE_CHECKING:
+    from types import FrameType
+
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
 REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
 """Seconds between two lines of progress without a terminal, at first and in work of hours."""
+IMPORT_POLL = 0.05
+"""Seconds after which an interrupt during an import is tried again."""
 
 
 def note(console: Console, text: str) -> None:
@@ -144,32 +148,67 @@ class _Bars(_Lines):
         self.bars.update(self.rows[stage], completed=done, total=total, amount=amount, left=left)
 
 
-@contextmanager
-def watched_interrupts() -> Iterator[Callable[[], None]]:
-    """Yield a check that raises an interrupt again which was lost.
+class _Interrupt:
+    """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
 
-    JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
+    In an extension that is being loaded an interrupt becomes an ImportError, or is lost.
     """
-    seen: list[int] = []
 
-    def interrupt(number: int, _frame: object) -> None:
-        seen.append(number)
+    def __init__(self) -> None:
+        self.raised = False
+
+    def __call__(self, _number: int, frame: FrameType | None) -> None:
+        if _importing(frame):
+            signal.signal(signal.SIGALRM, self)  # asks again, until the import has ended
+            signal.setitimer(signal.ITIMER_REAL, IMPORT_POLL)
+            return
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        self.raised = True
         raise KeyboardInterrupt
 
-    def check() -> None:
-        if seen:
+    def check(self) -> None:
+        """Raise again an interrupt that was raised before."""
+        if self.raised:
             raise KeyboardInterrupt
 
-    numbers = [
-        number
+
+def _importing(frame: FrameType | None) -> bool:
+    """Return whether a frame belongs to an import under way."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@contextmanager
+def watched_interrupts() -> Iterator[Callable[[], None]]:
+    """Let interrupts wait for the end of an import, and yield a check that raises lost ones.
+
+    JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
+
+    Yields
+    ------
+    callable
+        Raises KeyboardInterrupt again if it was raised before.
+    """
+    handler = _Interrupt()
+    found = {
+        number: signal.getsignal(number)
         for number in (signal.SIGINT, signal.SIGTERM)
         if threading.current_thread() is threading.main_thread()
-        and signal.getsignal(number) is signal.default_int_handler
-    ]
-    for number in numbers:
-        signal.signal(number, interrupt)
+    }
+    replaced = {
+        number: before
+        for number, before in found.items()
+        if before is signal.default_int_handler or isinstance(before, _Interrupt)
+    }
+    for number in replaced:
+        signal.signal(number, handler)
     try:
-        yield check
+        yield handler.check
     finally:
-        for number in numbers:
-            signal.signal(number, signal.default_int_handler)
+        if signal.default_int_handler in replaced.values():
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, before in replaced.items():
+            signal.signal(number, before)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from rich.console import Console
+from typing import TYPE_CHECKING
 
 from acoustube.runs.config import Config, Mechanics
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def print_wall(config: Config | Mechanics, console: Console) -> None:

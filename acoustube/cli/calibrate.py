@@ -1,88 +1,73 @@
-"""The command ``acoustube calibrate``."""
+"""The command ``acoustube calibrate``: a calibration from recordings with known closures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import xarray as xr
-from rich.console import Console
-from rich.markup import escape
+from cyclopts import Parameter
 
-from acoustube import recordings, signals
 from acoustube.base.errors import ConfigError
-from acoustube.runs.recordings import calibration_folder
-from acoustube.signals import Calibration
+from acoustube.base.rules import Number
+from acoustube.cli._options import Output, Recording, check_files
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
+
+    from acoustube.signals import Calibration
 
 MANY_ALARMS = 0.05
-"""Share of untouched cycles with an echo above which a higher prominence is advised."""
+"""Fraction of untouched cycles with an echo above which a higher prominence is advised."""
 
 
-def run_calibrate(
-    blocked: Sequence[Path],
-    untouched: Sequence[Path],
-    console: Console,
-    *,
+def calibrate(
+    *blocked: Path,
+    untouched: Annotated[list[Path], Parameter(consume_multiple=True)],
     out: Path | None = None,
     name: str | None = None,
     sigmas: float = 2.8,
-    rate: float | None = None,
-    temperature: float | None = None,
-    channel: int | None = None,
-    samples: int | None = None,
+    recording: Recording = Recording(),
     figure: Path | None = None,
-) -> Path:
-    """Calibrate a sensor from recordings, and write the calibration.
+    output: Output = Output(),
+) -> None:
+    """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
 
     Parameters
     ----------
-    blocked : sequence of Path
-        Recordings with the tube closed at the places of their label ``true_distance``.
-    untouched : sequence of Path
+    blocked : Path
+        Recordings with the label ``true_distance`` (or ``distance_cm``, ``distance_m``).
+    untouched : list
         Recordings without contact.
-    console : rich.console.Console
-    out : Path, optional
-        The file to write; in place of it `name`, by which ``process`` finds it.
-    name : str, optional
+    out : Path
+        File to write, which must be new.
+    name : str
+        Name of the calibration, in place of a file: ``process --calibration NAME`` finds it.
     sigmas : float
-        Least prominence in standard deviations of the untouched cycles.
-    rate, temperature, channel, samples
-        See :func:`acoustube.recordings.read`.
-    figure : Path, optional
-        A picture of the fits.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ConfigError
-        If a recording cannot be read, or nothing can be calibrated with them.
+        Least prominence of an echo, in standard deviations of the untouched cycles.
+    figure : Path
+        Picture of the fits to write (PNG, PDF or SVG), which must be new.
     """
-    if (out is None) == (name is None):
-        raise ConfigError("give the calibration either a file with --out or a name with --name")
-    path = out if out is not None else calibration_folder() / f"{name}.toml"
-    if path.exists():
-        raise ConfigError(f"{path} exists and nothing is overwritten; remove it or name another")
-    options = {"rate": rate, "temperature": temperature, "channel": channel, "samples": samples}
-    closed, free = (_together(paths, options) for paths in (blocked, untouched))
-    if "true_distance" not in closed:
+    from rich.markup import escape
+
+    if not blocked:
+        raise ConfigError("calibrate needs recordings with the tube closed; name one or more")
+    if name is not None and not re.fullmatch(r"[\w-]{1,64}", name):
         raise ConfigError(
-            f"the blocked cycles of {blocked[0]} have no label true_distance; give it in the file "
-            "or in a sidecar"
+            f"name = {name} must be of letters, digits, - and _; use --out for a path"
         )
-    for what, one, other in (
-        ("sampling rate", closed.attrs["sampling_rate"], free.attrs["sampling_rate"]),
-        ("number of samples", closed.sizes["time"], free.sizes["time"]),
-    ):
-        if one != other:
-            raise ConfigError(
-                f"blocked and untouched cycles must have the same {what}, not {one:g} and {other:g}"
-            )
+    Number(0.1, 100, "", "standard deviations").check("sigmas", sigmas)
+    check_files(out=out, figure=figure)
+    path = _free_path(out, name)
+
+    from acoustube import signals
+
+    console = output.console()
+    closed, free = (_together(paths, recording) for paths in (blocked, untouched))
+    _check_alike(closed, free, blocked[0])
     try:
         found = signals.calibrate(
             closed["time"].values, closed["signal"].values, closed["true_distance"].values,
@@ -100,13 +85,48 @@ def run_calibrate(
         run_figure.save(cycle_figures.calibration_figure(found), figure)
     _print_calibration(found, closed["true_distance"].values, console)
     console.print(f"Written to [bold]{escape(str(path))}[/].", soft_wrap=True)
+
+
+def _free_path(out: Path | None, name: str | None) -> Path:
+    """Return the file of the calibration, which is given by its path or its name."""
+    from acoustube.runs.recordings import calibration_folder
+
+    if out is not None and name is None:
+        path = out
+    elif name is not None and out is None:
+        path = calibration_folder() / f"{name}.toml"
+    else:
+        raise ConfigError("give the calibration either a file with --out or a name with --name")
+    if path.exists():
+        raise ConfigError(f"{path} exists and nothing is overwritten; remove it or name another")
     return path
 
 
-def _together(paths: Sequence[Path], options: Mapping[str, Any]) -> xr.Dataset:
+def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path) -> None:
+    """Check that closures have labels, and all cycles one rate and length."""
+    if "true_distance" not in closed:
+        raise ConfigError(
+            f"the blocked cycles of {blocked} have no label true_distance; give it in the file "
+            "or in a sidecar"
+        )
+    for what, one, other in (
+        ("sampling rate", closed.attrs["sampling_rate"], free.attrs["sampling_rate"]),
+        ("number of samples", closed.sizes["time"], free.sizes["time"]),
+    ):
+        if one != other:
+            raise ConfigError(
+                f"blocked and untouched cycles must have the same {what}, not {one:g} and {other:g}"
+            )
+
+
+def _together(paths: Sequence[Path], options: Recording) -> xr.Dataset:
     """Return the cycles of several recordings as one."""
+    import xarray as xr
+
+    from acoustube import recordings
+
     parts = []
-    for _, data in recordings.read_all(paths, **options):
+    for _, data in recordings.read_all(paths, **dataclasses.asdict(options)):
         if isinstance(data, ConfigError):
             raise data
         parts.append(data)
@@ -118,6 +138,8 @@ def _together(paths: Sequence[Path], options: Mapping[str, Any]) -> xr.Dataset:
 
 
 def _print_calibration(found: Calibration, given: Any, console: Console) -> None:
+    import numpy as np
+
     gain = found.processing.gain
     assert gain is not None
     lost = np.unique(np.round(given[~np.isin(given, found.true_distance)], 3))

@@ -1,9 +1,8 @@
-"""The command ``acoustube check``: what is installed, what there is to compute on, a self-test."""
+"""The command ``acoustube check``: versions, hardware, optional packages, and a self-test."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import platform
 import re
@@ -12,34 +11,35 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from json import dumps
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.markup import escape
+from typing import TYPE_CHECKING, Annotated, Any
 
 from acoustube.base import cache
 from acoustube.base.errors import SimulationError
 from acoustube.base.version import __version__
-from acoustube.runs.selftest import Outcome, all_trials, run_trials
+from acoustube.cli._options import FLAG, Output
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from acoustube.runs.selftest import Outcome
 
 PACKAGES = (
     "numpy", "scipy", "jax", "numba", "xarray", "h5netcdf", "ipctk", "pytetwild", "trimesh",
-    "pyvista", "vtk", "matplotlib", "scikit-learn", "cyclopts",
+    "pyvista", "vtk", "matplotlib", "plotly", "scikit-learn", "cyclopts",
 )  # fmt: skip
 """Whose versions decide results, or are asked for in reports."""
 PURPOSES = {
     "audio": "reads FLAC files",
     "c3d": "reads markers of motion capture",
     "dask": "sweeps on a cluster",
-    "page": "writes pages of results",
     "parquet": "writes Parquet tables",
     "pardiso": "factorises large meshes faster",
     "serial": "reads the board of `acoustube live`",
 }
 """Of the optional extras."""
-FOR_OTHERS = ("test", "docs")
+FOR_OTHERS = ("test", "docs", "page")
 DRAWING = """\
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
@@ -48,7 +48,7 @@ assert plotter.screenshot(return_img=True).std() > 1
 """
 DRAWING_SECONDS = 120.0
 HELP_WITH_CACHE = (
-    "it cannot be written, so that nothing is remembered: set ACOUSTUBE_CACHE to a folder that can"
+    "it cannot be written, so that nothing is cached: set ACOUSTUBE_CACHE to a folder that can"
 )
 HELP_WITH_DRAWING = (
     "the two pictures of the tube will be missing from figures; on Debian and Ubuntu: "
@@ -77,7 +77,7 @@ class Extra:
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """What acoustube runs on.
+    """Machine and installation that acoustube runs on.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Machine:
     cores, threads : int
         That this process may use; threads of the compiled kernels.
     memory_gb, memory_free_gb : float or None
-        None where the system does not tell.
+        None where the system does not state it.
     cache_folder : str
     cache_writable : bool
     disk_free_gb : float
@@ -112,43 +112,39 @@ class Machine:
     extras: tuple[Extra, ...]
 
 
-def run_check(console: Console, *, as_json: bool = False) -> None:
-    """Look at the installation and compute what is known.
+def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> None:
+    """Report versions, hardware and optional packages, and run a self-test.
+
+    Ends with exit code 1 if a test failed.
 
     Parameters
     ----------
-    console : rich.console.Console
-        Where to print.
-    as_json : bool
-        Print one JSON object instead.
-
-    Raises
-    ------
-    SimulationError
-        If a test of the self-test failed. A missing extra, or a machine that cannot draw, is no
-        failure.
+    json : bool
+        JSON object instead of a table.
     """
+    from rich.console import Console
+
     started = time.perf_counter()
-    told = Console(quiet=True) if as_json else console
+    console = Console(quiet=True) if json else output.console()
     machine = look()
-    _print_machine(machine, told)
-    with told.status("drawing without a screen"):
+    _print_machine(machine, console)
+    with console.status("drawing without a screen"):
         drawing = can_draw()
     state = "works" if drawing else f"does not work; {HELP_WITH_DRAWING}"
-    told.print(f"drawing: {state}", soft_wrap=True)
-    outcomes = _tested(told)
+    console.print(f"drawing: {state}", soft_wrap=True)
+    outcomes = _tested(console)
     failed = [outcome for outcome in outcomes if not outcome.passed]
-    if as_json:
+    if json:
         found = {"acoustube": __version__, **dataclasses.asdict(machine), "drawing": drawing}
         # Not console.print, which would break lines.
-        print(json.dumps(found | {"tests": _rows(outcomes), "passed": not failed}, indent=2))
+        print(dumps(found | {"tests": _rows(outcomes), "passed": not failed}, indent=2))
     if failed:
         raise SimulationError(
             f"{len(failed)} of {len(outcomes)} tests failed ({failed[0].name}), so that results of "
             "this installation cannot be trusted; install acoustube in a fresh environment"
         )
     elapsed = time.perf_counter() - started
-    told.print(f"all {len(outcomes)} tests passed, in {elapsed:.0f} s.", highlight=False)
+    console.print(f"all {len(outcomes)} tests passed, in {elapsed:.0f} s.", highlight=False)
 
 
 def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
@@ -164,7 +160,9 @@ def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
 
 
 def look() -> Machine:
-    """Return what acoustube runs on."""
+    """Return the machine, its packages and the cache."""
+    from importlib.metadata import requires
+
     import jax
     import numba
 
@@ -225,6 +223,8 @@ def can_draw() -> bool:
 
 
 def _version(package: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return version(package)
     except PackageNotFoundError:
@@ -232,7 +232,7 @@ def _version(package: str) -> str:
 
 
 def _memory() -> float | None:
-    """Return the machine's memory in GB, if the system tells."""
+    """Return the machine's memory in GB, if the system states it."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 2)
     except (AttributeError, OSError, ValueError):
@@ -240,7 +240,7 @@ def _memory() -> float | None:
 
 
 def _free_memory() -> float | None:
-    """Return the memory in GB that can be had without swapping, if the system tells."""
+    """Return the memory in GB that can be had without swapping, if the system states it."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         kilobytes = next(line.split()[1] for line in lines if line.startswith("MemAvailable:"))
@@ -250,6 +250,8 @@ def _free_memory() -> float | None:
 
 
 def _print_machine(machine: Machine, console: Console) -> None:
+    from rich.markup import escape
+
     def line(text: str) -> None:
         console.print(text, soft_wrap=True, highlight=False)
 
@@ -274,6 +276,8 @@ def _in_gb(size: float | None) -> str:
 
 def _tested(console: Console) -> list[Outcome]:
     """Run the self-test, and print each row when it is there."""
+    from acoustube.runs.selftest import all_trials, run_trials
+
     outcomes = []
     trials = all_trials()
     for trial in trials:
@@ -286,6 +290,8 @@ def _tested(console: Console) -> list[Outcome]:
 
 def _row(outcome: Outcome) -> str:
     """Return a test in one line."""
+    from rich.markup import escape
+
     state = "[green]passed[/]" if outcome.passed else "[red]FAILED[/]"
     unit = "" if outcome.unit == "1" else f" {outcome.unit}"
     expected = f"{outcome.expected:.5g}{unit} within {outcome.tolerance:.2g}"

@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from zipfile import is_zipfile
 
 from acoustube.base.errors import ConfigError
+from acoustube.cli._options import FLAG
 from acoustube.cli.references import TOPICS, Reference, references
 
 CREASING = 0.72
@@ -21,21 +22,19 @@ OF_ESTIMATORS = {
 }
 
 
-def run_cite(result: Path | None, *, bibtex: bool) -> None:
-    """Print references.
+def cite(result: Path | None = None, /, *, bibtex: Annotated[bool, FLAG] = False) -> None:
+    """List what a publication should cite: the program, and the sources of its methods.
 
     Parameters
     ----------
-    result : Path, optional
-        What a command wrote: those that it used, instead of all.
+    result : Path
+        Result whose methods alone are listed: a folder of simulate, indent, sweep, dataset or
+        sleeve, or a file of scatter or train.
     bibtex : bool
-        Print BibTeX.
-
-    Raises
-    ------
-    ConfigError
-        If the result is none of acoustube's.
+        BibTeX entries instead of text.
     """
+    if result is not None and not result.exists():
+        raise ConfigError(f"{result} does not exist; name what a command wrote, or nothing")
     found = references(None if result is None else topics_of(result))
     print("\n\n".join(entry.bibtex() for entry in found) if bibtex else in_words(found))
 
@@ -52,7 +51,7 @@ def in_words(found: Iterable[Reference]) -> str:
 
 
 def topics_of(result: Path) -> set[str]:
-    """Return what a result made use of.
+    """Return the topics of the methods that a result used.
 
     Parameters
     ----------
@@ -92,7 +91,7 @@ def _of_sweep(result: Path) -> set[str]:
         paths = files_of(result)
     if not any(path.match(pattern) for path in paths for pattern in PATTERNS.values()):
         raise ConfigError(
-            f"{result} is no result of acoustube; name a folder of simulate, indent, sweep, "
+            f"{result} is not a result of acoustube; name a folder of simulate, indent, sweep, "
             "dataset or sleeve, or a file of scatter or train"
         )
     data = open_dataset(paths)

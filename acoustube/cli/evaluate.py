@@ -1,26 +1,25 @@
-"""The command ``acoustube evaluate``."""
+"""The command ``acoustube evaluate``: errors of a trained estimator on labelled cycles."""
 
 from __future__ import annotations
 
 import csv
+import math
 import time
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-import xarray as xr
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
-
-from acoustube import estimation
 from acoustube.base.console import ConsoleReporter, watched_interrupts
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
 from acoustube.base.version import __version__
-from acoustube.estimation import Model
-from acoustube.estimation.model import TARGETS
-from acoustube.runs.training import DISPLAY_UNITS, Row, error_rows, table_of
+from acoustube.cli._options import Output, check_files
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
+
+    from acoustube.estimation import Model
+    from acoustube.runs.training import Row
 
 COLUMNS = (
     "target", "unit", "by", "from", "to", "cycles", "estimated", "median", "rmse", "iqr",
@@ -28,55 +27,53 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def run_evaluate(
-    path: Path,
-    paths: Sequence[Path],
-    console: Console,
-    *,
+def evaluate(
+    model: Path,
+    *data: Path,
     out: Path | None = None,
     figure: Path | None = None,
-) -> list[Row]:
-    """Set a model's estimates beside the labels of recordings.
+    output: Output = Output(),
+) -> None:
+    """Evaluate a trained estimator on labelled cycles: errors and coverage of the intervals.
 
     Parameters
     ----------
-    path : Path
-        The model.
-    paths : sequence of Path
-        Files and folders.
-    console : rich.console.Console
-    out : Path, optional
-        A table (CSV) of the errors of all cycles, by depth and by distance.
-    figure : Path, optional
-        A picture of the estimates against the truth.
-
-    Returns
-    -------
-    list of tuple
-        See :func:`error_rows`.
-
-    Raises
-    ------
-    ConfigError
-        If the model or the recordings cannot be used, or no label is known.
+    model : Path
+        File that ``train`` wrote.
+    data : Path
+        Files with cycles and labels, or folders of these; not those of the training.
+    out : Path
+        Table of errors to write (CSV), by depth and by distance too, which must be new.
+    figure : Path
+        Picture of estimates and errors to write (PNG, PDF or SVG), which must be new.
     """
+    if not data:
+        raise ConfigError("evaluate needs a file or a folder; name one or more")
+    if not model.is_file():
+        what = "is a folder" if model.is_dir() else "does not exist"
+        raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
+    check_files(out=out, figure=figure)
+
+    from rich.markup import escape
+
+    from acoustube import estimation
+    from acoustube.runs.training import error_rows, table_of
+
+    console = output.console()
     start = time.perf_counter()
-    model = estimation.load(path)
-    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as report:
-        table = table_of(paths, model.feature_settings, report)
-        estimates = estimation.estimate(model, table)
-    rows = list(error_rows(model, table, estimates))
+    trained = estimation.load(model)
+    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
+        table = table_of(data, trained.feature_settings, show)
+        estimates = estimation.estimate(trained, table)
+    rows = list(error_rows(trained, table, estimates))
     if not rows:
         raise ConfigError(
-            f"the cycles have no label {' or '.join(model.targets)}, which the model estimates; "
+            f"the cycles have no label {' or '.join(trained.targets)}, which the model estimates; "
             "give it in the files or in a sidecar"
         )
-    _print_errors(rows, table, model, console)
+    _print_errors(rows, table, trained, console)
     if out is not None:
-        with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            writer.writerows(_written(row) for row in rows)
+        _write_table(rows, out)
     if figure is not None:
         from acoustube.reports.figures import estimates as estimate_figures
         from acoustube.reports.figures import run as run_figure
@@ -88,21 +85,38 @@ def run_evaluate(
         + f"{time.perf_counter() - start:.0f} s.",
         soft_wrap=True,
     )
-    return rows
+
+
+def _write_table(rows: list[Row], out: Path) -> None:
+    """Write the errors as CSV."""
+    with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(_written(row) for row in rows)
 
 
 def _written(row: Row) -> list[object]:
     """Return a row of :data:`COLUMNS`, in human units."""
+    from acoustube.estimation.model import TARGETS
+    from acoustube.runs.training import DISPLAY_UNITS
+
     target, by, low, high, count, found = row
     unit, scale = DISPLAY_UNITS[target]
     edge = {"distance": 100.0, "depth": 1e3}.get(by, 1.0)
     sizes = [scale * v for v in (found.median, found.rmse, found.iqr)]
     rest = [100 * found.relative, scale * found.bias, 100 * found.covered, 100 * found.covered_wide]
     numbers = [edge * low, edge * high, count, found.n, *sizes, *rest]
-    return [TARGETS[target], unit, by, *("" if np.isnan(v) else f"{v:.6g}" for v in numbers)]
+    return [TARGETS[target], unit, by, *("" if math.isnan(v) else f"{v:.6g}" for v in numbers)]
 
 
 def _print_errors(rows: list[Row], table: xr.Dataset, model: Model, console: Console) -> None:
+    """Print the errors of all cycles."""
+    import numpy as np
+    from rich.table import Table
+
+    from acoustube.estimation.model import TARGETS
+    from acoustube.runs.training import DISPLAY_UNITS
+
     seen = int(np.isfinite(table["features"].values).all(axis=1).sum())
     console.print(
         f"[bold]acoustube {__version__}[/]: {model.name}, trained on {model.origin['trained']} "

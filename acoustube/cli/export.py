@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import xarray as xr
-from rich.console import Console
+from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_folder, publish
-from acoustube.runs.opening import PATTERNS, files_of, open_dataset
+from acoustube.base.files import check_out, partial_folder, publish
+from acoustube.cli._options import Output
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NAMEABLE = "a folder of simulate, indent, sweep or dataset, or a file of scatter"
 FORMATS = {
@@ -19,56 +22,63 @@ FORMATS = {
     "indent": ("stl", "vtp", "vtu", "csv"),
     "scatter": ("csv",),
 }
-"""What each kind of result can be written as; the first if nothing is said."""
+"""Formats of each kind of result, the default first."""
 IN_WORDS = {
     "cycles": "a dataset of cycles", "sweep": "a sweep", "simulate": "a run of simulate",
     "indent": "a run of indent", "scatter": "a scattering matrix",
 }  # fmt: skip
 
 
-def run_export(where: Path, out: Path, console: Console, *, wanted: str | None = None) -> Path:
-    """Write a result for other programs.
+def export(
+    results: Path,
+    /,
+    *,
+    kind: Annotated[
+        Literal["wav", "csv", "stl", "vtp", "vtu", "lerobot"] | None, Parameter(name="--format")
+    ] = None,
+    out: Path,
+    output: Output = Output(),
+) -> None:
+    """Write results in the files that other programs read.
 
     Parameters
     ----------
-    where : Path
-        A folder of ``simulate``, ``indent``, ``sweep`` or ``dataset``, or a file of ``scatter``.
+    results : Path
+        Folder that ``simulate``, ``indent``, ``sweep`` or ``dataset`` wrote, or file that
+        ``scatter`` wrote.
+    kind : str
+        Format. Of datasets wav (with a Parquet table; the default), csv (labels) or lerobot
+        (episodes as robot learners keep them); of simulate and indent stl (the lumen, at each
+        depth; the default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps csv (the
+        default), stl or vtp; of scatter csv.
     out : Path
-        The folder to write, new or empty.
-    console : rich.console.Console
-        Where to print.
-    wanted : str, optional
-        One of :data:`FORMATS`.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    ConfigError
-        If there is no result, it cannot be written so, or a package is missing.
+        Folder to write, which must be new or empty.
     """
-    data = _opened(where)
-    kind = _kind(data, where)
-    able = FORMATS[kind]
-    if wanted is not None and wanted not in able:
-        of_cycles = kind == "sweep" and wanted in FORMATS["cycles"]
+    check_out(out)
+    data = _opened(results)
+    of = _kind(data, results)
+    formats = FORMATS[of]
+    if kind is not None and kind not in formats:
+        of_cycles = of == "sweep" and kind in FORMATS["cycles"]
         advice = ", or make a dataset of it with acoustube dataset" if of_cycles else ""
         raise ConfigError(
-            f"format = {wanted} does not fit {where}, which is {IN_WORDS[kind]}; use "
-            f"{' or '.join(able)}{advice}"
+            f"format = {kind} does not fit {results}, which is {IN_WORDS[of]}; use "
+            f"{' or '.join(formats)}{advice}"
         )
     with partial_folder(out) as partial:
-        found = _write(data, where, wanted or able[0], partial)
+        found = _write(data, results, kind or formats[0], partial)
         folder = publish(partial, out)
-    console.print(f"{found} written to [bold]{folder}[/].", soft_wrap=True, highlight=False)
-    return folder
+    output.console().print(
+        f"{found} written to [bold]{folder}[/].", soft_wrap=True, highlight=False
+    )
 
 
 def _opened(where: Path) -> xr.Dataset:
     """Open a result of any kind."""
+    import xarray as xr
+
+    from acoustube.runs.opening import PATTERNS, open_dataset
+
     if not where.exists():
         raise ConfigError(f"{where} does not exist; name {NAMEABLE}")
     of_many = any(where.match(pattern) for pattern in PATTERNS.values())
@@ -87,7 +97,7 @@ def _opened(where: Path) -> xr.Dataset:
 
 
 def _kind(data: xr.Dataset, where: Path) -> str:
-    """Return what a result is."""
+    """Return the kind of a result, a key of :data:`FORMATS`."""
     if "cycle" in data.dims:
         return "cycles"
     if "press" in data.dims:
@@ -96,11 +106,11 @@ def _kind(data: xr.Dataset, where: Path) -> str:
         return "scatter"
     if "node_position" in data:
         return "simulate" if "lumen_face" in data else "indent"
-    raise ConfigError(f"{where} is no result of acoustube; name {NAMEABLE}")
+    raise ConfigError(f"{where} is not a result of acoustube; name {NAMEABLE}")
 
 
 def _write(data: xr.Dataset, where: Path, wanted: str, folder: Path) -> str:
-    """Write a result in one format; return what was written, in words."""
+    """Write a result in one format; return the files in words."""
     if wanted == "csv":
         from acoustube.reports.export.tables import write_tables
 
@@ -114,6 +124,7 @@ def _write(data: xr.Dataset, where: Path, wanted: str, folder: Path) -> str:
 
         return write_episodes(data, folder)
     from acoustube.reports.export.geometry import write_meshes, write_surfaces, write_swept
+    from acoustube.runs.opening import files_of
 
     if "press" in data.dims:
         return write_swept(files_of(where), folder, wanted)

@@ -1,35 +1,61 @@
-"""The command ``acoustube indent``: a press as a table, a folder and a figure."""
+"""The command ``acoustube indent``: the mechanics of a press alone."""
 
 from __future__ import annotations
 
 import functools
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import jax
-import numpy as np
-import xarray as xr
-from rich.console import Console
-from rich.table import Table
+from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
-from acoustube.base.files import partial_folder, publish
-from acoustube.base.netcdf import write_dataset
+from acoustube.base.files import check_surface, partial_folder, publish
 from acoustube.base.version import __version__
 from acoustube.cli._header import print_wall
-from acoustube.indentation import PressError
-from acoustube.runs import results
-from acoustube.runs.config import Mechanics, to_toml
-from acoustube.runs.config.si import press_in_si
-from acoustube.runs.costs import PRESS_GIGABYTES, TETRAHEDRA, press_seconds
-from acoustube.runs.presses import press_in_words, press_to
+from acoustube.cli._options import Output, Run, Tool, setting, settings_of
+from acoustube.runs.config import Mechanics, load_config, to_toml
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
 
 TABLE_ROWS = 16
 """Depths of a press that are printed."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Placement:
+    """Settings of the depths, of the tool's place and direction, and of the tube."""
+
+    steps: Annotated[int | None, setting("steps")] = None
+    offset: Annotated[float | None, setting("offset")] = None
+    yaw: Annotated[float | None, setting("yaw")] = None
+    tube: Annotated[str | None, setting("tube")] = None
+
+
+def indent(
+    *,
+    tool: Tool = Tool(),
+    placement: Placement = Placement(),
+    run: Run = Run(),
+    output: Output = Output(),
+) -> None:
+    """Compute force, lumen and mesh of a pressed tube at each depth, up to a closed lumen.
+
+    An option that is not given is taken from the file, then from the defaults: the tube of the
+    sleeve paper, pressed 4 mm deep by a 25 mm cylinder.
+    """
+    config = load_config(run.config, Mechanics, **settings_of(tool, placement))
+    if config.tube.surface is not None:
+        check_surface(config.tube.surface)
+    run_press(config, run.folder("indent"), output.console())
+
+
 def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
-    """Press a tube, print what came of it and write it to a folder.
+    """Press a tube, print the results and write them to a folder.
 
     Parameters
     ----------
@@ -52,8 +78,15 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     PressError
         If the press stopped before the last depth; the folder then holds what had converged.
     """
+    import jax
+
+    from acoustube.base.netcdf import write_dataset
+    from acoustube.indentation import PressError
     from acoustube.reports.export import vtu
     from acoustube.reports.figures import run as run_figure
+    from acoustube.runs import results
+    from acoustube.runs.config.si import press_in_si
+    from acoustube.runs.presses import press_to
 
     started = time.perf_counter()
     settings, stopped = press_in_si(config), None
@@ -96,13 +129,19 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
 
 
 def _print_press_header(config: Mechanics, console: Console) -> None:
-    """Print what is about to be pressed."""
+    """Print the settings of a press, and its expected cost."""
+    import jax
+
+    from acoustube.runs.config.si import press_in_si
+    from acoustube.runs.costs import PRESS_GIGABYTES, TETRAHEDRA, press_seconds
+    from acoustube.runs.presses import press_in_words
+
     settings = press_in_si(config)
     minutes = press_seconds(settings, settings.depth) / 60
     minutes *= TETRAHEDRA if settings.surface else 1.0
     console.print(
         f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64; "
-        f"about {max(minutes, 0.5):.1g} min unless it is remembered, {PRESS_GIGABYTES:g} GB",
+        f"about {max(minutes, 0.5):.1g} min unless it is cached, {PRESS_GIGABYTES:g} GB",
         soft_wrap=True,
     )
     print_wall(config, console)
@@ -113,6 +152,9 @@ def _print_press_header(config: Mechanics, console: Console) -> None:
 
 def _print_press(dataset: xr.Dataset, console: Console) -> None:
     """Print the press at some of its depths."""
+    import numpy as np
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False)
     for name in ("depth mm", "force N", "height mm", "width mm", "area mm2", ""):
         table.add_column(name, justify="right")

@@ -9,29 +9,60 @@ from dataclasses import replace
 from html import escape
 from importlib import import_module
 from pathlib import Path
-
-import pandas as pd
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_out, partial_file
 from acoustube.base.report import Reporter, time_in_words
 from acoustube.base.version import __version__
-from acoustube.reports.studies.report import Scale, Study, write
-from acoustube.runs.sweep.workers import crew
+from acoustube.cli._options import FLAG, Output, Workers
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from acoustube.reports.studies.report import Scale, Study
 
 STUDIES = {
     "simulation": 25.0, "calibration": 0.5, "flat": 25.0, "mannequin": 8.0, "human": 6.0,
     "echotube": 1.5,
 }  # fmt: skip
-"""Studies in their order, and minutes that each takes on two cores with nothing remembered."""
-QUICKER = 12.0
-"""By what a quick study is shorter."""
+"""Studies in their order, and minutes that each takes on two cores with an empty cache."""
+SPEED_UP = 12.0
+"""Ratio of the times of a full and of a quick study."""
 MARK, WORK = "reproduce.json", "work"
 
-Perform = Callable[[Scale, Path, Reporter], Study]
+Perform = Callable[["Scale", Path, Reporter], "Study"]
+
+
+def reproduce(
+    *study: Literal["simulation", "calibration", "flat", "mannequin", "human", "echotube", "all"],
+    out: Path = Path("studies"),
+    quick: Annotated[bool, FLAG] = False,
+    processes: Workers = Workers(),
+    output: Output = Output(),
+) -> None:
+    """Repeat published studies: a page and a table of published and simulated numbers for each.
+
+    Parameters
+    ----------
+    study : str
+        Studies of the sleeve paper: the simulations of Fig. 2, the calibration of Fig. 3, the flat
+        table of Figs. 4 and 5 and of Tables I and II, the sleeve on a mannequin's and on a human
+        arm of Figs. 6 and 7; and the reach of EchoTube by bore; or all.
+    out : Path
+        Folder to write; one that was begun by this command is finished.
+    quick : bool
+        Few presses on a coarse grid, as a test of the installation; the numbers mean little.
+    """
+    if not study:
+        raise ConfigError("reproduce needs the name of a study, or all")
+
+    from acoustube.reports.studies.report import Scale
+
+    names = list(STUDIES) if "all" in study else [name for name in STUDIES if name in study]
+    scale = Scale(quick=quick, workers=processes.workers)
+    run_reproduce(names, out, scale, output.console())
 
 
 def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Console) -> Path:
@@ -58,12 +89,14 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     SimulationError
         If a study cannot be finished.
     """
+    from acoustube.runs.sweep.workers import crew
+
     started = time.perf_counter()
     folder = _prepared(out, scale)
-    minutes = sum(STUDIES[name] for name in names) / (QUICKER if scale.quick else 1.0)
+    minutes = sum(STUDIES[name] for name in names) / (SPEED_UP if scale.quick else 1.0)
     console.print(
         f"[bold]acoustube {__version__}[/]: studies {', '.join(names)}; about "
-        f"{time_in_words(60 * minutes)} on two cores, less for what is remembered",
+        f"{time_in_words(60 * minutes)} on two cores, less for cached results",
         soft_wrap=True,
     )
     with crew(scale.workers) as workers:
@@ -79,6 +112,8 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
 
 def _performed(name: str, folder: Path, scale: Scale, console: Console) -> Study:
     """Run a study and write its report."""
+    from acoustube.reports.studies.report import write
+
     work, report = folder / WORK / name, folder / name
     for path in (work, report):
         path.mkdir(parents=True, exist_ok=True)
@@ -117,7 +152,9 @@ def _begun_with(path: Path) -> object:
 
 
 def _write_index(folder: Path) -> None:
-    """Write a page that links to those of all studies that are there, and the table of all."""
+    """Write a page that links to those of all finished studies, and the table of all."""
+    import pandas as pd
+
     there = [name for name in STUDIES if (folder / name / "index.html").is_file()]
     tables = [pd.read_csv(folder / name / "table.csv", dtype=str) for name in there]
     pd.concat(tables).to_csv(folder / "table.csv", index=False, lineterminator="\n")
@@ -134,6 +171,8 @@ def _write_index(folder: Path) -> None:
 
 def _print(study: Study, console: Console) -> None:
     """Print the numbers of a study that have a published one."""
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False)
     for column in (study.title, "unit", "published", "acoustube"):
         table.add_column(column, justify="left" if column == study.title else "right")

@@ -1,126 +1,199 @@
-"""Scattering matrices in files, and the command ``acoustube scatter`` that writes them."""
+"""The command ``acoustube scatter``: the scattering matrix of a lumen, in a file."""
 
 from __future__ import annotations
 
 import functools
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
+from cyclopts import Parameter
 
-from acoustube.air import NARROW_GAP_LAYERS, Air, air_at, viscous_thickness
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_file
-from acoustube.base.netcdf import write_dataset
-from acoustube.base.surfaces import read_lumen
+from acoustube.base.files import check_netcdf_name, check_new_file, check_surface, partial_file
+from acoustube.base.rules import Number
+from acoustube.cli._options import FLAG, WHOLE, Checked, Output
 from acoustube.runs.config import CELLS_PER_WAVELENGTH
-from acoustube.runs.scattering_file import to_dataset
-from acoustube.waves.grid.cells import CutCells, cut_cells
-from acoustube.waves.grid.straight_part import straight_ends_cut
-from acoustube.waves.scattering import Scattering, scatter
 
-NARROWEST = 2
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from acoustube.air import Air
+    from acoustube.base.report import Reporter
+    from acoustube.waves.grid.cells import CutCells
+    from acoustube.waves.scattering import Scattering
+
+HIGHEST_KHZ = 1000.0
+"""Frequency above which Hz are suspected."""
+NARROWEST_CELLS = 2
 """Cells across the narrowest place."""
 
 
-def run_scatter(
-    path: Path,
-    out: Path,
-    console: Console,
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """Frequencies of the scattering matrix.
+
+    Attributes
+    ----------
+    band : tuple of float
+        Lowest and highest frequency in kHz.
+    step : float
+        Frequency step in kHz.
+    """
+
+    band: tuple[float, float] = (5.0, 60.0)
+    step: float = 0.1
+
+    def n_steps(self) -> int:
+        """Return the number of steps.
+
+        Raises
+        ------
+        ConfigError
+            If the band does not rise, is given in Hz, or is not a multiple of the step.
+        """
+        (low, high), step = self.band, self.step
+        if high > HIGHEST_KHZ:
+            raise ConfigError(
+                f"band = {low:g} {high:g} kHz goes beyond {HIGHEST_KHZ:g} kHz; give it in kHz, "
+                "such as 5 60"
+            )
+        if not 0 < low < high:
+            raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0")
+        count = (high - low) / step if step > 0 else 0.0
+        if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
+            raise ConfigError(
+                f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 "
+                f"whole parts; use {(high - low) / max(1, round(min(count, 5000))):.6g}"
+            )
+        return round(count)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Medium(Checked):
+    """State of the air, and its losses.
+
+    Attributes
+    ----------
+    temperature : float
+        Air temperature in degC.
+    humidity : float
+        Relative humidity of the air in per cent.
+    pressure : float
+        Air pressure in kPa.
+    lossless : bool
+        Losses at the wall and in the air left out.
+    """
+
+    temperature: Annotated[float, Number(-20, 60, "degC", "of the air")] = 20.0
+    humidity: Annotated[float, Number(0, 100, "%", "of the air")] = 50.0
+    pressure: Annotated[float, Number(10, 200, "kPa", "of the air")] = 101.325
+    lossless: Annotated[bool, FLAG] = False
+
+
+def scatter(
+    lumen: Path,
+    /,
     *,
-    band_khz: tuple[float, float],
-    step_khz: float,
-    temperature: float,
-    humidity: float,
-    pressure_kpa: float,
-    lossy: bool,
-    resolution: int,
-) -> Path:
-    """Compute the scattering matrix of a lumen and write it.
+    band: Band = Band(),
+    medium: Medium = Medium(),
+    resolution: Annotated[int, WHOLE] = 32,
+    out: Path,
+    output: Output = Output(),
+) -> None:
+    """Compute the scattering matrix of a lumen between its straight ends, over a band.
 
     Parameters
     ----------
-    path : Path
-        The lumen; see :func:`acoustube.base.surfaces.read_lumen`.
-    out : Path
-        The file to write.
-    console : rich.console.Console
-        Where to print.
-    band_khz : tuple of float
-        Lowest and highest frequency.
-    step_khz : float
-        Between two frequencies.
-    temperature : float
-        In degC.
-    humidity : float
-        Relative, in per cent.
-    pressure_kpa : float
-        Of the air at rest.
-    lossy : bool
-        With losses at the wall and in the air.
+    lumen : Path
+        Air space as a closed surface in mm along z (STL, PLY, OBJ, VTP), with two straight ends of
+        the same section.
     resolution : int
-        Cells across the wider of width and height of the ends.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ConfigError
-        If the lumen or the band cannot be computed.
+        Grid cells across the ends.
+    out : Path
+        File to write (netCDF), which must be new.
     """
+    check_surface(lumen)
+    check_new_file(out)
+    check_netcdf_name(out)
+    n_steps = band.n_steps()
+    Number(8, 128, "", "grid cells across the ends", whole=True).check("resolution", resolution)
+
+    from acoustube.base.netcdf import write_dataset
+    from acoustube.runs.scattering_file import to_dataset
+
     started = time.perf_counter()
-    air = air_at(temperature, humidity=humidity, pressure=1e3 * pressure_kpa)
-    surface, start = read_lumen(path)
-    across = float(_end_size(surface) / resolution)
-    _check_grid(band_khz, across, air)
-    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
-    length = float(np.ptp(surface.bounds[:, 2]))
-    spacing = across, across, length / np.ceil(length / across - 1e-6)
-    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as report:
-        progress = functools.partial(report, "scattering")
-        cells = cut_cells(surface, spacing)
-        _check_width(cells, path)
-        progress(0.0)
-        low, high = band_khz
-        count = round((high - low) / step_khz)
-        frequency = 1e3 * np.linspace(low, high, count + 1)
-        found = scatter(
-            cells, air, frequency, reference=(-start, -start), lossy=lossy, progress=progress
-        )
-    notes = _notes(cells, found, air)
+    console = output.console()
+    found, notes = _scattering(
+        lumen, band.band, n_steps, medium, resolution, ConsoleReporter(console)
+    )
     with partial_file(out) as partial:
         dataset = to_dataset(found)
         dataset.attrs |= {
-            "lumen": path.name,
+            "lumen": lumen.name,
             "warnings": "\n".join(notes),
-            "temperature": temperature,
-            "humidity_percent": humidity,
-            "pressure_kpa": pressure_kpa,
-            "losses": "wall and air" if lossy else "none",
+            "temperature": medium.temperature,
+            "humidity_percent": medium.humidity,
+            "pressure_kpa": medium.pressure,
+            "losses": "none" if medium.lossless else "wall and air",
         }
         write_dataset(dataset, partial)
     _print(found, notes, console)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{out}[/] in {elapsed:.0f} s.", soft_wrap=True)
-    return out
+
+
+def _scattering(
+    lumen: Path,
+    band_khz: tuple[float, float],
+    n_steps: int,
+    medium: Medium,
+    resolution: int,
+    report: Reporter,
+) -> tuple[Scattering, list[str]]:
+    """Return the scattering matrix of a lumen, and the notes on it."""
+    import numpy as np
+
+    from acoustube.air import air_at
+    from acoustube.base.surfaces import read_lumen
+    from acoustube.waves.grid.cells import cut_cells
+    from acoustube.waves.scattering import scatter as scattering
+
+    air = air_at(medium.temperature, humidity=medium.humidity, pressure=1e3 * medium.pressure)
+    surface, start = read_lumen(lumen)
+    across = float(_end_size(surface) / resolution)
+    _check_grid(band_khz, across, air)
+    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
+    length = float(np.ptp(surface.bounds[:, 2]))
+    spacing = across, across, length / np.ceil(length / across - 1e-6)
+    with watched_interrupts() as check, report.progress(check) as show:
+        progress = functools.partial(show, "scattering")
+        cells = cut_cells(surface, spacing)
+        _check_width(cells, lumen)
+        progress(0.0)
+        frequency = 1e3 * np.linspace(*band_khz, n_steps + 1)
+        found = scattering(
+            cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
+            progress=progress,
+        )  # fmt: skip
+    return found, _notes(cells, found, air)
 
 
 def _end_size(surface: Any) -> float:
     """Return the larger of width and height of the ends, in m."""
+    import numpy as np
+
     z = surface.vertices[:, 2]
     rim = surface.vertices[np.abs(z - z.min()) < 1e-9 + 1e-6 * np.ptp(z)]
     return float(np.ptp(rim[:, :2], axis=0).max())
 
 
 def _check_grid(band_khz: tuple[float, float], spacing: float, air: Air) -> None:
+    """Check that the grid resolves the shortest wavelength of the band."""
     low, high = band_khz
     finest = 1e-3 * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
     if high > finest:
@@ -131,25 +204,33 @@ def _check_grid(band_khz: tuple[float, float], spacing: float, air: Air) -> None
         )
 
 
-def _openings(cells: CutCells) -> NDArray[np.floating[Any]]:
+def _openings(cells: CutCells) -> Any:
     """Return the smaller of the largest height and the largest width of each layer, in m, (nz,)."""
+    import numpy as np
+
     high, wide = (cells.volume_fraction.sum(axis=axis).max(axis=0) for axis in (1, 0))
     return np.asarray(np.minimum(high * cells.spacing[1], wide * cells.spacing[0]))
 
 
 def _check_width(cells: CutCells, path: Path) -> None:
+    """Check that there are cells across the narrowest place."""
     openings = _openings(cells)[1:-1]
     narrowest, place = float(openings.min()), int(openings.argmin())
-    if narrowest < NARROWEST * cells.spacing[1]:
+    if narrowest < NARROWEST_CELLS * cells.spacing[1]:
         at = 1e3 * (place + 1) * cells.spacing[2]
         raise ConfigError(
             f"{path} is {1e3 * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
-            f"{NARROWEST} cells of {1e3 * cells.spacing[1]:.3g} mm; raise resolution"
+            f"{NARROWEST_CELLS} cells of {1e3 * cells.spacing[1]:.3g} mm; raise resolution"
         )
 
 
 def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
-    """Return one sentence for each way in which the run leaves the model's range."""
+    """Return a sentence for each condition of the model that the run does not meet."""
+    import numpy as np
+
+    from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
+    from acoustube.waves.grid.straight_part import straight_ends_cut
+
     low, high = found.frequency[[0, -1]]
     notes = []
     inside = [
@@ -181,8 +262,10 @@ def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
     return notes
 
 
-def _propagating(found: Scattering) -> NDArray[np.bool_]:
+def _propagating(found: Scattering) -> Any:
     """Return whether both modes of each coefficient propagate, in the shape of `s`."""
+    import numpy as np
+
     travels = found.propagates
     both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
     return np.broadcast_to(both, found.s.shape)
@@ -190,6 +273,9 @@ def _propagating(found: Scattering) -> NDArray[np.bool_]:
 
 def _print(found: Scattering, notes: list[str], console: Console) -> None:
     """Print the plane mode's coefficients, the grid and the notes."""
+    import numpy as np
+    from rich.table import Table
+
     plane = found.modes.index("00")
     s = found.s[:, :, plane, 0, plane]
     table = Table("kHz", "|R00|", "|T00|", box=None, pad_edge=False)

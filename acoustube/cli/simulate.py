@@ -1,31 +1,57 @@
-"""A run as a person sees it: progress, a table, a folder with data, settings and a figure."""
+"""The command ``acoustube simulate``: one press, from the indentation to the distance estimate."""
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import jax
-import numpy as np
-import xarray as xr
-from rich.console import Console
-from rich.table import Table
+from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.files import partial_folder, publish
-from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
 from acoustube.cli._header import print_wall
-from acoustube.reports.scenes import tube as tube_scene
-from acoustube.runs.config import Config, to_toml
-from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.costs import simulation_cost
-from acoustube.runs.presses import press_in_words
-from acoustube.runs.simulate import simulate
+from acoustube.cli._options import Output, Run, Tool, setting, settings_of
+from acoustube.runs.config import Config, check_touched, load_config, to_toml
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
 
 
-def run(config: Config, folder: Path, console: Console) -> Path:
-    """Simulate one press, print what came of it and write it to a folder.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Sound:
+    """Settings of the tube's length and of the sound in it."""
+
+    position: Annotated[float | None, setting("position")] = None
+    length: Annotated[float | None, setting("length")] = None
+    frequency: Annotated[float | None, setting("frequency")] = None
+    temperature: Annotated[float | None, setting("temperature")] = None
+    resolution: Annotated[int | None, setting("resolution")] = None
+    source_end: Annotated[Literal["release", "absorbing"] | None, setting("source_end")] = None
+    losses: Annotated[Literal["off", "on"] | None, setting("losses")] = None
+    method: Annotated[Literal["full", "scattering"] | None, setting("method")] = None
+
+
+def simulate(
+    *, tool: Tool = Tool(), sound: Sound = Sound(), run: Run = Run(), output: Output = Output()
+) -> None:
+    """Simulate one press and its echo, and estimate its distance from the echo.
+
+    An option that is not given is taken from the file, then from the defaults: the tube of the
+    sleeve paper, pressed 4 mm deep in its middle by a 25 mm cylinder.
+    """
+    config = load_config(run.config, **settings_of(tool, sound))
+    check_touched(config)
+    run_simulation(config, run.folder("simulate"), output.console())
+
+
+def run_simulation(config: Config, folder: Path, console: Console) -> Path:
+    """Simulate one press, print its results and write them to a folder.
 
     Parameters
     ----------
@@ -48,12 +74,15 @@ def run(config: Config, folder: Path, console: Console) -> Path:
     SimulationError
         If a stage cannot finish.
     """
+    from acoustube.base.netcdf import write_dataset
+    from acoustube.runs.simulate import simulate as simulated
+
     started = time.perf_counter()
     with watched_interrupts() as check:
         _print_header(config, console)
         with partial_folder(folder) as partial:
             with ConsoleReporter(console).progress(check) as report:
-                dataset = simulate(config, report=report)
+                dataset = simulated(config, report=report)
             write_dataset(dataset, partial / "run.nc")
             (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
             drawn = _write_figure(dataset, partial)
@@ -68,8 +97,9 @@ def run(config: Config, folder: Path, console: Console) -> Path:
 
 
 def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
-    """Write the figure, and tell whether the tube is drawn in it."""
+    """Write the figure; return whether the tube is drawn in it."""
     from acoustube.reports.figures import run as run_figure
+    from acoustube.reports.scenes import tube as tube_scene
 
     images = tube_scene.draw(folder / "run.nc")
     run_figure.save(run_figure.figure(dataset, images), folder / "figure.png")
@@ -77,7 +107,13 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
 
 
 def _print_header(config: Config, console: Console) -> None:
-    """Print what is about to be computed, and what it costs."""
+    """Print the settings of a run, and its expected cost."""
+    import jax
+
+    from acoustube.runs.config.si import settings_in_si
+    from acoustube.runs.costs import simulation_cost
+    from acoustube.runs.presses import press_in_words
+
     waves, settings = config.waves, settings_in_si(config)
     seconds, memory = simulation_cost(settings)
     where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
@@ -99,7 +135,9 @@ def _print_header(config: Config, console: Console) -> None:
 
 
 def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> None:
-    """Print what came of a run: the press, the estimates, the times and the notes."""
+    """Print the results of a run: the press, the estimates, the times and the notes."""
+    from rich.table import Table
+
     last = dataset.isel(depth=-1)
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("force", f"{float(last['contact_force']):.3f} N")
@@ -125,7 +163,7 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
 def _estimate(case: xr.Dataset, prominence: float) -> str:
     """Return the estimate with one choice of the source end, in words."""
     distance, true = float(case["estimated_distance"]), float(case["true_distance"])
-    if not np.isfinite(distance):
+    if not math.isfinite(distance):
         return f"no echo over {100 * prominence:g} % of the send pulse"
     return (
         f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "

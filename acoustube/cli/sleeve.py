@@ -1,300 +1,249 @@
-"""The command ``acoustube sleeve``: markers or sizes of a forearm in, a table of places out."""
+"""The command ``acoustube sleeve``: the layout of tubes on a forearm."""
 
 from __future__ import annotations
 
-import csv
 import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import radians
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from rich.console import Console
+from cyclopts import Parameter
 
 from acoustube.base.console import note
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_folder, publish
-from acoustube.base.types import Array
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
-from acoustube.recordings.markers import Markers
-from acoustube.reports.scenes import sleeve as sleeve_scene
-from acoustube.sleeve import (
-    Helix,
-    Layout,
-    check_reach,
-    check_room,
-    design,
-    fit_arm,
-    layout,
-    nearest,
-    read_markers,
-    wound,
+from acoustube.cli._options import WHOLE, Checked, Output, checked_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from acoustube.sleeve import Helix
+
+FOREARM = (
+    ("length of the forearm", Number(3, 150, "cm", "under the sleeve")),
+    ("first girth of the forearm", Number(8, 150, "cm", "near the sensors")),
+    ("second girth of the forearm", Number(8, 150, "cm", "at the other end")),
 )
-from acoustube.sleeve.arm_fit import Arm
-
-COLUMNS = (
-    "tube", "distance_cm", "x_mm", "y_mm", "z_mm", "along_cm", "angle_deg", "loop", "heard",
-)  # fmt: skip
 
 
+@Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What the sleeve shall be, in the user's units made SI; see the command's options.
+class Arm:
+    """Shape of the arm.
 
     Attributes
     ----------
-    markers : Path or None
-    forearm : tuple of float or None
-        Length and the two girths in m.
-    loops, pitch : float or None
-    tubes : int
-    phase : float
-        In rad.
-    hand, axis : str
-    lead, dead_zone, reach, outer_diameter, deviation, within, step : float
-        In m.
-    contacts : tuple of (int, float)
-        Tube, counted from 0, and distance in m.
-    unit : str or None
-    columns : tuple of str or None
+    forearm : tuple
+        Length of the sleeve, and girths of the arm at the end near the sensors and at the other, in
+        cm, in place of markers.
+    axis : str
+        Axis of the arm: fitted midway between opposite columns, or the z of the markers.
+    unit : str
+        Unit of the markers, in place of the file's own; mm if the file states none.
+    columns : tuple of str
+        Names of the two columns of markers, where the file has more.
     """
 
-    markers: Path | None
-    forearm: tuple[float, float, float] | None
-    loops: float | None
-    pitch: float | None
-    tubes: int
-    phase: float
-    hand: str
-    axis: str
-    lead: float
-    dead_zone: float
-    reach: float
-    outer_diameter: float
-    deviation: float
-    within: float
-    step: float
-    contacts: tuple[tuple[int, float], ...]
-    unit: str | None
-    columns: tuple[str, str] | None
+    forearm: tuple[float, float, float] | None = None
+    axis: Literal["fitted", "z"] = "fitted"
+    unit: Literal["mm", "cm", "m"] | None = None
+    columns: tuple[str, str] | None = None
+
+    def __post_init__(self) -> None:
+        for (name, rule), value in zip(FOREARM, self.forearm or (), strict=False):
+            rule.check(name, value)
 
 
-def run_sleeve(plan: Plan, folder: Path, console: Console) -> Path:
-    """Lay out a sleeve and write its table, its figures in words and its picture.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Winding(Checked):
+    """Tubes, and how they are wound.
+
+    Attributes
+    ----------
+    loops : float
+        Turns of each tube over the sleeve.
+    pitch : float
+        Advance per turn in cm, in place of loops.
+    tubes : int
+        Tubes side by side.
+    phase : float
+        Angle at which the first tube starts, from the first column of markers, in degrees.
+    hand : str
+        Handedness of the helix.
+    lead : float
+        Length of tube between sensor and sleeve, in cm.
+    tube_diameter : float
+        Outer diameter of the tube in mm.
+    """
+
+    loops: Annotated[float | None, Number(0.25, 100, "", "turns of each tube")] = None
+    pitch: Annotated[float | None, Number(0.5, 100, "cm", "advance per turn")] = None
+    tubes: Annotated[int, WHOLE, Number(1, 8, "", "side by side", whole=True)] = 2
+    phase: Annotated[float, Number(-360, 360, "degrees", "start of the first tube")] = 0.0
+    hand: Literal["right", "left"] = "right"
+    lead: Annotated[float, Number(0, 1000, "cm", "tube between sensor and sleeve")] = 15.0
+    tube_diameter: Annotated[float, Number(1, 50, "mm", "outer")] = 11.1
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Sensing(Checked):
+    """Range and accuracy of the sensor, and rows of the table.
+
+    Attributes
+    ----------
+    dead_zone : float
+        Distance from the sensor within which no press is detected, in cm.
+    reach : float
+        Farthest distance from the sensor at which a press is detected, in cm.
+    distance : list
+        Contacts to mark, in cm from the sensor; 2:80 is on the second tube.
+    deviation : float
+        Standard deviation of a distance, in cm.
+    within : float
+        Half width of the skin that counts as covered by a tube, in mm.
+    step : float
+        Distance between two rows of the table, in cm.
+    """
+
+    dead_zone: Annotated[float, Number(0, 200, "cm", "without detection")] = 15.0
+    reach: Annotated[float, Number(10, 2000, "cm", "farthest detection")] = 250.0
+    distance: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None
+    deviation: Annotated[float, Number(0.01, 100, "cm", "of a distance")] = 5.0
+    within: Annotated[float, Number(1, 100, "mm", "half width of the covered skin")] = 10.0
+    step: Annotated[float, Number(0.05, 50, "cm", "between rows")] = 1.0
+
+
+def sleeve(
+    markers: Path | None = None,
+    /,
+    *,
+    arm: Arm = Arm(),
+    winding: Winding = Winding(),
+    sensing: Sensing = Sensing(),
+    out: Path | None = None,
+    output: Output = Output(),
+) -> None:
+    """Lay out a sleeve: the place on the arm of each distance along the wound tubes.
 
     Parameters
     ----------
-    plan : Plan
-    folder : Path
-        To be made: ``sleeve.csv``, ``layout.txt`` and ``figure.png``.
-    console : rich.console.Console
-        Where to print.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    ConfigError
-        If the markers or the sizes give no sleeve, or a contact is not on it.
+    markers : Path
+        Two columns of markers along the arm: a table with the columns column, x_mm, y_mm, z_mm, or
+        a C3D file.
+    out : Path
+        Folder to write, new or empty; sleeve-1, sleeve-2 and so on if not given.
     """
+    if (markers is None) == (arm.forearm is None):
+        raise ConfigError("sleeve needs a file of markers, or --forearm 25 17 26; give one of them")
+    if (winding.loops is None) == (winding.pitch is None):
+        raise ConfigError("sleeve needs --loops 9, say, or --pitch in cm; give one of them")
+    if markers is not None and not markers.is_file():
+        raise ConfigError(f"{markers} is not a file; give a table or C3D file of markers")
+    contacts = _contacts(sensing.distance or [])
+    folder = checked_folder(out, "sleeve")
+    _run(markers, arm, winding, sensing, contacts, folder, output.console())
+
+
+def _run(
+    markers: Path | None,
+    arm: Arm,
+    winding: Winding,
+    sensing: Sensing,
+    contacts: Sequence[tuple[int, float]],
+    folder: Path,
+    console: Console,
+) -> None:
+    """Lay out a sleeve and write its table, its properties in words and its picture."""
+    from acoustube.reports.scenes import sleeve as sleeve_scene
+    from acoustube.reports.sleeve_table import contact_in_words, in_words, write_table
+    from acoustube.sleeve import check_room, layout
+
     started = time.perf_counter()
-    tubes, words, seen = _tubes(plan)
+    reach, deviation, diameter = (
+        sensing.reach / 100, sensing.deviation / 100, winding.tube_diameter / 1000,
+    )  # fmt: skip
+    if markers is None:
+        tubes, words, seen = _tubes_on_forearm(arm, winding, reach)
+    else:
+        tubes, words, seen = _tubes_on_markers(markers, arm, winding, reach)
     found = layout(
-        tubes,
-        dead_zone=plan.dead_zone,
-        reach=plan.reach,
-        within=plan.within,
-        deviation=plan.deviation,
-    )
-    check_room(tubes, plan.outer_diameter)
+        tubes, dead_zone=sensing.dead_zone / 100, reach=reach, within=sensing.within / 1000,
+        deviation=deviation,
+    )  # fmt: skip
+    check_room(tubes, diameter)
     words += in_words(tubes, found)
-    words += [_contact(plan, tubes, found, contact) for contact in plan.contacts]
+    words += [contact_in_words(tubes, found, contact) for contact in contacts]
     console.print(f"[bold]acoustube {__version__}[/] sleeve", soft_wrap=True)
     for line in words:
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     with partial_folder(folder) as partial:
-        write_table(partial / "sleeve.csv", tubes, found, plan.step)
+        write_table(partial / "sleeve.csv", tubes, found, sensing.step / 100)
         (partial / "layout.txt").write_text("\n".join(words) + "\n", encoding="utf-8")
         picture = sleeve_scene.Picture(
-            tubes=tuple(tubes),
-            heard=found.heard,
-            outer_diameter=plan.outer_diameter,
-            contacts=plan.contacts,
-            deviation=plan.deviation,
-            markers=seen,
-        )
+            tubes=tuple(tubes), heard=found.heard, outer_diameter=diameter,
+            contacts=tuple(contacts), deviation=deviation, markers=seen,
+        )  # fmt: skip
         if not sleeve_scene.draw(picture, partial / "figure.png"):
             note(console, "VTK cannot draw on this machine; there is no picture")
         folder = publish(partial, folder)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
-    return folder
 
 
-def _tubes(plan: Plan) -> tuple[list[Helix], list[str], Array]:
-    """Return the tubes, where they come from in words, and the markers in m, (n, 3)."""
-    if plan.markers is None:
-        assert plan.forearm is not None
-        length, *girths = plan.forearm
-        tubes = design(
-            length,
-            (girths[0], girths[1]),
-            loops=plan.loops,
-            pitch=plan.pitch,
-            n_tubes=plan.tubes,
-            phase=plan.phase,
-            hand=plan.hand,
-            lead=plan.lead,
-            outer_diameter=plan.outer_diameter,
-            reach=plan.reach,
-        )
-        start = (
-            f"forearm: {100 * length:g} cm long, {100 * girths[0]:g} cm around at the end near the "
-            f"sensors, {100 * girths[1]:g} cm at the other"
-        )
-        return tubes, [start], np.empty((0, 3))
-    markers = read_markers(plan.markers, unit=plan.unit, columns=plan.columns)
-    arm = fit_arm(markers.first, markers.second, axis=plan.axis)
-    loops = plan.loops if plan.pitch is None else arm.length / plan.pitch
+def _tubes_on_forearm(
+    arm: Arm, winding: Winding, reach: float
+) -> tuple[list[Helix], list[str], Any]:
+    """Return the tubes on a cone, its sizes in words, and no markers, (0, 3)."""
+    import numpy as np
+
+    from acoustube.sleeve import design
+
+    assert arm.forearm is not None
+    length, near, far = (size / 100 for size in arm.forearm)
+    tubes = design(
+        length, (near, far), loops=winding.loops,
+        pitch=None if winding.pitch is None else winding.pitch / 100, n_tubes=winding.tubes,
+        phase=radians(winding.phase), hand=winding.hand, lead=winding.lead / 100,
+        outer_diameter=winding.tube_diameter / 1000, reach=reach,
+    )  # fmt: skip
+    start = (
+        f"forearm: {100 * length:g} cm long, {100 * near:g} cm around at the end near the "
+        f"sensors, {100 * far:g} cm at the other"
+    )
+    return tubes, [start], np.empty((0, 3))
+
+
+def _tubes_on_markers(
+    path: Path, shape: Arm, winding: Winding, reach: float
+) -> tuple[list[Helix], list[str], Any]:
+    """Return the tubes on the fitted arm, the fit in words, and the markers in m, (n, 3)."""
+    import numpy as np
+
+    from acoustube.reports.sleeve_table import fit_in_words
+    from acoustube.sleeve import check_reach, fit_arm, read_markers, wound
+
+    markers = read_markers(path, unit=shape.unit, columns=shape.columns)
+    arm = fit_arm(markers.first, markers.second, axis=shape.axis)
+    loops = winding.loops if winding.pitch is None else arm.length / (winding.pitch / 100)
     assert loops is not None
-    tubes = wound(arm, loops, n_tubes=plan.tubes, phase=plan.phase, hand=plan.hand, lead=plan.lead)
-    check_reach(tubes, plan.reach)
-    return tubes, _fit_in_words(plan, markers, arm), np.concatenate([markers.first, markers.second])
+    tubes = wound(
+        arm, loops, n_tubes=winding.tubes, phase=radians(winding.phase), hand=winding.hand,
+        lead=winding.lead / 100,
+    )  # fmt: skip
+    check_reach(tubes, reach)
+    words = fit_in_words(path, shape.axis, markers, arm)
+    return tubes, words, np.concatenate([markers.first, markers.second])
 
 
-def _fit_in_words(plan: Plan, markers: Markers, arm: Arm) -> list[str]:
-    """Return what was read and fitted, one sentence each."""
-    unit = markers.unit if markers.told else f"{markers.unit}, since nothing else is told"
-    words = [
-        f"markers: {plan.markers}, columns {' and '.join(markers.names)}, in {unit}",
-        "axis: midway between the columns, taken to lie on opposite sides of the arm"
-        if plan.axis == "fitted"
-        else "axis: z of the markers",
-    ]
-    for name, line, kept, points in zip(
-        markers.names, arm.lines, arm.kept, (markers.first, markers.second), strict=True
-    ):
-        gaps = int(np.sum(~np.all(np.isfinite(points), axis=1)))
-        left = int(np.sum(~kept)) - gaps
-        low, high = line.interval().T
-        words.append(
-            f"column {name}: r = {1e3 * line.radius:.2f} mm ({1e3 * low[0]:.2f} to "
-            f"{1e3 * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
-            f"{int(kept.sum())} markers within {1e3 * line.deviation:.2f} mm"
-            + (f", {left} left out as outliers" if left else "")
-            + (f", {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
-        )
-    return words
-
-
-def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
-    """Return a layout's figures, one sentence each.
-
-    Parameters
-    ----------
-    tubes : sequence of Helix
-    found : Layout
-    """
-    tube = tubes[0]
-    lengths = " and ".join(f"{100 * length:.1f}" for length in found.tube_lengths)
-    hand = f"{tube.hand}-handed"
-    first = (
-        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} "
-        f"cm, pitch {100 * found.pitch:.2f} cm; {lengths} cm long with a lead of "
-        f"{100 * tube.lead:g} cm"
-    )
-    words = [first, f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube"]
-    for number, ((near, far), each) in enumerate(zip(found.heard, tubes, strict=True), start=1):
-        words.append(
-            f"tube {number}: presses are heard from {100 * near:.0f} to {100 * far:.0f} cm"
-            + (
-                f"; its first {100 * (near - each.lead):.0f} cm on the arm are in the dead zone"
-                if near > each.lead + 1e-9
-                else ", the dead zone lies in the lead"
-            )
-        )
-    words.append(
-        f"coverage: {100 * found.coverage:.1f} % of {1e4 * found.skin_area:.0f} cm2 of skin lie "
-        f"within {1e3 * found.within:g} mm of a tube that hears them, {100 * found.blind:.1f} % at "
-        "a tube that does not"
-    )
-    words.append(
-        f"resolution: a distance known to {100 * found.deviation:g} cm tells a patch of "
-        f"{1e4 * found.patch_area:.1f} cm2, {found.patches:.0f} of them on the sleeve"
-    )
-    return words
-
-
-def _contact(plan: Plan, tubes: Sequence[Helix], found: Layout, contact: tuple[int, float]) -> str:
-    """Return where a contact is, in words."""
-    number, distance = contact
-    if number >= len(tubes):
-        raise ConfigError(
-            f"distance = {number + 1}:{100 * distance:g} is on tube {number + 1} and the sleeve "
-            f"has {len(tubes)}; use 1 to {len(tubes)}"
-        )
-    tube = tubes[number]
-    near, far = found.heard[number]
-    if not near <= distance <= far:
-        raise ConfigError(
-            f"distance = {100 * distance:g} cm is not on the part of tube {number + 1} that hears; "
-            f"use {100 * near:.4g} to {100 * far:.4g} cm"
-        )
-    z = float(tube.height(distance))
-    x, y, height = 1e3 * tube.place(distance)
-    along = plan.deviation / float(tube.density(z))
-    around = np.degrees(abs(tube.twist) * along)
-    beside = nearest(tubes, tube.place(distance))
-    return (
-        f"contact at {100 * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
-        f"{height:.1f} mm, {100 * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
-        f"degrees, loop {int(z / tube.pitch) + 1}; ± {1e3 * plan.deviation:g} mm along the tube "
-        f"is ± {1e3 * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
-        f"loop, of tube {int(beside.next_tube) + 1}, is {1e3 * float(beside.next_gap):.0f} mm "
-        f"away, where it reads {100 * float(beside.next_distance):.0f} cm"
-    )
-
-
-def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) -> None:
-    """Write the table from distance to place.
-
-    Parameters
-    ----------
-    path : Path
-        The CSV file; x, y and z are those of the markers, or of the arm where there are none.
-    tubes : sequence of Helix
-    found : Layout
-    step : float
-        Between two distances in m; the last row of a tube is its end.
-    """
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for number, (tube, (near, far)) in enumerate(zip(tubes, found.heard, strict=True), start=1):
-            end = tube.tube_length
-            distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
-            z = tube.height(distance)
-            loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
-            angle = np.round(np.degrees(tube.angle(z)), 2) % 360
-            for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
-                at, place, along, turned, turn = row
-                heard = int(near - 1e-9 <= at <= far + 1e-9)
-                cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
-                table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, heard])
-
-
-def contacts_of(words: Sequence[str]) -> tuple[tuple[int, float], ...]:
-    """Return contacts from words such as ``80`` and ``2:80``: tube from 0, distance in m.
-
-    Raises
-    ------
-    ConfigError
-        If a word is neither.
-    """
+def _contacts(words: Sequence[str]) -> list[tuple[int, float]]:
+    """Return contacts from words such as ``80`` and ``2:80``: tube from 0, distance in m."""
     found = []
     for word in words:
         match = re.fullmatch(r"(?:(\d+):)?(\d+(?:\.\d*)?|\.\d+)", word.strip())
@@ -304,4 +253,4 @@ def contacts_of(words: Sequence[str]) -> tuple[tuple[int, float], ...]:
                 "as in 2:80"
             )
         found.append((int(match[1] or 1) - 1, 1e-2 * float(match[2])))
-    return tuple(found)
+    return found

@@ -1,71 +1,198 @@
-"""The command ``acoustube sweep``."""
+"""The command ``acoustube sweep``: presses of many tubes, places, tools and depths."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from rich.console import Console
+from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter
+from acoustube.base.errors import ConfigError
+from acoustube.cli._options import FLAG, WHOLE, Checked, Output, Workers, axis, settings_of
 from acoustube.runs.config import section_of
-from acoustube.runs.sweep import store
-from acoustube.runs.sweep.graph import CASE_SETTINGS, SCATTERING_SETTINGS, Case, load_paths
-from acoustube.runs.sweep.plan import Plan
-from acoustube.runs.sweep.run import Scale, Work, cases_of, report_work, work_of
-from acoustube.runs.sweep.workers import cores
+from acoustube.runs.sweep.plan import COUNT, SEED, Plan, load_plan, other_settings
+
+if TYPE_CHECKING:
+    from acoustube.base.report import Reporter
 
 LOOKED_UP = 20_000
 """Cases of a plan up to which each is checked, and looked up, in a dry run."""
 SAMPLED = 2000
 """Cases that are checked of a larger one."""
+Values = list[str] | None
 
 
-def dry_run(
-    plan: Plan,
-    out: str | Path | None,
-    workers: int | None,
-    console: Console,
-    *,
-    share: tuple[int, int] = (1, 1),
-    retry: bool = False,
-) -> None:
-    """Print what a plan asks for, what is there, and what the rest costs.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Axes:
+    """Settings with one or more values each."""
 
-    Parameters
+    indenter: Annotated[Values, axis("indenter")] = None
+    shape: Annotated[Values, axis("shape")] = None
+    depth: Annotated[Values, axis("depth")] = None
+    position: Annotated[Values, axis("position")] = None
+    length: Annotated[Values, axis("length")] = None
+    bore: Annotated[Values, axis("bore")] = None
+    hardness: Annotated[Values, axis("hardness")] = None
+    support: Annotated[Values, axis("support")] = None
+    frequency: Annotated[Values, axis("frequency")] = None
+    temperature: Annotated[Values, axis("temperature")] = None
+    resolution: Annotated[Values, axis("resolution")] = None
+    losses: Annotated[Values, axis("losses")] = None
+    method: Annotated[Values, axis("method")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Choice(Checked):
+    """Options of the choice of cases.
+
+    Attributes
     ----------
-    plan : Plan
-    out : str or path or None
-        The sweep's folder, if any.
-    workers : int, optional
-        As many as there are cores by default.
-    console : rich.console.Console
-    share, retry
-        See :func:`run_sweep`.
-
-    Raises
-    ------
-    ConfigError
-        If a case cannot be.
+    vary : list
+        Other settings, as wall_mm=1.2:2:0.2 or support=held,free.
+    random : int
+        Number of random cases; settings may then be given as a range low:high.
+    sampler : str
+        Sampling of the ranges of a random plan: sobol (default) or latin.
+    seed : int
+        Random seed of a random plan.
+    plan : Path
+        TOML file with the plan; options win over it.
     """
-    workers, report = workers or cores(), ConsoleReporter(console)
+
+    vary: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None
+    random: Annotated[int | None, WHOLE, COUNT] = None
+    sampler: Literal["sobol", "latin"] | None = None
+    seed: Annotated[int | None, WHOLE, SEED] = None
+    plan: Path | None = None
+
+    def with_axes(self, axes: Axes) -> Plan:
+        """Return the plan of the settings that vary."""
+        over = {name: words for name, words in settings_of(axes).items() if words is not None}
+        over |= other_settings(self.vary or [], over)
+        return load_plan(self.plan, over, count=self.random, sampler=self.sampler, seed=self.seed)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Execution:
+    """Options of what is computed, and where.
+
+    Attributes
+    ----------
+    out : Path
+        Folder to write, or to go on with.
+    shard : str
+        One of several equal parts of the plan, as 3/40, for job arrays; all write to one folder.
+    dask : str
+        Address of the scheduler of a running Dask cluster, in place of processes.
+    retry : str
+        Failed cases again.
+    dry_run : bool
+        Cases, cached results and expected costs only; nothing is computed.
+    """
+
+    out: Path | None = None
+    shard: str | None = None
+    dask: str | None = None
+    retry: Literal["failed"] | None = None
+    dry_run: Annotated[bool, FLAG] = False
+
+    def share(self) -> tuple[int, int]:
+        """Return number and count of a part such as 3/40.
+
+        Raises
+        ------
+        ConfigError
+            If the words are not of this form, or the number is over the count.
+        """
+        if self.shard is None:
+            return 1, 1
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", self.shard)
+        number, count = (int(found[1]), int(found[2])) if found else (0, 0)
+        if not 1 <= number <= count:
+            raise ConfigError(
+                f"shard = {self.shard} is not a part; write NUMBER/COUNT, from 1/COUNT on, such as "
+                "3/40"
+            )
+        return number, count
+
+
+def sweep(
+    *,
+    axes: Axes = Axes(),
+    choice: Choice = Choice(),
+    execution: Execution = Execution(),
+    processes: Workers = Workers(),
+    output: Output = Output(),
+) -> int:
+    """Simulate many presses and tubes; results that a folder has are not computed again.
+
+    Each setting takes one or more values, or ranges first:last:step with both ends; all their
+    combinations are computed, or a random choice. A depth of 0 is the untouched tube.
+    """
+    plan, share, out = choice.with_axes(axes), execution.share(), execution.out
+    if out is None and not execution.dry_run:
+        raise ConfigError("out is missing; name the folder to write, or give --dry-run")
+    report, retry = ConsoleReporter(output.console()), execution.retry is not None
+    if execution.dry_run or out is None:
+        _dry_run(plan, out, processes.workers, report, share=share, retry=retry)
+        return 0
+
+    from acoustube.runs.sweep.run import run_sweep
+    from acoustube.runs.sweep.workers import dask_executor
+
+    executor, width = (None, None) if execution.dask is None else dask_executor(execution.dask)
+    try:
+        complete = run_sweep(
+            plan, out, report=report, workers=processes.workers, executor=executor, width=width,
+            share=share, retry=retry,
+        )  # fmt: skip
+    finally:
+        if executor is not None:
+            executor.shutdown(wait=False)
+    return 0 if complete else 1
+
+
+def _dry_run(
+    plan: Plan,
+    out: Path | None,
+    workers: int | None,
+    report: Reporter,
+    *,
+    share: tuple[int, int],
+    retry: bool,
+) -> None:
+    """Report the cases of a plan, those that are finished, and the cost of the rest."""
+    from acoustube.runs.sweep import store
+    from acoustube.runs.sweep.graph import Case, load_paths
+    from acoustube.runs.sweep.run import Scale, Work, cases_of, report_work, work_of
+    from acoustube.runs.sweep.workers import cores
+
+    workers = workers or cores()
     if len(plan) <= LOOKED_UP:
         cases = cases_of(plan)
-        folder = Path(out) if out is not None else None
-        there = folder is not None and (folder / store.PLAN).is_file()
-        found = store.contents(folder) if folder and there else store.Contents({}, [], [])
-        work = work_of(cases, folder if there else None, found, share, retry)
+        there = out is not None and (out / store.PLAN).is_file()
+        found = store.contents(out) if out and there else store.Contents({}, [], [])
+        work = work_of(cases, out if there else None, found, share, retry)
         report_work(work, workers, report)
         return
     step = len(plan) // SAMPLED + 1
     sample = [Case(str(i), c) for i, c in enumerate(plan.configs(range(0, len(plan), step)))]
     part = load_paths(sample)
-    scale = Scale(len(plan) / len(sample), *counted(plan))
+    scale = Scale(len(plan) / len(sample), *_counted(plan))
     report_work(Work(part, 0, {}, len(plan)), workers, report, scale)
     report.note(f"one in {step} cases was checked, none looked up")
 
 
-def counted(plan: Plan) -> tuple[int, int]:
-    """Return how many paths and scattering matrices a plan has, from what varies in it."""
+def _counted(plan: Plan) -> tuple[int, int]:
+    """Return the numbers of load paths and scattering matrices of a plan, from its settings."""
+    from acoustube.runs.sweep.graph import CASE_SETTINGS, SCATTERING_SETTINGS
+
     own = {name for names in CASE_SETTINGS.values() for name in names}
     of_path = [n for n in plan.columns() if section_of(n) in CASE_SETTINGS and n not in own]
     return plan.distinct(of_path), plan.distinct([*of_path, "depth_mm", *SCATTERING_SETTINGS])

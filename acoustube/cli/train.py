@@ -1,105 +1,157 @@
-"""The commands ``acoustube train`` and ``acoustube evaluate``: labelled cycles in, errors out."""
+"""The command ``acoustube train``: an estimator of presses, from labelled cycles."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-import xarray as xr
-from rich.console import Console
-from rich.markup import escape
+from cyclopts import Parameter
 
-from acoustube import estimation
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_new_file
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
-from acoustube.estimation import FeatureSettings, Model
-from acoustube.estimation.model import ESTIMATORS, TARGETS, kind_of_features, targets_of, usable
-from acoustube.runs.recordings import check_rate, chosen
-from acoustube.runs.training import table_of
+from acoustube.cli._options import WHOLE, Checked, Output, Ranging
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from rich.console import Console
+
+    from acoustube.base.report import ShowProgress
+    from acoustube.estimation import FeatureSettings, Model
 
 OVERFITTED = 0.02
 """Rise of the validation loss over its lowest from which fewer epochs are advised."""
+EARLY_EPOCHS = ("1", "2", "5")
+"""Leading digit of the epochs after which losses are printed: 1, 2, 5, 10, 20 and so on."""
 
 
-def run_train(
-    paths: Sequence[Path],
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Training(Checked):
+    """Options of the training.
+
+    Attributes
+    ----------
+    by : str
+        Groups held out together, to weight the folds and to state uncertainties: single cycles, as
+        in the sleeve paper, sessions (files, where cycles have none), or tubes.
+    epochs : int
+        Training epochs (default 100, for ``echo`` 25); number of trees for ``boosting`` (150).
+    folds : int
+        Folds of the cross-validation (default 10, for ``boosting`` 5).
+    seed : int
+        Random seed of folds, weights and batch order.
+    """
+
+    by: Literal["cycle", "session", "tube"] = "cycle"
+    epochs: Annotated[
+        int | None, WHOLE, Number(1, 100_000, "", "passes over the cycles", whole=True)
+    ] = None
+    folds: Annotated[int | None, WHOLE, Number(2, 100, "", "parts of the cycles", whole=True)] = (
+        None
+    )
+    seed: Annotated[int, WHOLE, Number(0, 2**32 - 1, "", "random seed", whole=True)] = 0
+
+
+def train(
+    *data: Path,
+    estimator: Literal["network", "echo", "boosting"],
     out: Path,
-    console: Console,
-    *,
-    name: str,
-    by: str = "cycle",
-    calibration: str | None = None,
-    prominence: float | None = None,
-    epochs: int | None = None,
-    folds: int | None = None,
-    seed: int = 0,
-) -> Model:
-    """Train an estimator on recordings and write it.
+    training: Training = Training(),
+    ranging: Ranging = Ranging(),
+    output: Output = Output(),
+) -> None:
+    """Train an estimator of presses on labelled cycles.
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files and folders.
+    data : Path
+        Files with cycles and the labels ``true_distance``, ``depth`` and ``force``, as far as
+        known, or folders of these.
+    estimator : str
+        Kind: the force network of the sleeve paper; networks that estimate distance, depth and
+        force from the whole echo; or gradient boosting of the same.
     out : Path
-        The model to write.
-    console : rich.console.Console
-    name : str
-        ``network``, ``echo`` or ``boosting``.
-    by : str
-        What is held out together: ``cycle``, ``session`` or ``tube``.
-    calibration, prominence
-        See :func:`acoustube.runs.recordings.chosen`.
-    epochs, folds : int, optional
-        In place of the estimator's own; `epochs` are the trees of boosting.
-    seed : int
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    ConfigError
-        If the recordings cannot be read or trained with.
+        Model to write, which must be new.
     """
+    if not data:
+        raise ConfigError("train needs a file or a folder; name one or more")
+    check_new_file(out)
+
+    from rich.markup import escape
+
+    from acoustube import estimation
+    from acoustube.estimation.model import kind_of_features
+    from acoustube.runs.recordings import check_rate, chosen
+    from acoustube.runs.training import table_of
+
     start = time.perf_counter()
-    known, processing = chosen(calibration, prominence)
-    feature_settings = FeatureSettings(kind=kind_of_features(name), processing=processing)
-    settings: dict[str, Any] = {} if folds is None else {"n_folds": folds}
-    if epochs is not None:
-        settings["max_iter" if name == "boosting" else "epochs"] = epochs
+    console = output.console()
+    known, processing = chosen(ranging.calibration, ranging.prominence)
+    feature_settings = estimation.FeatureSettings(
+        kind=kind_of_features(estimator), processing=processing
+    )
     with watched_interrupts() as check:
-        with ConsoleReporter(console).progress(check) as report:
+        with ConsoleReporter(console).progress(check) as show:
             table = table_of(
-                paths, feature_settings, report, lambda path, rate: check_rate(rate, known, path)
+                data, feature_settings, show, lambda path, rate: check_rate(rate, known, path)
             )
-        _print_cycles(table, name, console)
-        with ConsoleReporter(console).progress(check) as report:
-            total = epochs or ESTIMATORS[name]().get_params().get("epochs", 1)
-
-            def learned(step: float, *losses: float) -> None:
-                report("training", step / total if losses else step)
-                if losses and str(step).strip("0") in ("1", "2", "5"):  # an early look
-                    console.print(
-                        f"epoch {step} of {total}: loss {losses[0]:.4f}, held out {losses[1]:.4f}"
-                    )
-
-            model = estimation.train(
-                table, name, feature_settings, by=by, seed=seed, progress=learned, **settings
-            )
+        _print_cycles(table, estimator, console)
+        with ConsoleReporter(console).progress(check) as show:
+            model = _trained(table, estimator, feature_settings, training, show, console)
         estimation.save(model, out)
     _print_overfitting(model, console)
     console.print(
         f"Written to [bold]{escape(str(out))}[/] in {time.perf_counter() - start:.0f} s.",
         soft_wrap=True,
     )
-    return model
+
+
+def _trained(
+    table: xr.Dataset,
+    name: str,
+    feature_settings: FeatureSettings,
+    training: Training,
+    show: ShowProgress,
+    console: Console,
+) -> Model:
+    """Train an estimator on a table of cycles, with an early look at its losses."""
+    from acoustube import estimation
+    from acoustube.estimation.model import ESTIMATORS
+
+    settings: dict[str, Any] = {} if training.folds is None else {"n_folds": training.folds}
+    if training.epochs is not None:
+        settings["max_iter" if name == "boosting" else "epochs"] = training.epochs
+    total = training.epochs or ESTIMATORS[name]().get_params().get("epochs", 1)
+
+    def progress(step: float, *losses: float) -> None:
+        show("training", step / total if losses else step)
+        if losses and str(step).strip("0") in EARLY_EPOCHS:
+            console.print(
+                f"epoch {step} of {total}: loss {losses[0]:.4f}, held out {losses[1]:.4f}"
+            )
+
+    return estimation.train(
+        table,
+        name,
+        feature_settings,
+        by=training.by,
+        seed=training.seed,
+        progress=progress,
+        **settings,
+    )
 
 
 def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
+    """Print how many cycles there are, and what the estimator is trained on."""
+    import numpy as np
+
+    from acoustube.estimation.model import TARGETS, targets_of, usable
+
     targets = targets_of(name, table)
     echoes = int(np.isfinite(table["features"].values).all(axis=1).sum())
     used = int(usable(table, targets).sum())
@@ -111,7 +163,9 @@ def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
 
 
 def _print_overfitting(model: Model, console: Console) -> None:
-    """Say where the validation loss, the mean of the folds, was lowest, and what came of it."""
+    """Print the lowest validation loss, the mean of the folds, and a sign of overfitting."""
+    import numpy as np
+
     if not hasattr(model.estimator, "networks_"):
         return
     training, validation = (

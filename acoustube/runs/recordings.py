@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 import numpy as np
 import xarray as xr
@@ -115,6 +115,76 @@ def opened(out: Path | None) -> Iterator[TextIO]:
         return
     with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
         yield file
+
+
+class Processed(NamedTuple):
+    """Table of the cycles of a recording.
+
+    Attributes
+    ----------
+    rows : list of list
+        Rows of :data:`COLUMNS` and of the labels :data:`LABEL_COLUMNS`.
+    n_detected : int
+        Cycles with an echo.
+    loudest : float
+        Highest amplitude of an echo, in heights of the send pulse.
+    first : tuple of int and Ranging, or None
+        First piece with an echo, and the number of its first cycle.
+    """
+
+    rows: list[list[object]]
+    n_detected: int
+    loudest: float
+    first: tuple[int, Ranging] | None
+
+
+def process_recording(
+    path: Path,
+    data: xr.Dataset,
+    known: Calibration | None,
+    settings: Processing,
+    report: Reporter,
+    check: Callable[[], None],
+) -> Processed:
+    """Estimate the distances in all cycles of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        File of the recording, for the table.
+    data : xarray.Dataset
+        From :func:`acoustube.recordings.read`.
+    known : Calibration or None
+        Calibration that must have the recording's sampling rate.
+    settings : Processing
+    report : Reporter
+        Receives the progress of long recordings.
+    check : callable
+        Called after each piece, to raise an interrupt that was lost.
+
+    Returns
+    -------
+    Processed
+
+    Raises
+    ------
+    ConfigError
+        If the calibration is of another sampling rate.
+    ValueError
+        If the cycles cannot be processed.
+    """
+    check_rate(float(data.attrs["sampling_rate"]), known, path)
+    table: list[list[object]] = []
+    n_detected, loudest, shown = 0, 0.0, None
+    for first, ranging in with_progress(data, settings, report, check, path):
+        these = data.isel(cycle=slice(first, first + len(ranging.detected)))
+        rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
+        table += ([*row, *labels] for row, labels in rows)
+        if ranging.detected.any():
+            n_detected += int(ranging.detected.sum())
+            loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
+            shown = shown or (first, ranging)
+    return Processed(table, n_detected, loudest, shown)
 
 
 def with_progress(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import importlib
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -71,8 +70,7 @@ def write_page(where: str | Path, out: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        If there is nothing to show, the file cannot be made, or the package that brings the
-        drawing library is missing.
+        If there is nothing to show, or the file cannot be made.
     """
     out = Path(out)
     check_new_file(out, "html")
@@ -84,20 +82,10 @@ def write_page(where: str | Path, out: str | Path) -> Path:
 
 
 def plotly_js() -> str:
-    """Return the source of plotly.js, which is embedded in each page.
+    """Return the source of plotly.js, which is embedded in each page."""
+    from plotly.offline import get_plotlyjs
 
-    Raises
-    ------
-    ConfigError
-        If the package plotly is not there.
-    """
-    try:
-        offline = importlib.import_module("plotly.offline")
-    except ImportError as error:
-        raise ConfigError(
-            "A page needs the package plotly, which brings plotly.js; pip install 'acoustube[page]'"
-        ) from error
-    return str(offline.get_plotlyjs())
+    return str(get_plotlyjs())
 
 
 def assembled(content: Content, library: str) -> str:

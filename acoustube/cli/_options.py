@@ -1,0 +1,243 @@
+"""Options that several commands share, in groups, with their ranges and their help."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+from cyclopts import CoercionError, Parameter
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_new_file, check_out, fresh_folder
+from acoustube.base.rules import Number
+from acoustube.runs.config import describe, is_whole
+from acoustube.runs.sweep.plan import DEFAULTS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+SETTINGS = {
+    "indenter": "indenter_mm", "shape": "shape", "depth": "depth_mm", "steps": "steps",
+    "position": "position_cm", "offset": "offset_mm", "yaw": "yaw_deg", "support": "support",
+    "length": "length_cm", "bore": "inner_diameter_mm", "hardness": "shore_a", "tube": "surface",
+    "frequency": "frequency_khz", "temperature": "temperature_c", "resolution": "resolution",
+    "source_end": "source_end", "losses": "losses", "method": "method",
+}  # fmt: skip
+"""Settings by the names of the options that give them."""
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def whole(kind: Any, tokens: Sequence[Any]) -> int | float:  # noqa: ARG001
+    """Return the whole number that a word states, exactly; 1e6 and 16.0 are whole too.
+
+    Parameters
+    ----------
+    kind : type
+        As cyclopts hands it on, unused.
+    tokens : sequence of cyclopts.Token
+        The word, with the option that it belongs to.
+
+    Returns
+    -------
+    int or float
+        A number that is not whole is returned as it is, for the rule of the option to reject it
+        with its range.
+
+    Raises
+    ------
+    CoercionError
+        If the word is not a number.
+    """
+    with suppress(ValueError):
+        return int(tokens[0].value)
+    try:
+        number = float(tokens[0].value)
+    except ValueError as error:
+        raise CoercionError(token=tokens[0], target_type=int) from error
+    return int(number) if number.is_integer() else number
+
+
+WHOLE = Parameter(converter=whole)
+FLAG = Parameter(show_default=False)
+
+
+def setting(name: str) -> Parameter:
+    """Return an option that is helped by its setting's own meaning, default and range."""
+    converter = whole if is_whole(SETTINGS[name]) else None
+    return Parameter(help=describe(SETTINGS[name]), show_default=False, converter=converter)
+
+
+def axis(name: str) -> Parameter:
+    """Return an option of several values, helped by its setting's own meaning."""
+    words = describe(SETTINGS[name], DEFAULTS["waves"].get(SETTINGS[name]))
+    return Parameter(help=words, show_default=False, consume_multiple=True)
+
+
+def settings_of(*groups: Any) -> dict[str, Any]:
+    """Return the settings, by name, that groups of options give; None where not given."""
+    return {
+        SETTINGS[field.name]: getattr(group, field.name)
+        for group in groups
+        for field in dataclasses.fields(group)
+    }
+
+
+class Checked:
+    """Group of options, each of which is checked by the rule in its annotation."""
+
+    def __post_init__(self) -> None:
+        hints = get_type_hints(type(self), include_extras=True)
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value, hint = getattr(self, field.name), hints[field.name]
+            if value is None or value == field.default or get_origin(hint) is not Annotated:
+                continue
+            for rule in get_args(hint)[1:]:
+                if isinstance(rule, Number):
+                    rule.check(field.name.replace("_", "-"), value)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Options of what a command prints.
+
+    Attributes
+    ----------
+    quiet : bool
+        Messages off, except errors.
+    """
+
+    quiet: Annotated[bool, FLAG] = False
+
+    def console(self, *, stderr: bool = False) -> Console:
+        """Return the console to print on."""
+        from rich.console import Console
+
+        return Console(quiet=self.quiet, stderr=stderr)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Tool:
+    """Settings of the tool that presses, and of the ground under the tube."""
+
+    indenter: Annotated[float | None, setting("indenter")] = None
+    shape: Annotated[Literal["rod", "punch", "sphere"] | None, setting("shape")] = None
+    depth: Annotated[float | None, setting("depth")] = None
+    support: Annotated[Literal["held", "free"] | None, setting("support")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """File of settings, and folder of results, of a single run.
+
+    Attributes
+    ----------
+    config : Path
+        TOML file with settings; options win over it.
+    out : Path
+        Folder to write, new or empty; COMMAND-1, COMMAND-2 and so on if not given.
+    """
+
+    config: Path | None = None
+    out: Path | None = None
+
+    def folder(self, command: str) -> Path:
+        """Return the folder to write, checked, by default named after the command."""
+        return checked_folder(self.out, command)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Workers(Checked):
+    """Number of worker processes.
+
+    Attributes
+    ----------
+    workers : int
+        Worker processes; as many as there are cores if not given.
+    """
+
+    workers: Annotated[int | None, WHOLE, Number(1, 1024, "", "processes", whole=True)] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Ranging(Checked):
+    """Options of the localisation of echoes.
+
+    Attributes
+    ----------
+    calibration : str
+        Calibration to use: a file that ``calibrate`` wrote, or a name.
+    prominence : float
+        Least prominence of an echo, as a fraction of the send pulse, in place of the calibration's.
+    """
+
+    calibration: str | None = None
+    prominence: Annotated[float | None, Number(1e-6, 1, "", "fraction of the send pulse")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Recording(Checked):
+    """Options of the reading of recordings.
+
+    Attributes
+    ----------
+    rate : float
+        Sampling rate in Hz, in place of the files' own.
+    temperature : float
+        Air temperature in degC, in place of the files' own.
+    channel : int
+        Channel to read, from 0.
+    samples : int
+        Samples per cycle, where a file is one long record.
+    """
+
+    rate: float | None = None
+    temperature: float | None = None
+    channel: Annotated[int | None, WHOLE, Number(0, 1e6, "", "from 0", whole=True)] = None
+    samples: Annotated[int | None, WHOLE, Number(2, 1e12, "", "per cycle", whole=True)] = None
+
+
+def checked_folder(out: Path | None, command: str) -> Path:
+    """Return the folder to write, checked, by default named after the command."""
+    return check_out(out if out is not None else fresh_folder(command))
+
+
+def check_files(**files: Path | None) -> None:
+    """Check that files can be written, before anything is computed.
+
+    Parameters
+    ----------
+    **files : Path or None
+        New files by the names of their options; a ``figure`` must be a picture.
+
+    Raises
+    ------
+    ConfigError
+        If a file exists, cannot be written, or is not a picture.
+    """
+    for name, path in files.items():
+        if path is not None:
+            check_new_file(path, name)
+            if name == "figure":
+                check_picture(path, name)
+
+
+def check_picture(picture: Path, name: str) -> None:
+    """Check the name of a picture.
+
+    Raises
+    ------
+    ConfigError
+        If it ends in none of :data:`PICTURES`.
+    """
+    if picture.suffix.lower() not in PICTURES:
+        raise ConfigError(f"{name} = {picture} must end in one of {', '.join(PICTURES)}")

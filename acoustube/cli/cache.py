@@ -1,0 +1,47 @@
+"""The command ``acoustube cache``: list, measure and clear the cached results."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from cyclopts import App, Parameter
+
+from acoustube.base import cache
+
+app = App(
+    name="cache",
+    help="List or delete cached results: presses and scattering matrices.",
+    default_parameter=Parameter(negative=()),
+)
+
+
+@app.command(name="list")
+def list_cache() -> None:
+    """List the cached results, the newest first."""
+    for entry in cache.entries():
+        written = datetime.fromtimestamp(entry.modified).strftime("%Y-%m-%d %H:%M")
+        print(f"{written}  {entry.size / 1e6:6.1f} MB  {entry.label}")
+
+
+@app.command(name="size")
+def cache_size() -> None:
+    """Print the number of results, their size and folder, and the size of JAX's compiled code."""
+    found, code = cache.entries(), cache.compiled()
+    print(f"{_results(len(found))}, {_megabytes(found)} in {cache.folder()}")
+    print(f"compiled code, {_megabytes(code)}")
+
+
+@app.command(name="clear")
+def clear_cache() -> None:
+    """Delete all cached results, and JAX's compiled code."""
+    code = cache.compiled()
+    gone = cache.clear()
+    print(f"deleted {_results(len(gone))}, {_megabytes([*gone, *code])} freed")
+
+
+def _megabytes(entries: list[cache.Entry]) -> str:
+    return f"{sum(entry.size for entry in entries) / 1e6:.1f} MB"
+
+
+def _results(count: int) -> str:
+    return f"{count} result" if count == 1 else f"{count} results"

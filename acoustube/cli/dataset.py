@@ -1,0 +1,73 @@
+"""The command ``acoustube dataset``: labelled cycles of the cases of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from acoustube.base.console import ConsoleReporter
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.cli._options import WHOLE, Checked, Output, Workers
+
+COUNT = Number(1, 1_000_000, "", "how many", whole=True)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Counts(Checked):
+    """Numbers of cycles and of random specimens.
+
+    Attributes
+    ----------
+    cycles : int
+        Cycles to record per case and session.
+    tubes : int
+        Specimens per tube, each with irregularities of its own.
+    sessions : int
+        Sessions per specimen, each with drift and temperature errors of its own.
+    seed : int
+        Random seed; the cycles do not depend on the number of workers.
+    """
+
+    cycles: Annotated[int, WHOLE, COUNT] = 50
+    tubes: Annotated[int, WHOLE, COUNT] = 1
+    sessions: Annotated[int, WHOLE, COUNT] = 1
+    seed: Annotated[int, WHOLE, Number(0, 2**63 - 1, "", "seed", whole=True)] = 0
+
+
+def dataset(
+    *sweep: Path,
+    counts: Counts = Counts(),
+    rangefinder: Path | None = None,
+    out: Path,
+    processes: Workers = Workers(),
+    output: Output = Output(),
+) -> None:
+    """Record labelled cycles of a rangefinder for each case of a sweep, for training.
+
+    Parameters
+    ----------
+    sweep : Path
+        Folders that ``acoustube sweep`` wrote.
+    rangefinder : Path
+        TOML file with the parameters of the rangefinder; that of the sleeve paper, at the case's
+        carrier, if not given.
+    out : Path
+        Folder to write, or to go on with.
+    """
+    if not sweep:
+        raise ConfigError("dataset needs the folder of a sweep; name one or more")
+
+    from acoustube.runs.sweep.cycles import Recipe
+    from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
+
+    recipe = Recipe(
+        n_cycles=counts.cycles, n_tubes=counts.tubes, n_sessions=counts.sessions, seed=counts.seed,
+        rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
+    )  # fmt: skip
+    report = ConsoleReporter(output.console())
+    run_dataset(sweep, out, recipe, report=report, workers=processes.workers)

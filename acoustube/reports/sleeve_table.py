@@ -1,0 +1,162 @@
+"""Layout of a sleeve as sentences and as a table from distance to place."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.recordings.markers import Markers
+from acoustube.sleeve import Helix, Layout, nearest
+from acoustube.sleeve.arm_fit import Arm
+
+COLUMNS = (
+    "tube", "distance_cm", "x_mm", "y_mm", "z_mm", "along_cm", "angle_deg", "loop", "heard",
+)  # fmt: skip
+
+
+def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]:
+    """Return the markers and the fitted arm in words, one sentence each.
+
+    Parameters
+    ----------
+    path : Path
+        File of the markers.
+    axis : str
+        ``fitted`` or ``z``.
+    markers : Markers
+    arm : Arm
+    """
+    unit = markers.unit if markers.told else f"{markers.unit}, since the file states none"
+    words = [
+        f"markers: {path}, columns {' and '.join(markers.names)}, in {unit}",
+        "axis: midway between the columns, taken to lie on opposite sides of the arm"
+        if axis == "fitted"
+        else "axis: z of the markers",
+    ]
+    for name, line, kept, points in zip(
+        markers.names, arm.lines, arm.kept, (markers.first, markers.second), strict=True
+    ):
+        gaps = int(np.sum(~np.all(np.isfinite(points), axis=1)))
+        left = int(np.sum(~kept)) - gaps
+        low, high = line.interval().T
+        words.append(
+            f"column {name}: r = {1e3 * line.radius:.2f} mm ({1e3 * low[0]:.2f} to "
+            f"{1e3 * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
+            f"{int(kept.sum())} markers within {1e3 * line.deviation:.2f} mm"
+            + (f", {left} left out as outliers" if left else "")
+            + (f", {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
+        )
+    return words
+
+
+def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
+    """Return the lengths, coverage and resolution of a layout, one sentence each.
+
+    Parameters
+    ----------
+    tubes : sequence of Helix
+    found : Layout
+    """
+    tube = tubes[0]
+    lengths = " and ".join(f"{100 * length:.1f}" for length in found.tube_lengths)
+    hand = f"{tube.hand}-handed"
+    first = (
+        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} "
+        f"cm, pitch {100 * found.pitch:.2f} cm; {lengths} cm long with a lead of "
+        f"{100 * tube.lead:g} cm"
+    )
+    words = [first, f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube"]
+    for number, ((near, far), each) in enumerate(zip(found.heard, tubes, strict=True), start=1):
+        words.append(
+            f"tube {number}: presses are detected from {100 * near:.0f} to {100 * far:.0f} cm"
+            + (
+                f"; its first {100 * (near - each.lead):.0f} cm on the arm are in the dead zone"
+                if near > each.lead + 1e-9
+                else ", the dead zone lies in the lead"
+            )
+        )
+    words.append(
+        f"coverage: {100 * found.coverage:.1f} % of {1e4 * found.skin_area:.0f} cm2 of skin lie "
+        f"within {1e3 * found.within:g} mm of a tube that detects presses there, "
+        f"{100 * found.blind:.1f} % at a tube that does not"
+    )
+    words.append(
+        f"resolution: a distance known to {100 * found.deviation:g} cm is a patch of "
+        f"{1e4 * found.patch_area:.1f} cm2, {found.patches:.0f} of them on the sleeve"
+    )
+    return words
+
+
+def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, float]) -> str:
+    """Return the place of a contact in words.
+
+    Parameters
+    ----------
+    tubes : sequence of Helix
+    found : Layout
+    contact : tuple of int and float
+        Tube, from 0, and distance in m.
+
+    Raises
+    ------
+    ConfigError
+        If the sleeve has no such tube, or the distance is outside its sensitive part.
+    """
+    number, distance = contact
+    if number >= len(tubes):
+        raise ConfigError(
+            f"distance = {number + 1}:{100 * distance:g} is on tube {number + 1} and the sleeve "
+            f"has {len(tubes)}; use 1 to {len(tubes)}"
+        )
+    tube = tubes[number]
+    near, far = found.heard[number]
+    if not near <= distance <= far:
+        raise ConfigError(
+            f"distance = {100 * distance:g} cm is outside the range of tube {number + 1}; "
+            f"use {100 * near:.4g} to {100 * far:.4g} cm"
+        )
+    z = float(tube.height(distance))
+    x, y, height = 1e3 * tube.place(distance)
+    along = found.deviation / float(tube.density(z))
+    around = np.degrees(abs(tube.twist) * along)
+    beside = nearest(tubes, tube.place(distance))
+    return (
+        f"contact at {100 * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
+        f"{height:.1f} mm, {100 * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
+        f"degrees, loop {int(z / tube.pitch) + 1}; ± {1e3 * found.deviation:g} mm along the tube "
+        f"is ± {1e3 * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
+        f"loop, of tube {int(beside.next_tube) + 1}, is {1e3 * float(beside.next_gap):.0f} mm "
+        f"away, where it reads {100 * float(beside.next_distance):.0f} cm"
+    )
+
+
+def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) -> None:
+    """Write the table from distance to place.
+
+    Parameters
+    ----------
+    path : Path
+        The CSV file; x, y and z are those of the markers, or of the arm where there are none.
+    tubes : sequence of Helix
+    found : Layout
+    step : float
+        Between two distances in m; the last row of a tube is its end.
+    """
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        for number, (tube, (near, far)) in enumerate(zip(tubes, found.heard, strict=True), start=1):
+            end = tube.tube_length
+            distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
+            z = tube.height(distance)
+            loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
+            angle = np.round(np.degrees(tube.angle(z)), 2) % 360
+            for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
+                at, place, along, turned, turn = row
+                heard = int(near - 1e-9 <= at <= far + 1e-9)
+                cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
+                table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, heard])

@@ -1,0 +1,281 @@
+"""Localisation of presses in the cycles that a board sends over a serial line, as they arrive.
+
+A thread reads the line and decodes it
+(:class:`acoustube.recordings.echotube_stream.Receiver`); the main thread processes and logs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from acoustube import signals
+from acoustube.base.console import watched_interrupts
+from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.recordings.echotube_stream import (
+    FRAME_BYTES,
+    HEAD,
+    MISSING,
+    PATIENCE,
+    Decoder,
+    Frame,
+    Receiver,
+)
+from acoustube.runs.recordings import COLUMNS, check_rate, chosen, table_rows
+from acoustube.signals import Ranging, Tracker
+
+RATE = 80e3
+"""Samples per second of EchoTube's board."""
+BAUD = 1_000_000
+RECENT = 2000
+"""Latencies that are kept."""
+LIVE_COLUMNS = (*COLUMNS, "received_s", "pulse_width")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """Serial line of a board, and the processing of its cycles.
+
+    Attributes
+    ----------
+    port : str
+        Name of the serial port.
+    calibration, prominence
+        See :func:`acoustube.runs.recordings.chosen`.
+    temperature : float
+        Air temperature in degC.
+    rate : float
+        Samples per second. Where the carrier does not lie below half of it, as with EchoTube's
+        80 kHz, the cycles are processed without the matched filter and good to several mm:
+        :func:`acoustube.signals.without_aliased_template`.
+    frame_bytes : int
+        See :class:`acoustube.recordings.echotube_stream.Decoder`.
+    baud : int
+        Bits per second of the line.
+    """
+
+    port: str
+    calibration: str | None = None
+    prominence: float | None = None
+    temperature: float = 20.0
+    rate: float = RATE
+    frame_bytes: int = FRAME_BYTES
+    baud: int = BAUD
+
+
+@dataclass(kw_only=True)
+class Tally:
+    """Counts of a stream.
+
+    Attributes
+    ----------
+    n_cycles, n_detections : int
+        Processed cycles, and how many of them held an echo.
+    n_garbled, n_joined, n_bytes : int
+        See :class:`acoustube.recordings.echotube_stream.Decoder`.
+    n_dropped : int
+        Intact cycles for which there was no time.
+    arrivals : deque of float
+        When the last cycles came, by `time.perf_counter`.
+    latencies : deque of float
+        Seconds from the last byte of a cycle to its row in the log, of the last cycles.
+    """
+
+    n_cycles: int = 0
+    n_detections: int = 0
+    n_garbled: int = 0
+    n_joined: int = 0
+    n_bytes: int = 0
+    n_dropped: int = 0
+    arrivals: deque[float] = field(default_factory=lambda: deque(maxlen=40))
+    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+
+    @property
+    def rate(self) -> float:
+        """Cycles per second over the last ones, zero when none has come for two seconds."""
+        if len(self.arrivals) < 2 or time.perf_counter() - self.arrivals[-1] > 2:
+            return 0.0
+        return (len(self.arrivals) - 1) / max(self.arrivals[-1] - self.arrivals[0], 1e-6)
+
+    @property
+    def latency(self) -> float:
+        """Median in s, nan before the first cycle."""
+        return float(np.median(self.latencies)) if self.latencies else np.nan
+
+    def words(self) -> str:
+        """Return the counts as a line."""
+        if not self.n_cycles:
+            missing = f"no intact cycle in {self.n_bytes} bytes, {self.n_garbled} garbled"
+            return missing + ("; check the baud rate and the board" if self.n_bytes else "")
+        return (
+            f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
+            f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
+            f"{1e3 * self.latency:.1f} ms" + (", joined in the middle" if self.n_joined else "")
+        )
+
+
+Show = Callable[[Tally, Ranging | None], None]
+"""Called with the counts and the last cycle, about a hundred times a second."""
+
+
+def follow(
+    stream: Stream, show: Show, *, out: Path | None = None, duration: float | None = None
+) -> tuple[Tally, Exception | None]:
+    """Process the cycles of a board until the line or the time ends, or the user interrupts.
+
+    Parameters
+    ----------
+    stream : Stream
+    show : callable
+        Called with the counts so far and the last cycle, None before the first.
+    out : Path, optional
+        New CSV file, one row of :data:`LIVE_COLUMNS` per cycle, on the disk with each cycle:
+        `received_s` is the Unix time of a cycle's last byte in s, by the clock at the start, and
+        `pulse_width` the rangefinder's own in us.
+    duration : float, optional
+        In s.
+
+    Returns
+    -------
+    tally : Tally
+        Final counts.
+    failure : Exception or None
+        Error that ended the line; cycles that were received whole are processed and logged.
+
+    Raises
+    ------
+    ConfigError
+        If the calibration or the port cannot be used.
+    KeyboardInterrupt
+        With a sentence that states the counts and the log.
+    """
+    tracker = _tracker(stream)
+    decoder, tally = Decoder(stream.frame_bytes), Tally()
+    ranging: Ranging | None = None
+    # One reference for the whole run, so that an adjusted clock leaves the intervals as they are.
+    epoch = time.time() - time.perf_counter()
+    kept = "nothing is logged" if out is None else f"{out} holds them"
+    with (
+        watched_interrupts() as check,
+        _opened(stream.port, stream.baud) as line,
+        _log(out) as log,
+    ):
+        try:
+            with Receiver(line, decoder) as receiver:
+                for received, frame in _taken(receiver, duration, check):
+                    if frame is not None:
+                        ranging = tracker.update(frame.samples, stream.temperature)
+                        number = tracker.n_cycles - 1
+                        log(_row(number, ranging, stream.port, received + epoch, frame))
+                        tally.arrivals.append(received)
+                        tally.latencies.append(time.perf_counter() - received)
+                    _count(tally, tracker, decoder, receiver)
+                    show(tally, ranging)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"interrupted; {tally.words()}; {kept}") from None
+    if isinstance(receiver.failure, OSError):
+        cut = SimulationError(
+            f"{stream.port} was cut off after {tracker.n_cycles} intact cycles, {kept}; connect "
+            "the board and start again"
+        )
+        cut.__cause__ = receiver.failure
+        return tally, cut
+    return tally, receiver.failure
+
+
+def _tracker(stream: Stream) -> Tracker:
+    """Return the processing of the stream's cycles, tried with a silent one."""
+    known, settings = chosen(stream.calibration, stream.prominence)
+    check_rate(stream.rate, known, Path(stream.port))
+    settings = signals.without_aliased_template(settings, stream.rate)
+    try:
+        # The first samples gave their place to the pulse width.
+        tracker = Tracker(np.arange(HEAD, stream.frame_bytes) / stream.rate, settings)
+        signals.speed_of_sound(stream.temperature)
+    except ValueError as error:
+        raise ConfigError(f"cycles like these cannot be processed: {error}") from error
+    return tracker
+
+
+@contextlib.contextmanager
+def _opened(port: str, baud: int) -> Iterator[Any]:
+    """Yield an open serial port."""
+    try:
+        import serial
+    except ImportError as error:
+        raise ConfigError(MISSING) from error
+    try:
+        line = serial.Serial(port, baud, timeout=PATIENCE, exclusive=True)
+    except (OSError, ValueError) as error:
+        number = getattr(error, "errno", None)
+        reason = os.strerror(number) if number else error
+        raise ConfigError(
+            f"port = {port} cannot be opened ({reason}); name the board's port, free and readable"
+        ) from error
+    with contextlib.closing(line):
+        yield line
+
+
+@contextlib.contextmanager
+def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
+    """Yield a function that writes a row to a new file, at once."""
+    if out is None:
+        yield lambda _: None
+        return
+    try:
+        file: TextIO = out.open("x", encoding="utf-8", newline="")
+    except OSError as error:
+        raise ConfigError(
+            f"out = {out} cannot be written ({error.strerror}); name a new file"
+        ) from error
+    with file:
+        writer = csv.writer(file, lineterminator="\n")
+
+        def write(row: list[object]) -> None:
+            writer.writerow(row)
+            file.flush()
+
+        write([*LIVE_COLUMNS])
+        yield write
+
+
+def _taken(
+    receiver: Receiver, duration: float | None, check: Callable[[], None]
+) -> Iterator[tuple[float, Frame | None]]:
+    """Yield the cycles with their times, and now and then None, until the end of line or time."""
+    end = np.inf if duration is None else time.perf_counter() + duration
+    while True:
+        check()
+        timed_out = time.perf_counter() > end
+        if timed_out:
+            receiver.stop()
+        # Asked before the queue: what came before the end is in it.
+        ended = timed_out or receiver.failure is not None
+        taken = receiver.take()
+        if taken is not None:
+            yield taken
+        elif ended:
+            return
+        else:
+            yield time.perf_counter(), None
+
+
+def _row(number: int, ranging: Ranging, port: str, received: float, frame: Frame) -> list[object]:
+    """Return the log's row of a cycle that was received at a Unix time in s."""
+    (row,) = table_rows(number, ranging, Path(port))
+    return [*row, f"{received:.6f}", frame.pulse_width]
+
+
+def _count(tally: Tally, tracker: Tracker, decoder: Decoder, receiver: Receiver) -> None:
+    tally.n_cycles, tally.n_detections = tracker.n_cycles, tracker.n_detections
+    tally.n_garbled, tally.n_joined = decoder.n_garbled, decoder.n_joined
+    tally.n_bytes, tally.n_dropped = decoder.n_bytes, receiver.n_dropped
