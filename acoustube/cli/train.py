@@ -92,17 +92,13 @@ def train(
     start = time.perf_counter()
     console = output.console()
     known, processing = chosen(ranging.calibration, ranging.prominence)
-    feature_settings = estimation.FeatureSettings(
-        kind=kind_of_features(estimator), processing=processing
-    )
+    features = estimation.FeatureSettings(kind=kind_of_features(estimator), processing=processing)
     with watched_interrupts() as check:
         with ConsoleReporter(console).progress(check) as show:
-            table = table_of(
-                data, feature_settings, show, lambda path, rate: check_rate(rate, known, path)
-            )
+            table = table_of(data, features, show, lambda path, rate: check_rate(rate, known, path))
         _print_cycles(table, estimator, console)
         with ConsoleReporter(console).progress(check) as show:
-            model = _trained(table, estimator, feature_settings, training, show, console)
+            model = _trained(table, estimator, features, training, show, console)
         estimation.save(model, out)
     _print_overfitting(model, console)
     console.print(
@@ -114,7 +110,7 @@ def train(
 def _trained(
     table: xr.Dataset,
     name: str,
-    feature_settings: FeatureSettings,
+    features: FeatureSettings,
     training: Training,
     show: ShowProgress,
     console: Console,
@@ -138,7 +134,7 @@ def _trained(
     return estimation.train(
         table,
         name,
-        feature_settings,
+        features,
         by=training.by,
         seed=training.seed,
         progress=progress,
