@@ -22,7 +22,7 @@ from acoustube.waves.port_waves import PortProblem
 from acoustube.waves.scheme import cpu_layout
 from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 from acoustube.waves.scheme.leapfrog import initial_state, march
-from acoustube.waves.scheme.losses import Losses, Memory
+from acoustube.waves.scheme.losses import Losses, RelaxationState
 from acoustube.waves.scheme.operator import Operator
 from acoustube.waves.scheme.pml import Absorber
 from acoustube.waves.scheme.problem import prepare
@@ -208,9 +208,9 @@ def test_numba_is_imported_by_a_march_only():
         (Operator, cpu_layout.Stencil, {"inverse_volume"}),
         (
             Losses, cpu_layout.LossCoefficients,
-            {"yielding", "share", "response", "rate"},
+            {"response", "rate"},
         ),
-        (Memory, cpu_layout.Fields, set()),
+        (RelaxationState, cpu_layout.Fields, set()),
         (Absorber, cpu_layout.AbsorberColumns, set()),
     ],
 )  # fmt: skip

@@ -13,8 +13,9 @@ from acoustube.waves.grid.straight_part import straight_ends_cut
 from acoustube.waves.port_waves import PortProblem
 from acoustube.waves.scattering import scatter
 from acoustube.waves.scheme.leapfrog import initial_state, march
-from acoustube.waves.scheme.losses import half_integral, wetted_area
+from acoustube.waves.scheme.losses import wetted_area
 from acoustube.waves.scheme.problem import prepare
+from acoustube.waves.scheme.relaxation_fit import half_integral
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """That of the table below."""

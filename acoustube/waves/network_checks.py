@@ -21,7 +21,7 @@ OUT_OF_BAND_ENERGY = 1e-4
 COARSEST_STEP = 300.0
 """Largest frequency step in Hz of a scattering matrix that can be interpolated at a cut-on.
 
-With 200 or 300 Hz the echo of a pinched tube at 42 kHz, beside the cut-on of (2,1), was right to
+With 200 or 300 Hz the echo of a pinched tube at 42 kHz, next to the cut-on of (2,1), was right to
 0.4 %, with 500 Hz to 2 %, or 22 % where a mode was trapped.
 """
 CUT_ON_TOLERANCE = 0.04

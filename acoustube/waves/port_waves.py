@@ -30,7 +30,7 @@ from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.straight_part import SKEWED_TOLERANCE, SYMMETRY_TOLERANCE, is_reversible
 from acoustube.waves.modes.grid_modes import duct_modes, labels, phases
 from acoustube.waves.scheme.leapfrog import march
-from acoustube.waves.scheme.problem import FADING, Setup, prepare
+from acoustube.waves.scheme.problem import LOSS_TAPER, Setup, prepare
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 Progress = Callable[[float], object]
@@ -82,7 +82,7 @@ class PortProblem:
     ) -> None:
         cells, middle = (core, None) if odd is None else _half(core)
         dz = cells.spacing[2]
-        margin = ceil(FADING / dz) if lossy else 0
+        margin = ceil(LOSS_TAPER / dz) if lossy else 0
         lead = 2 * SOURCE_PROBE_CELLS + 2 + margin
         lengthened = with_straight_ends(cells, lead, lead)
         n = lengthened.shape[2]

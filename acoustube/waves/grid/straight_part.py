@@ -26,13 +26,13 @@ triangles do.
 
 
 def is_symmetric(cells: CutCells) -> bool:
-    """Return whether a lumen is mirror symmetric about x = 0."""
+    """Return True for a lumen that is mirror symmetric about x = 0."""
     mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[::-1])
     return bool(cells.origin[0] < 0 and mirrored.max() < SYMMETRY_TOLERANCE)
 
 
 def is_reversible(cells: CutCells, tolerance: float = SYMMETRY_TOLERANCE) -> bool:
-    """Return whether a lumen is mirror symmetric along z."""
+    """Return True for a lumen that is mirror symmetric along z."""
     mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[..., ::-1])
     return bool(mirrored.max() < tolerance)
 

@@ -1,5 +1,5 @@
 """The leapfrog scheme of the wave equation, in JAX and compiled for processors.
 
-Read `operator`, then `problem`, `time_step`, `pml`, `losses` and `leapfrog`; `cpu_leapfrog` and
-`cpu_kernel` do the same as `leapfrog` on processors.
+Reading order: `pulse`, `operator`, `time_step`, `pml`, `relaxation_fit`, `losses`, `problem`,
+`leapfrog`; `cpu_layout`, `cpu_kernel` and `cpu_leapfrog` are the second implementation, for CPUs.
 """

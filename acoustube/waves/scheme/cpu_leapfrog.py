@@ -34,7 +34,7 @@ from acoustube.waves.scheme.cpu_layout import (
     SourceAndProbes,
     Stencil,
 )
-from acoustube.waves.scheme.losses import Losses, Memory
+from acoustube.waves.scheme.losses import Losses, RelaxationState
 from acoustube.waves.scheme.operator import INTERIOR, Operator
 from acoustube.waves.scheme.pml import Absorber
 from acoustube.waves.scheme.problem import Scheme, Setup, State
@@ -44,7 +44,7 @@ Array = NDArray[np.floating[Any]]
 WALL, ABSORBING = -1, 2
 """Kinds of cells that belong to no span."""
 SHORTEST_CORE = 32
-"""Number of cells of a core span below which it is merged with the cut spans beside it."""
+"""Number of cells of a core span below which it is merged with its neighbouring cut spans."""
 CELL_COSTS = 1.0, 4.0, 4.0
 """Relative time of a cell in a core span, a cut span and an absorber, for balancing threads."""
 MOST_THREADS = 4
@@ -121,7 +121,7 @@ class CompiledMarcher:
         return record
 
     def is_finite(self) -> bool:
-        """Return whether all pressures are numbers."""
+        """Return True if all pressures are finite."""
         return bool(np.isfinite(np.abs(self._fields.change).sum()))
 
     def state(self) -> State:
@@ -301,8 +301,8 @@ def _lossy(scheme: Scheme, state: State, dtype: Any) -> LossCoefficients:
     return LossCoefficients(
         drag=_stencil(losses.drag, scheme, dtype),
         compliance=_copy(losses.compliance, dtype),
-        implicit_factor=_copy(losses.yielding, dtype),
-        weight=_copy(losses.share, dtype).ravel(),
+        implicit_factor=_copy(losses.implicit_factor, dtype),
+        weight=_copy(losses.weight, dtype).ravel(),
         decay=decay, gain=gain, wall=wall * (decay - 1), bulk=bulk[:n_air].copy(),
         scalars=_scalar(losses.response, losses.rate, dtype=dtype),
     )  # fmt: skip
@@ -349,14 +349,14 @@ def _pressure(lossy: LossCoefficients, fields: Fields, now: int) -> Array:
 
 
 def _memory(
-    memory: Memory | None, losses: Losses | None, fields: Fields, now: int
-) -> Memory | None:
+    memory: RelaxationState | None, losses: Losses | None, fields: Fields, now: int
+) -> RelaxationState | None:
     """Return the memory variables of the losses."""
     if memory is None or losses is None:
         return memory
     place = np.argsort(_air_first(losses)[0])
     relaxed = tuple(jnp.array(fields.relaxed[:, :, i]) for i in place)
-    return Memory(relaxed, jnp.array(fields.integral[now]), jnp.array(fields.increment))
+    return RelaxationState(relaxed, jnp.array(fields.integral[now]), jnp.array(fields.increment))
 
 
 def _layer(layer: Absorber | None, dtype: Any) -> AbsorberColumns:

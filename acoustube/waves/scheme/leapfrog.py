@@ -1,9 +1,9 @@
 """Leapfrog marching of the pressure and of its change per step.
 
-The pressure-velocity scheme with the velocities eliminated (see `wave_operator`). It is written
-twice: here in JAX, which runs on GPUs and can be differentiated, and in `compiled` for the CPU,
-where that is several times as fast. Both take all coefficients as arguments, so a second lumen of
-equal shape is not compiled again.
+The pressure-velocity scheme with the velocities eliminated (see `operator`). It is implemented
+twice: here in JAX, which runs on GPUs and can be differentiated, and in `cpu_leapfrog` for the CPU,
+where that is several times as fast. Both take all coefficients as arguments, so that a second lumen
+of equal shape is not compiled again.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from numpy.typing import NDArray
 
 from acoustube.base.errors import SimulationError
 from acoustube.waves.scheme.losses import (
-    Memory,
+    RelaxationState,
     advance_relaxations,
     bulk_absorption,
     lossy_change,
 )
 from acoustube.waves.scheme.operator import INTERIOR, Operator, laplacian, with_halo
-from acoustube.waves.scheme.pml import Absorber, absorb
+from acoustube.waves.scheme.pml import Absorber, pml_step
 from acoustube.waves.scheme.problem import Scheme, Setup, State
 
 Progress = Callable[[float], object]
 Array = NDArray[np.floating[Any]]
-CHUNK = 250  # steps between two reports
-UNROLL = 2  # steps per turn of the loop: XLA then copies no field, and stores fewer half way
+CHUNK = 250
+"""Number of steps between two calls of `progress`."""
+UNROLL = 2
+"""Steps per iteration of the loop: XLA then copies no field, and stores fewer intermediates."""
 
 
 def initial_state(setup: Setup, pressure: ArrayLike) -> State:
@@ -49,12 +51,12 @@ def initial_state(setup: Setup, pressure: ArrayLike) -> State:
     Returns
     -------
     State
-        Start of a march.
+        Initial state of a march.
     """
     silence, operator = setup.state, setup.scheme.operator
     field = with_halo(jnp.asarray(pressure, silence.change.dtype))
     field = field.at[INTERIOR].multiply(operator.inverse_volume > 0.0)
-    # Half a step backwards, so that the first step arrives where a start at rest does.
+    # Half a step backwards, so that the first step is that of a start at rest.
     change = -0.5 * setup.scheme.step_squared * laplacian(field, operator)
     return silence._replace(pressure=field, change=change)
 
@@ -74,26 +76,26 @@ def march(
     setup : Setup
         The discrete problem.
     state : State
-        Where to start.
+        Initial state.
     source : ndarray
-        What the source layer is set to, or receives, in each step, (n,).
+        Source signal: the values to which the source layer is set, or increments, (n,).
     progress : callable, optional
         Called with the finished fraction after each chunk.
     compiled : bool, optional
-        Whether to march in compiled columns rather than in JAX; by default where JAX computes on
-        the CPU.
+        Whether to march over compiled columns rather than in JAX; by default where JAX runs on the
+        CPU.
 
     Returns
     -------
     state : State
         After the last step.
     pressure : ndarray
-        Plane-averaged pressure at the probes after each step, (n_probes, n).
+        Pressure at the probes after each step, (n_probes, n).
 
     Raises
     ------
     SimulationError
-        If the pressure stops being finite.
+        If the pressure is no longer finite.
     """
     marcher = _marcher(setup, state, compiled)
     records = []
@@ -113,33 +115,32 @@ def march(
 
 
 class Marcher(Protocol):
-    """A state that is advanced in place."""
+    """State that is advanced in place."""
 
     def advance(self, source: Array) -> Array:
-        """Advance by as many steps as the source has samples; return the probes', (n, n_probes)."""
+        """Advance by one step per sample; return the pressures at the probes, (n, n_probes)."""
 
     def is_finite(self) -> bool:
-        """Return whether all pressures are numbers."""
+        """Return True if all pressures are finite."""
 
     def state(self) -> State:
         """Return the state."""
 
 
 def _marcher(setup: Setup, state: State, compiled: bool | None) -> Marcher:
-    """Return what advances a state: compiled columns on a CPU, JAX elsewhere."""
+    """Return the marcher of a state: over compiled columns on a CPU, in JAX elsewhere."""
     if compiled is None:
         compiled = jax.default_backend() == "cpu"
     if not compiled:
         return _TracedMarcher(setup, state)
-    from acoustube.waves.scheme.cpu_leapfrog import (
-        CompiledMarcher,  # imports numba, which takes a second
-    )
+    # Imports numba, which takes a second.
+    from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 
     return CompiledMarcher(setup, state)
 
 
 class _TracedMarcher:
-    """A state advanced by JAX."""
+    """State advanced by JAX."""
 
     def __init__(self, setup: Setup, state: State) -> None:
         self._setup, self._state = setup, state
@@ -173,10 +174,10 @@ def acoustic_energy(setup: Setup, state: State) -> float:
 
 
 class _Fields(NamedTuple):
-    """Fields of a `State` without halos, in the form that a single pass over the grid advances.
+    """Fields of a `State` without halos, as advanced by a single pass over the grid.
 
-    That the argument of the Laplacian is stored makes all else of a step local to its cell, so
-    that a compiler for GPUs fuses it into one kernel, which reads and writes each array once.
+    With the argument of the Laplacian stored, all other operations of a step are local to a cell,
+    so that a compiler for GPUs fuses them into one kernel, which reads and writes each array once.
 
     Attributes
     ----------
@@ -187,7 +188,7 @@ class _Fields(NamedTuple):
     change : Array
         Over the last step, in Pa, (nx, ny, nz).
     before, behind : Absorber or None
-    memory : Memory or None
+    memory : RelaxationState or None
         Its half-integral without halo.
     """
 
@@ -196,7 +197,7 @@ class _Fields(NamedTuple):
     change: jax.Array
     before: Absorber | None
     behind: Absorber | None
-    memory: Memory | None
+    memory: RelaxationState | None
 
 
 @partial(jax.jit, static_argnames=("source_layer",))
@@ -205,12 +206,12 @@ def _run_chunk(
 ) -> tuple[State, jax.Array]:
     """Advance by some steps and record the probes after each."""
     step = partial(_step, scheme, source_layer)
-    fields, heard = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
-    return _state(fields), heard
+    fields, record = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
+    return _state(fields), record
 
 
 def _fields(state: State, scheme: Scheme) -> _Fields:
-    """Return the fields of a state."""
+    """Return the fields of a state without halos."""
     pressure, memory = state.pressure[INTERIOR], state.memory
     if scheme.losses is None or memory is None:
         return _Fields(pressure, None, state.change, state.before, state.behind, None)
@@ -220,7 +221,7 @@ def _fields(state: State, scheme: Scheme) -> _Fields:
 
 
 def _state(fields: _Fields) -> State:
-    """Return the state of fields."""
+    """Return a state from its fields without halos."""
     pressure = fields.ahead if fields.pressure is None else fields.pressure
     memory = fields.memory
     if memory is not None:
@@ -231,31 +232,31 @@ def _state(fields: _Fields) -> State:
 def _step(
     scheme: Scheme, source_layer: int, fields: _Fields, sample: jax.Array
 ) -> tuple[_Fields, jax.Array]:
-    """Advance by one leapfrog step: the absorbers, then all cells with source, then probes."""
+    """Advance by one leapfrog step: absorbers, then all cells with the source, then probes."""
     around, pressure = with_halo(fields.ahead), fields.pressure
-    before, first = _absorb_at(fields.before, 0, around, scheme)
+    before, first = _absorber_step(fields.before, 0, around, scheme)
     n_behind = 0 if fields.behind is None else fields.behind.transverse.shape[2]
     last = fields.change.shape[2] - n_behind
-    behind, end = _absorb_at(fields.behind, last, around, scheme)
+    behind, end = _absorber_step(fields.behind, last, around, scheme)
     losses, memory = scheme.losses, fields.memory
     if losses is None or memory is None or pressure is None:
         change = fields.change + scheme.step_squared * laplacian(around, scheme.operator)
-        change = _joined(first, change, end)
+        change = _replace_ends(first, change, end)
         ahead = _driven(fields.ahead + change, scheme, source_layer, sample)
         return _Fields(ahead, None, change, before, behind, None), _probe(ahead, scheme)
     change = lossy_change(
         losses, memory, scheme.operator, around, pressure, fields.change, scheme.step_squared
     )
-    change = _joined(first, change, end)
+    change = _replace_ends(first, change, end)
     memory = advance_relaxations(losses, memory, pressure, change)
     pressure = _driven(pressure + change, scheme, source_layer, sample)
     ahead = pressure + bulk_absorption(losses, memory, change)
     return _Fields(ahead, pressure, change, before, behind, memory), _probe(pressure, scheme)
 
 
-def _joined(first: jax.Array | None, middle: jax.Array, end: jax.Array | None) -> jax.Array:
+def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | None) -> jax.Array:
     """Return a field whose first and last layers are replaced."""
-    # By selection, as XLA fuses no concatenation with what follows it.
+    # By selection, since XLA does not fuse a concatenation with the operations that follow.
     n = middle.shape[2]
     layer = jnp.arange(n)
     if first is not None:
@@ -267,20 +268,20 @@ def _joined(first: jax.Array | None, middle: jax.Array, end: jax.Array | None) -
     return middle
 
 
-def _absorb_at(
+def _absorber_step(
     layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
 ) -> tuple[Absorber | None, jax.Array | None]:
     """Advance an absorber, if there is one, and return the change of its cells."""
     if layer is None:
         return None, None
     near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])
-    return absorb(layer, near, local, scheme.step_squared)
+    return pml_step(layer, near, local, scheme.step_squared)
 
 
 def _window(
     pressure: jax.Array, operator: Operator, first: int, n_layers: int
 ) -> tuple[jax.Array, Operator]:
-    """Return the pressure in and around some cell layers, and their coefficients."""
+    """Return the pressure in and around several layers, and their coefficients."""
     cells = slice(first, first + n_layers)
     local = Operator(
         inverse_volume=operator.inverse_volume[:, :, cells],
@@ -293,13 +294,13 @@ def _window(
 
 
 def _driven(pressure: jax.Array, scheme: Scheme, source_layer: int, sample: jax.Array) -> jax.Array:
-    """Return the pressure with the source layer set, or added to."""
+    """Return the pressure with the source layer set, or incremented."""
     layer = jnp.arange(pressure.shape[2]) == source_layer
     driven = scheme.keep * pressure + sample * scheme.source[:, :, None]
     return jnp.where(layer, driven, pressure)
 
 
 def _probe(pressure: jax.Array, scheme: Scheme) -> jax.Array:
-    """Return the volume-weighted means over the probed layers."""
+    """Return the weighted sums over the probed layers, (n_probes,)."""
     planes = jnp.take(pressure, scheme.probe_layers, axis=2)
     return jnp.sum(planes * scheme.probe_weights, axis=(0, 1))

@@ -2,7 +2,7 @@
 
 Notes
 -----
-Mass balance and momentum on a staggered grid are, per cell and face,
+Mass balance and momentum on a staggered grid [1]_ are, per cell and face,
 
     V dp/dt = -rho c^2 sum(A u),    rho du/dt = -grad p.
 
@@ -19,9 +19,17 @@ Expanded with Omega = nu theta, 1 - nu^2 theta^2/12 = (1 - theta^2/12)(1 + beta 
     beta = (1 - nu^2) / 12
 
 removes the second-order dispersion of space and time together. This is the symmetric stencil
-D' M' A M D with M = 1 - (beta/2) D2^2 to that order, but one pass, and harmless at slanted walls:
-N vanishes beside a closed face, so nothing leaks through it. The operator stays self-adjoint and
-negative semidefinite for any areas, so the discrete energy is conserved.
+D' M' A M D with M = 1 - (beta/2) D2^2 to that order, but one pass, and consistent at slanted walls:
+N vanishes next to a closed face, so there is no flow through it. The operator stays self-adjoint
+and negative semidefinite for any areas, so the discrete energy is conserved.
+
+References
+----------
+.. [1] Yee, K. (1966). Numerical solution of initial boundary value problems involving Maxwell's
+   equations in isotropic media. IEEE Transactions on Antennas and Propagation 14, 302-307.
+   doi:10.1109/TAP.1966.1138693; for sound, Botteldooren, D. (1995). Finite-difference time-domain
+   simulation of low-frequency room acoustic problems. Journal of the Acoustical Society of America
+   98, 3302-3308. doi:10.1121/1.413817
 """
 
 from __future__ import annotations
@@ -35,8 +43,10 @@ from jax.typing import DTypeLike
 from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells
 
-HALO = ((1, 1), (1, 1), (2, 2))  # closed cells around the field; the axial stencil reaches two
+HALO = ((1, 1), (1, 1), (2, 2))
+"""Closed cells around a field; the axial stencil reaches two cells."""
 INTERIOR = (slice(1, -1), slice(1, -1), slice(2, -2))
+"""Slices of a field without its halo."""
 
 
 class Operator(NamedTuple):
@@ -71,7 +81,7 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
     Parameters
     ----------
     cells : CutCells
-        Fractions; small cells should have been dealt with.
+        Fractions, after `share_small_volumes`.
     air : Air
         Gas in the lumen.
     beta : float
@@ -95,24 +105,24 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
         for axis, (face, h) in enumerate(zip(faces, cells.spacing, strict=True))
     ]
     areas[2] = jnp.pad(areas[2], ((0, 0), (0, 0), (1, 1)))
-    # The division is safe where it is not wanted, so that its derivative is finite there too.
+    # No division by zero in either branch, so that the derivative is finite too.
     inverse = jnp.where(volume > 0.0, 1.0 / jnp.where(volume > 0.0, volume, 1.0), 0.0)
     return Operator(inverse, areas[0], areas[1], areas[2], jnp.asarray(beta, dtype))
 
 
 def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
-    """Return faces whose outermost are closed, because the halo is not lumen."""
+    """Return faces with the outermost closed, since the halo is not part of the lumen."""
     closed = jnp.moveaxis(faces, axis, 0)
     return jnp.moveaxis(closed.at[jnp.array([0, -1])].set(0.0), 0, axis)
 
 
 def with_halo(field: jax.Array) -> jax.Array:
-    """Surround a field (nx, ny, nz) with the halo of closed cells."""
+    """Return a field (nx, ny, nz) surrounded by the halo of closed cells."""
     return jnp.pad(field, HALO)
 
 
 def laplacian(pressure: jax.Array, operator: Operator) -> jax.Array:
-    """Apply the discrete c^2 div grad.
+    """Return the discrete c^2 div grad of a pressure.
 
     Parameters
     ----------
@@ -133,7 +143,7 @@ def laplacian(pressure: jax.Array, operator: Operator) -> jax.Array:
 
 
 def transverse_divergence(pressure: jax.Array, area_x: jax.Array, area_y: jax.Array) -> jax.Array:
-    """Return the balance of A dp over the faces across the tube, (nx, ny, nz)."""
+    """Return the divergence of A dp over the transverse faces, (nx, ny, nz)."""
     inner = pressure[:, :, 2:-2]
     flux_x = area_x * (inner[1:, 1:-1] - inner[:-1, 1:-1])
     flux_y = area_y * (inner[1:-1, 1:] - inner[1:-1, :-1])
@@ -147,7 +157,7 @@ def axial_difference(pressure: jax.Array) -> jax.Array:
 
 
 def axial_divergence(velocity: jax.Array, area: jax.Array, beta: jax.Array) -> jax.Array:
-    """Return the balance of (A + beta D2' N D2) u over the axial faces.
+    """Return the divergence of (A + beta D2' N D2) u over the axial faces.
 
     Parameters
     ----------
@@ -162,7 +172,7 @@ def axial_divergence(velocity: jax.Array, area: jax.Array, beta: jax.Array) -> j
     Returns
     -------
     Array
-        Balance per cell, (nx, ny, nz).
+        Divergence per cell, (nx, ny, nz).
     """
     # Face by face rather than as one flux and its differences: a compiler then stores no flux.
     n = velocity.shape[2] - 3

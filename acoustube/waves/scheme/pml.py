@@ -2,22 +2,22 @@
 
 The layer stretches the axial coordinate, d/dz -> (1/s) d/dz, with the complex-frequency-shifted
 s = kappa + sigma / (alpha + i omega). Its inverse transform is d/dz / kappa plus a convolution
-with a decaying exponential, updated recursively (Roden and Gedney 2000):
+with a decaying exponential, updated recursively [1]_:
 
     psi <- b psi + a d/dz,  b = exp(-(sigma/kappa + alpha) dt),
     a = sigma (b - 1) / (kappa (sigma + kappa alpha)).
 
-Only the layers hold velocities and memories; the bulk is marched without them.
+Only the layers have velocities and memory variables; the bulk is marched without them.
 
-Measured with a 20 mm layer in float32 on 20 cells across a 7.9 mm bore, by difference to a longer
-tube: (1,1) -91 dB at 27 kHz, -130 at 30 and -139 at 42 kHz; (2,1), cut-on 42.24 kHz, -76 dB at
-43 kHz, -83 at 44 and -106 at 46 kHz. Still closer to a cut-on a wave is too slow to be judged.
+Reflection of a 20 mm layer in float32 on 20 cells across a 7.9 mm bore, measured as the difference
+from a longer tube: (1,1) -91 dB at 27 kHz, -130 at 30 and -139 at 42 kHz; (2,1), cut-on 42.24 kHz,
+-76 dB at 43 kHz, -83 at 44 and -106 at 46 kHz. Closer to a cut-on waves are too slow to measure.
 
 References
 ----------
-Roden, J. A. and Gedney, S. D. (2000). Convolution PML (CPML): an efficient FDTD implementation of
-the CFS-PML for arbitrary media. Microwave and Optical Technology Letters 27, 334-339.
-doi:10.1002/1098-2760(20001205)27:5<334::AID-MOP14>3.0.CO;2-A
+.. [1] Roden, J. A. and Gedney, S. D. (2000). Convolution PML (CPML): an efficient FDTD
+   implementation of the CFS-PML for arbitrary media. Microwave and Optical Technology Letters 27,
+   334-339. doi:10.1002/1098-2760(20001205)27:5<334::AID-MOP14>3.0.CO;2-A
 """
 
 from __future__ import annotations
@@ -38,11 +38,16 @@ from acoustube.waves.scheme.operator import (
     transverse_divergence,
 )
 
-LEAD = 3  # undamped layers, so that layer and bulk see the same velocities at their seam
-GRADING = 3  # power of the depth; a jump would reflect
-REFLECTION = 1e-12  # of a plane wave, in the continuum; a mode near its cut-on keeps a power of it
-STRETCH = 4.0  # kappa at the back, which shortens evanescent modes
-SHIFT = 2.0 * pi * 2e3  # alpha at the front in 1/s, well below the carrier
+UNDAMPED_LAYERS = 3
+"""Layers without damping, so that layer and bulk have the same velocities at their interface."""
+GRADING_EXPONENT = 3
+"""Exponent of the profiles over depth; a jump would reflect."""
+REFLECTION = 1e-12
+"""Reflection coefficient of a plane wave, in the continuum; near cut-on it is a power of this."""
+LARGEST_KAPPA = 4.0
+"""Stretch kappa at the back, which shortens evanescent modes."""
+LARGEST_ALPHA = 2.0 * pi * 2e3
+"""Frequency shift alpha at the front in 1/s, well below the carrier."""
 
 
 class Stretch(NamedTuple):
@@ -54,14 +59,14 @@ class Stretch(NamedTuple):
 
 
 class Absorber(NamedTuple):
-    """Coefficients and state of one layer of n cells at one end of the grid.
+    """Coefficients and state of an absorber of n layers at one end of the grid.
 
     Attributes
     ----------
     cells, faces : Stretch
         Coefficients at cell centres (1, 1, n) and axial faces (1, 1, n+3).
     transverse : Array
-        Pressure change per step by flow across the tube, (nx, ny, n).
+        Pressure change per step by transverse flow, (nx, ny, n).
     velocity : Array
         Sum of the stretched axial pressure differences over the steps, (nx, ny, n+3).
     face_memory, cell_memory : Array
@@ -77,8 +82,8 @@ class Absorber(NamedTuple):
 
 
 def absorber_layers(thickness: float, axial_spacing: float) -> int:
-    """Return how many cell layers an absorber takes."""
-    return LEAD + ceil(thickness / axial_spacing - 1e-9)
+    """Return the number of cell layers of an absorber."""
+    return UNDAMPED_LAYERS + ceil(thickness / axial_spacing - 1e-9)
 
 
 def absorber(
@@ -91,14 +96,14 @@ def absorber(
     at_source: bool,
     dtype: DTypeLike = jnp.float32,
 ) -> Absorber:
-    """Return a layer at rest.
+    """Return an absorber at rest.
 
     Parameters
     ----------
     across : tuple of int
         Cells across the tube (nx, ny).
     n_layers : int
-        Cell layers including the undamped lead, see `absorber_layers`.
+        Number of cell layers, see `absorber_layers`.
     axial_spacing, time_step, sound_speed : float
         In m, s and m/s.
     at_source : bool
@@ -109,11 +114,11 @@ def absorber(
     Returns
     -------
     Absorber
-        Coefficients and vanishing memories.
+        Coefficients and a state of zeros.
     """
-    thickness = (n_layers - LEAD) * axial_spacing
-    centres = (np.arange(n_layers) + 0.5 - LEAD) * axial_spacing
-    faces = (np.arange(-1, n_layers + 2) - float(LEAD)) * axial_spacing
+    thickness = (n_layers - UNDAMPED_LAYERS) * axial_spacing
+    centres = (np.arange(n_layers) + 0.5 - UNDAMPED_LAYERS) * axial_spacing
+    faces = (np.arange(-1, n_layers + 2) - float(UNDAMPED_LAYERS)) * axial_spacing
     if at_source:
         centres, faces = centres[::-1], faces[::-1]
     stretches = [
@@ -131,26 +136,26 @@ def _recursion(
     depth: Array, thickness: float, time_step: float, sound_speed: float
 ) -> tuple[Array, Array, Array]:
     """Return b, a and 1 / kappa at depths behind the layer's front."""
-    share = np.clip(depth / thickness, 0.0, 1.0)
-    # The two-way attenuation exp(-2/c int sigma dz) of a plane wave shall be REFLECTION.
-    strongest = -(GRADING + 1) * sound_speed * log(REFLECTION) / (2.0 * thickness)
-    sigma = strongest * share**GRADING
-    kappa = 1.0 + (STRETCH - 1.0) * share**GRADING
-    alpha = SHIFT * (1.0 - share)
+    relative = np.clip(depth / thickness, 0.0, 1.0)
+    # The two-way attenuation exp(-2/c int sigma dz) of a plane wave is REFLECTION.
+    strongest = -(GRADING_EXPONENT + 1) * sound_speed * log(REFLECTION) / (2.0 * thickness)
+    sigma = strongest * relative**GRADING_EXPONENT
+    kappa = 1.0 + (LARGEST_KAPPA - 1.0) * relative**GRADING_EXPONENT
+    alpha = LARGEST_ALPHA * (1.0 - relative)
     decay = np.exp(-(sigma / kappa + alpha) * time_step)
     gain = sigma * (decay - 1.0) / (kappa * np.maximum(sigma + kappa * alpha, 1e-300))
     return decay, gain, 1.0 / kappa
 
 
-def absorb(
+def pml_step(
     state: Absorber, pressure: jax.Array, operator: Operator, step_squared: jax.Array
 ) -> tuple[Absorber, jax.Array]:
-    """Advance a layer by one step.
+    """Advance an absorber by one step.
 
     Parameters
     ----------
     state : Absorber
-        The layer.
+        Coefficients and state.
     pressure : Array
         Pressure in and around the layer, with halo, (nx+2, ny+2, n+4).
     operator : Operator
@@ -161,7 +166,7 @@ def absorb(
     Returns
     -------
     state : Absorber
-        The advanced layer.
+        The advanced state.
     change : Array
         Change of the pressure over this step, (nx, ny, n).
     """

@@ -1,4 +1,4 @@
-"""The discrete problem: grid with its ends, coefficients and state."""
+"""The discrete problem: grid with its ends, coefficients and initial state."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells, with_straight_ends
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.small_cells import share_small_volumes
-from acoustube.waves.scheme.losses import Losses, Memory, losses
+from acoustube.waves.scheme.losses import Losses, RelaxationState, losses
 from acoustube.waves.scheme.operator import Operator, assemble, dispersion_coefficient, with_halo
 from acoustube.waves.scheme.pml import Absorber, absorber, absorber_layers
 from acoustube.waves.scheme.time_step import marching_step
 
 SourceEnd = Literal["release", "absorbing", "rigid"]
 FarEnd = Literal["absorbing", "rigid"]
-FADING = 8e-3
-"""Length in m over which losses fade towards an absorber."""
+LOSS_TAPER = 8e-3
+"""Length in m over which losses are tapered off towards an absorber."""
 
 
 class State(NamedTuple):
-    """What changes from step to step.
+    """Fields of a march, which change from step to step.
 
     Attributes
     ----------
@@ -36,19 +36,19 @@ class State(NamedTuple):
         Pressure change over the last step, sources excluded, (nx, ny, nz), in Pa.
     before, behind : Absorber or None
         Absorbing layers at the source end and at the far end.
-    memory : Memory or None
-        What the losses remember.
+    memory : RelaxationState or None
+        Memory variables of the losses.
     """
 
     pressure: jax.Array
     change: jax.Array
     before: Absorber | None
     behind: Absorber | None
-    memory: Memory | None
+    memory: RelaxationState | None
 
 
 class Scheme(NamedTuple):
-    """What stays during a run.
+    """Constant coefficients of the discrete problem.
 
     Attributes
     ----------
@@ -57,13 +57,13 @@ class Scheme(NamedTuple):
     step_squared : Array
         Time step squared in s2.
     keep, source : Array
-        The source layer becomes keep * pressure + source * signal; scalar and (nx, ny).
+        The source layer is set to keep * pressure + source * signal; scalar and (nx, ny).
     probe_layers : Array
         Layer indices of the probes, (n_probes,).
     probe_weights : Array
-        Volume weights of the plane average, (nx, ny, n_probes).
+        Weights of the probes over their layers, (nx, ny, n_probes).
     losses : Losses or None
-        At the wall and in the air.
+        Coefficients of the losses at the wall and in the air.
     """
 
     operator: Operator
@@ -77,16 +77,16 @@ class Scheme(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Setup:
-    """A lumen with its ends, ready to march.
+    """Discrete problem of a lumen with its ends, ready to march.
 
     Attributes
     ----------
     cells : CutCells
-        The grid as marched: small cells relieved, absorbers appended.
+        The grid as marched: after `share_small_volumes`, absorbers appended.
     scheme : Scheme
         Coefficients.
     state : State
-        Silence, with the absorbers' coefficients.
+        State at rest, with the absorbers' coefficients.
     time_step : float
         In s.
     source_layer : int
@@ -115,7 +115,7 @@ def prepare(
     lossy_band: tuple[float, float] | None = None,
     dtype: DTypeLike = jnp.float32,
 ) -> Setup:
-    """Build the discrete problem.
+    """Return the discrete problem of a lumen.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def prepare(
     probes : tuple of float
         Probe positions in m; each is moved to the nearest cell layer.
     source_end : {"release", "absorbing", "rigid"}
-        Prescribed pressure at z = 0; a source at z = 0 that launches one wave into the tube and
-        absorbs what returns; or a rigid cap half a cell before z = 0, for problems that start
+        Prescribed pressure at z = 0; a source at z = 0 that launches a wave into the tube, with an
+        absorber behind it; or a rigid cap half a cell before z = 0, for problems that start
         from an initial pressure.
     far_end : {"absorbing", "rigid"}
         Straight continuation into an absorber, or a cap at z = L.
@@ -136,15 +136,14 @@ def prepare(
     time_step : float, optional
         In s; the default is `stable_step`.
     lossy_band : tuple of float, optional
-        Frequencies in Hz between which the losses at the wall and in the air shall be right;
-        without it there are none.
+        Frequencies in Hz between which the losses are fitted; without it the air is lossless.
     dtype : dtype
         Precision of the fields.
 
     Returns
     -------
     Setup
-        Coefficients and silence.
+        Coefficients and the state at rest.
 
     Raises
     ------
@@ -170,9 +169,9 @@ def prepare(
     scheme = _scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype)
     lost, memory = None, None
     if lossy_band is not None:
-        share = _fading(whole.shape[2], ahead, behind or 0, round(FADING / dz))
+        weight = _loss_weight(whole.shape[2], ahead, behind or 0, round(LOSS_TAPER / dz))
         lost, memory = losses(
-            whole, exact, scheme.operator, air, step, lossy_band, share=share, dtype=dtype
+            whole, exact, scheme.operator, air, step, lossy_band, weight=weight, dtype=dtype
         )
     return Setup(
         cells=whole,
@@ -193,50 +192,52 @@ def _scheme(
     probe_layers: list[int],
     dtype: DTypeLike,
 ) -> Scheme:
-    """Return the coefficients of a grid whose ends are in place."""
+    """Return the coefficients of a grid that includes its ends."""
     operator = assemble(cells, air, dispersion_coefficient(cells, air, step), dtype=dtype)
     released = source_end == "release"
-    if released:  # the prescribed layer shall not answer to its neighbour
+    if released:  # the prescribed pressure does not depend on its neighbours
         inverse = operator.inverse_volume.at[:, :, source_layer].set(0.0)
         operator = operator._replace(inverse_volume=inverse)
     volume = cells.volume_fraction
-    lit = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
+    driven = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
     weights = volume[:, :, probe_layers]
     return Scheme(
         operator=operator,
         step_squared=jnp.asarray(step**2, dtype),
         keep=jnp.asarray(0.0 if released else 1.0, dtype),
-        source=jnp.asarray(lit, dtype),
+        source=jnp.asarray(driven, dtype),
         probe_layers=jnp.asarray(probe_layers, jnp.int32),
         probe_weights=jnp.asarray(weights / weights.sum(axis=(0, 1)), dtype),
         losses=None,
     )
 
 
-def _fading(n_layers: int, ahead: int, behind: int, fade: int) -> Array:
-    """Return by how much losses act in each layer: not in absorbers, and fading towards them.
+def _loss_weight(n_layers: int, ahead: int, behind: int, taper: int) -> Array:
+    """Return the weight of the losses in each layer: 0 in absorbers, with a taper towards them.
 
-    The absorbers are made for air without losses; at a sudden end of the losses sound is reflected.
-    The two layers beside an absorber, which its stencil reaches, are without losses too.
+    The absorbers are designed for lossless air, and an abrupt end of the losses would reflect. The
+    two layers next to an absorber, within reach of its stencil, are lossless too.
     """
     distance = np.full(n_layers, np.inf)
     if ahead:
         distance = np.minimum(distance, np.arange(n_layers) - ahead)
     if behind:
         distance = np.minimum(distance, n_layers - 1 - behind - np.arange(n_layers))
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip((distance - 1.0) / max(fade - 1, 1), 0.0, 1.0))
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip((distance - 1.0) / max(taper - 1, 1), 0.0, 1.0))
 
 
 def _check_ends(source_end: str, far_end: str) -> None:
-    """Refuse ends that do not exist."""
+    """Validate the names of the ends."""
     if source_end not in ("release", "absorbing", "rigid"):
-        raise ValueError(f'source_end = "{source_end}"; use "release", "absorbing" or "rigid"')
+        raise ValueError(
+            f'source_end = "{source_end}" is unknown; use "release", "absorbing" or "rigid"'
+        )
     if far_end not in ("absorbing", "rigid"):
-        raise ValueError(f'far_end = "{far_end}"; use "absorbing" or "rigid"')
+        raise ValueError(f'far_end = "{far_end}" is unknown; use "absorbing" or "rigid"')
 
 
 def _layer(cells: CutCells, probe: float) -> int:
-    """Return the cell layer nearest to a probe."""
+    """Return the index of the layer nearest to a probe."""
     if not 0.0 <= probe <= cells.length:
         raise ValueError(f"probe = {probe} m lies outside the tube; use 0 to {cells.length:.4g} m")
     return min(round(probe / cells.spacing[2]), cells.shape[2] - 1)
