@@ -11,8 +11,6 @@ References
 ----------
 .. [1] Redheffer, R. (1962). On the relation of transmission-line theory to scattering and transfer.
    Journal of Mathematics and Physics 41, 1-41. doi:10.1002/sapm19624111
-.. [2] Rabiner, L. R., Schafer, R. W. and Rader, C. M. (1969). The chirp z-transform algorithm.
-   IEEE Transactions on Audio and Electroacoustics 17, 86-92. doi:10.1109/TAU.1969.1162034
 """
 
 from __future__ import annotations
@@ -299,7 +297,13 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
     Notes
     -----
     By the impulse response of the band: its spectrum at a frequency with a negative imaginary part
-    is that of the response times a decaying exponential.
+    is that of the response times a decaying exponential. At even frequencies it is computed by the
+    chirp z-transform [1]_.
+
+    References
+    ----------
+    .. [1] Rabiner, L. R., Schafer, R. W. and Rader, C. M. (1969). The chirp z-transform algorithm.
+       IEEE Transactions on Audio and Electroacoustics 17, 86-92. doi:10.1109/TAU.1969.1162034
     """
     checks.check_interpolation(scattering, frequency)
     given, s = scattering.frequency, scattering.s
@@ -315,7 +319,7 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
     """Return the spectra of columns over an even time, at any frequencies, real or complex.
 
-    By the chirp z-transform [2]_ where the frequencies are even: ten times as fast as sums.
+    By the chirp z-transform where the frequencies are even: ten times as fast as sums.
     """
     n = len(frequency)
     steps = np.diff(frequency)

@@ -1,14 +1,4 @@
-"""Modes of a circular duct: cut-on frequencies and viscothermal propagation.
-
-References
-----------
-.. [1] Zwikker, C. and Kosten, C. W. (1949). Sound Absorbing Materials. Elsevier, New York.
-.. [2] Tijdeman, H. (1975). On the propagation of sound waves in cylindrical tubes. Journal of Sound
-   and Vibration 39, 1-33. doi:10.1016/S0022-460X(75)80206-9
-.. [3] Bruneau, A. M., Bruneau, M., Herzog, P. and Kergomard, J. (1987). Boundary layer attenuation
-   of higher order modes in waveguides. Journal of Sound and Vibration 119, 15-27.
-   doi:10.1016/0022-460X(87)90186-6
-"""
+"""Modes of a circular duct: cut-on frequencies and viscothermal propagation."""
 
 from __future__ import annotations
 
@@ -142,6 +132,15 @@ def axial_wavenumber(
         kz^2 (1 - D_v Q) = k^2 (1 + (gamma - 1) D_t Q) - (j'/R)^2 + D_v Q m^2/R^2.
 
     The absorption of the air is in k = omega / c - j alpha.
+
+    References
+    ----------
+    .. [1] Zwikker, C. and Kosten, C. W. (1949). Sound Absorbing Materials. Elsevier, New York.
+    .. [2] Tijdeman, H. (1975). On the propagation of sound waves in cylindrical tubes. Journal of
+       Sound and Vibration 39, 1-33. doi:10.1016/S0022-460X(75)80206-9
+    .. [3] Bruneau, A. M., Bruneau, M., Herzog, P. and Kergomard, J. (1987). Boundary layer
+       attenuation of higher order modes in waveguides. Journal of Sound and Vibration 119, 15-27.
+       doi:10.1016/0022-460X(87)90186-6
     """
     frequency = np.asarray(frequency)
     omega, zero = 2 * pi * frequency, bessel_zero(m, n)

@@ -1,4 +1,4 @@
-"""Approximation of the half-integral s^(-1/2) by relaxations with positive weights.
+"""Approximation of the half-integral s^(-1/2) by relaxations: a passive model over a band [1]_.
 
 References
 ----------
@@ -57,7 +57,7 @@ def half_integral(band: tuple[float, float], accuracy: float = ACCURACY) -> Half
     -------
     HalfIntegral
         With rates in geometric progression, of fitted spacing and centre, and non-negative weights,
-        so that the model is passive [1]_.
+        so that the model is passive.
 
     Raises
     ------

@@ -1,11 +1,4 @@
-"""Largest stable time step of the leapfrog scheme, from the operator's largest eigenvalue.
-
-References
-----------
-.. [1] Lanczos, C. (1950). An iteration method for the solution of the eigenvalue problem of linear
-   differential and integral operators. Journal of Research of the National Bureau of Standards 45,
-   255-282. doi:10.6028/jres.045.026
-"""
+"""Largest stable time step of the leapfrog scheme, from the operator's largest eigenvalue."""
 
 from __future__ import annotations
 
@@ -107,6 +100,12 @@ def largest_eigenvalue(operator: Operator, iterations: int = ITERATIONS) -> floa
     from a checkerboard, the highest mode of an uncut grid. Noise on it excites modes that are
     localised in single wall cells. ``scipy.sparse.linalg.eigsh`` converges to a value higher by
     3e-5 to 1e-4 and takes three to ten times as long, since each of its products leaves JAX.
+
+    References
+    ----------
+    .. [1] Lanczos, C. (1950). An iteration method for the solution of the eigenvalue problem of
+       linear differential and integral operators. Journal of Research of the National Bureau of
+       Standards 45, 255-282. doi:10.6028/jres.045.026
     """
     volume = jnp.where(operator.inverse_volume > 0.0, 1.0 / operator.inverse_volume, 0.0)
     current = jnp.asarray(_checkerboard(volume.shape), volume.dtype) * (volume > 0.0)
