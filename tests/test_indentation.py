@@ -417,7 +417,7 @@ def test_impossible_depths_are_refused(depth):
         ({"shape": "cone"}, "shape = 'cone' is unknown; use 'rod', 'punch' or 'sphere'"),
         ({"x": np.inf}, "x = inf m is not a coordinate"),
         ({"yaw": 1.5}, "yaw = 1.5 rad is outside"),
-        ({"share": 0.0}, "share = 0.0 of the depth"),
+        ({"depth_fraction": 0.0}, "depth_fraction = 0.0 must be"),
         ({"shape": "punch", "edge_radius": 0.02}, "edge_radius = 0.02 m must be"),
     ],
 )

@@ -189,7 +189,7 @@ def test_walls_and_symmetry_planes_are_where_they_belong(quarter):
     assert quarter.points[:, [0, 2]].min() == 0
     assert quarter.points[:, 2].max() == 10e-3
     sides = np.concatenate([quarter.inner_faces, quarter.outer_faces])
-    every = boundary_nodes._boundary(quarter.elements, quarter.points)
+    every = boundary_nodes.boundary_faces(quarter.elements, quarter.points)
     sides, every = ({tuple(sorted(face)) for face in faces} for faces in (sides, every))
     faces = np.array(list(every - sides))
     x, z = quarter.points[faces][..., 0], quarter.points[faces][..., 2]
@@ -225,10 +225,10 @@ def test_element_whose_curved_side_would_turn_it_over_stays_straight():
     straight = TET10.nodes
     target = straight.copy()
     target[4] = straight[3]
-    kept = boundary_nodes._sound(straight, target, np.arange(10)[None])
+    kept = boundary_nodes.limit_distortion(straight, target, np.arange(10)[None])
     np.testing.assert_array_equal(kept, straight)
     target[4] = straight[4] + [0, -0.02, 0]
-    moved = boundary_nodes._sound(straight, target, np.arange(10)[None])
+    moved = boundary_nodes.limit_distortion(straight, target, np.arange(10)[None])
     np.testing.assert_array_equal(moved, target)
 
 
@@ -240,7 +240,7 @@ def test_affine_displacement_leaves_inner_nodes_of_straight_elements_free(quarte
     mesh = straightened(quarter)
     stretch = np.array([[0.2, 0.1, -0.1], [0.05, -0.1, 0.2], [-0.15, 0.1, 0.05]])
     forces = nodal_forces(mesh, neo_hookean_solid(MU, K), mesh.points @ stretch.T)
-    faces = mesh.elements[:, boundary_nodes._FACES].reshape(-1, 6)
+    faces = mesh.elements[:, boundary_nodes.TETRAHEDRON_FACES].reshape(-1, 6)
     _, first, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
     )
@@ -364,21 +364,21 @@ def test_displacement_converges_with_order_two_to_three_and_force_with_order_fou
 
 def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
     """One in twenty has four corners in one plane, whose volume of zero turns forces into NaN."""
-    judge, flat = tetrahedra._qualities, [True]
+    judge, flat = tetrahedra.qualities, [True]
 
     def judged(points, elements):
         found = judge(points, elements)
         return 0.0 * found if flat and flat.pop() else found
 
-    monkeypatch.setattr(tetrahedra, "_qualities", judged)
+    monkeypatch.setattr(tetrahedra, "qualities", judged)
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 5)  # four draws that are flat: one in 160 000
     size = TetrahedronSize(fine=1.0, coarse=1.0)
     mesh = tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
     assert flat == []
-    assert judge(mesh.points, mesh.elements).min() > tetrahedra.LEAST_QUALITY
+    assert judge(mesh.points, mesh.elements).min() > tetrahedra.MIN_QUALITY
 
     flat.extend([True] * tetrahedra.ATTEMPTS)
-    with pytest.raises(ConfigError, match="could not be filled with sound tetrahedra"):
+    with pytest.raises(ConfigError, match="could not be filled with well-shaped tetrahedra"):
         tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
     assert flat == []
 
@@ -395,7 +395,7 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
         return drawn[-1], shares[len(drawn) - 1]
 
     monkeypatch.setattr(tetrahedra, "quadratic", astray)
-    monkeypatch.setattr(tetrahedra, "_qualities", lambda *_: np.ones(1))
+    monkeypatch.setattr(tetrahedra, "qualities", lambda *_: np.ones(1))
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 3)
     size = TetrahedronSize(fine=1.5, coarse=1.5)
     mesh = tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
@@ -416,7 +416,7 @@ def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkey
 def test_quality_of_a_regular_tetrahedron_is_one():
     corners = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 7
     points = np.concatenate([corners, [(corners[i] + corners[j]) / 2 for i, j in edges(3)]])
-    assert tetrahedra._qualities(points, np.arange(10)[None]) == pytest.approx(1.0)
+    assert tetrahedra.qualities(points, np.arange(10)[None]) == pytest.approx(1.0)
 
 
 # --- presses

@@ -1,4 +1,14 @@
-"""Quadratic nodes of a tetrahedral mesh on the wall's surface and symmetry planes."""
+"""Quadratic tetrahedra from linear ones: boundary nodes on the wall's surface and in planes.
+
+Mid-edge nodes are added, and the nodes of both walls moved to the closest points of the surface,
+those of symmetry planes and ends into their plane. Nodes whose element would be distorted too much
+stay off the surface.
+
+References
+----------
+.. [1] E. Cuthill, J. McKee, "Reducing the bandwidth of sparse symmetric matrices", Proc. 24th
+   National Conference of the ACM, 157-172 (1969).
+"""
 
 from __future__ import annotations
 
@@ -18,33 +28,39 @@ from acoustube.indentation.reference_element import TET10, edges
 from acoustube.indentation.wall_surface import Walls, closest
 
 ENVELOPE = 1 / 25
-"""How far the linear tetrahedra may leave the surface, in wall thicknesses.
+"""Largest distance of the linear tetrahedra from the surface, in wall thicknesses.
 
-Their corners are put back onto it; a narrow envelope only forces small elements around the bore."""
-LEAST_JACOBIAN = 0.2
-"""Least Jacobian anywhere in an element with curved sides, as a share of the straight one's."""
-THERE = 1e-3
-"""How far a node that is on a wall or plane may be off it, in wall thicknesses."""
-ACROSS = 0.7
-"""Least cosine between the normals of a plane and of a face that lies in it."""
-SETTLING_ROUNDS = 3
-"""Times that a node where a wall meets a plane is put onto the one and into the other."""
+Their corners are projected onto it; a narrower envelope only forces small elements at the bore."""
+MIN_JACOBIAN_RATIO = 0.2
+"""Smallest Jacobian in an element with curved edges, as a fraction of the straight element's."""
+ON_SURFACE = 1e-3
+"""Largest distance of a node from the wall or plane that it counts as on, in wall thicknesses."""
+MIN_NORMAL_COSINE = 0.7
+"""Smallest cosine between the normals of a plane and of a face that lies in it."""
+PROJECTION_ROUNDS = 3
+"""Alternating projections onto wall and plane of the nodes where both meet."""
 
 _CORNERS = np.array(list(itertools.combinations(range(4), 3)))
-_FACES = np.array(
+TETRAHEDRON_FACES = np.array(
     [[*face, *(4 + edges(3).index((face[i], face[j])) for i, j in edges(2))] for face in _CORNERS]
 )
 """Local nodes of a tetrahedron's four faces, each in the order of the face's own nodes."""
-FLIPPED = np.array([0, 2, 1, 4, 3, 5])
-"""A face's nodes in the order that turns its normal around."""
-
-
-# ---------------------------------------------------------------------------------------------
-# The mesh
+REVERSED_FACE = np.array([0, 2, 1, 4, 3, 5])
+"""Order of a face's nodes that reverses its normal."""
 
 
 class Plane(NamedTuple):
-    """A plane across an axis (0 for x, 2 for z) that bounds the piece; it lies on `side` of it."""
+    """A plane that bounds the piece.
+
+    Attributes
+    ----------
+    axis : int
+        Its normal: 0 for x, 2 for z.
+    value : float
+        Its coordinate on that axis, in m.
+    side : int
+        +1 if the piece is at larger coordinates, -1 if at smaller.
+    """
 
     axis: int
     value: float
@@ -58,56 +74,86 @@ def quadratic(
     whole: Walls,
     halved: tuple[bool, bool],
 ) -> tuple[Mesh, float]:
-    """Make linear tetrahedra quadratic, their boundary on the walls and planes of the piece.
+    """Make linear tetrahedra quadratic, with the boundary on the walls and planes of the piece.
 
-    The second value is the larger share of a wall's nodes that could not be put onto it, or one
-    where a node could not be put into its plane.
+    Parameters
+    ----------
+    points : array of shape (n_points, 3)
+        In m.
+    tetrahedra : array of int, shape (n_tetrahedra, 4)
+    planes : sequence of Plane
+    whole : Walls
+    halved : tuple of bool
+        Symmetry planes x = 0 and z = 0 of the piece.
+
+    Returns
+    -------
+    mesh : Mesh
+    off_surface : float
+        Fraction of a wall's nodes that could not be moved onto it (of the worse wall), or one if a
+        node could not be moved into its plane.
+
+    Raises
+    ------
+    ConfigError
+        If the mesh does not have one inner and one outer wall.
     """
-    pairs, middle = _middles(tetrahedra, len(points))
+    pairs, middle = _mid_edge_nodes(tetrahedra, len(points))
     elements = np.hstack([tetrahedra, middle])
     straight = np.concatenate([points, points[pairs].mean(axis=1)])
-    faces = _boundary(elements, straight)
+    faces = boundary_faces(elements, straight)
     in_plane = _faces_in_planes(straight[faces], planes, 2 * ENVELOPE * whole.thickness)
-    inner, outer = _separated(faces[~in_plane.any(axis=0)], straight)
+    inner, outer = _inner_and_outer(faces[~in_plane.any(axis=0)], straight)
     snapped = [
         (plane, np.unique(faces[mask])) for plane, mask in zip(planes, in_plane, strict=True)
     ]
     bounds = [(whole.inner, np.unique(inner)), (whole.outer, np.unique(outer))]
     n = len(points)
-    corners = _settled(straight, bounds, snapped)[:n]
-    start = _in_planes(straight, snapped)[:n]
-    corners = _sound(start, corners, tetrahedra)
+    corners = _projected(straight, bounds, snapped)[:n]
+    start = _moved_into_planes(straight, snapped)[:n]
+    corners = limit_distortion(start, corners, tetrahedra)
     straight = np.concatenate([corners, corners[pairs].mean(axis=1)])
-    target = _settled(straight, bounds, snapped)
-    settled = target.copy()
-    settled[:n] = corners
-    curved = _sound(straight, settled, elements)
-    off = np.linalg.norm(curved - target, axis=1) > THERE * whole.thickness
-    across = any(off[nodes].any() for _, nodes in snapped)
-    astray = 1.0 if across else max(float(np.mean(off[nodes])) for _, nodes in bounds)
-    order = _order(elements, curved)
+    target = _projected(straight, bounds, snapped)
+    with_corners = target.copy()
+    with_corners[:n] = corners
+    curved = limit_distortion(straight, with_corners, elements)
+    off = np.linalg.norm(curved - target, axis=1) > ON_SURFACE * whole.thickness
+    off_plane = any(off[nodes].any() for _, nodes in snapped)
+    off_surface = 1.0 if off_plane else max(float(np.mean(off[nodes])) for _, nodes in bounds)
+    order = _bandwidth_order(elements, curved)
     number = np.argsort(order)
     mesh = Mesh(
         points=curved[order],
         elements=number[elements],
-        inner_faces=number[inner[:, FLIPPED]],
+        inner_faces=number[inner[:, REVERSED_FACE]],
         outer_faces=number[outer],
         reference=TET10,
         halved=halved,
     )
-    return mesh, astray
+    return mesh, off_surface
 
 
-def _middles(tetrahedra: Index, n_points: int) -> tuple[Index, Index]:
-    """Return every edge's two ends, and the numbers (n_tetrahedra, 6) of their middle nodes."""
+def _mid_edge_nodes(tetrahedra: Index, n_points: int) -> tuple[Index, Index]:
+    """Return the ends of every edge, and the numbers (n_tetrahedra, 6) of the mid-edge nodes."""
     ends = np.sort(tetrahedra[:, edges(3)].reshape(-1, 2), axis=1)
     pairs, number = np.unique(ends, axis=0, return_inverse=True)
     return pairs, n_points + number.reshape(-1, 6)
 
 
-def _boundary(elements: Index, points: Array) -> Index:
-    """Return the nodes of the faces that one element only has, their normals outwards."""
-    faces = elements[:, _FACES].reshape(-1, 6)
+def boundary_faces(elements: Index, points: Array) -> Index:
+    """Return the boundary faces of a mesh: those of one element only.
+
+    Parameters
+    ----------
+    elements : array of int, shape (n_elements, 10)
+    points : array of shape (n_nodes, 3)
+
+    Returns
+    -------
+    array of int, shape (n_faces, 6)
+        Node numbers, in the order of an outward normal.
+    """
+    faces = elements[:, TETRAHEDRON_FACES].reshape(-1, 6)
     _, first, count = np.unique(
         np.sort(faces[:, :3], axis=1), axis=0, return_index=True, return_counts=True
     )
@@ -115,29 +161,28 @@ def _boundary(elements: Index, points: Array) -> Index:
     a, b, c = np.moveaxis(points[faces[alone, :3]], 1, 0)
     centre = points[elements[alone // 4, :4]].mean(axis=1)
     inwards = np.sum(np.cross(b - a, c - a) * (centre - a), axis=1) > 0
-    return np.where(inwards[:, None], faces[alone][:, FLIPPED], faces[alone])
+    return np.where(inwards[:, None], faces[alone][:, REVERSED_FACE], faces[alone])
 
 
 def _faces_in_planes(faces: Array, planes: Sequence[Plane], tolerance: float) -> Mask:
-    """Return which faces (n_faces, 6, 3) lie in which plane, shape (n_planes, n_faces)."""
+    """Return the mask (n_planes, n_faces) of faces (n_faces, 6, 3) that lie in a plane."""
     a, b, c = np.moveaxis(faces[:, :3], 1, 0)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return np.array(
         [
             np.all(np.abs(faces[..., plane.axis] - plane.value) < tolerance, axis=1)
-            & (np.abs(normal[:, plane.axis]) > ACROSS)
+            & (np.abs(normal[:, plane.axis]) > MIN_NORMAL_COSINE)
             for plane in planes
         ]
     )
 
 
-def _separated(faces: Index, points: Array) -> tuple[Index, Index]:
-    """Return the faces of the inner and of the outer wall: the connected parts of the sides."""
-    which = np.repeat(np.arange(len(faces)), 3)
-    ones = np.ones(len(which))
-    beside = sparse.csr_array((ones, (which, faces[:, 3:].ravel())))
-    n, part = connected_components(beside @ beside.T, directed=False)
+def _inner_and_outer(faces: Index, points: Array) -> tuple[Index, Index]:
+    """Return the faces of the inner and of the outer wall: the connected parts of the boundary."""
+    face = np.repeat(np.arange(len(faces)), 3)
+    edges_of = sparse.csr_array((np.ones(len(face)), (face, faces[:, 3:].ravel())))
+    n, part = connected_components(edges_of @ edges_of.T, directed=False)
     if n != 2:
         raise ConfigError(
             f"The meshed wall has {n} separate sides, not an inner and an outer one; repair thin "
@@ -147,33 +192,44 @@ def _separated(faces: Index, points: Array) -> tuple[Index, Index]:
     return faces[part != outer], faces[part == outer]
 
 
-def _settled(
+def _projected(
     points: Array,
     bounds: Sequence[tuple[trimesh.Trimesh, Index]],
     snapped: Sequence[tuple[Plane, Index]],
 ) -> Array:
-    """Return the nodes with those of walls on their wall, and those of planes in their plane."""
-    for _ in range(SETTLING_ROUNDS):
+    """Return the nodes with those of a wall projected onto it, those of a plane moved into it."""
+    for _ in range(PROJECTION_ROUNDS):
         points = points.copy()
         for wall, nodes in bounds:
             points[nodes] = closest(wall, points[nodes])
-        points = _in_planes(points, snapped)
+        points = _moved_into_planes(points, snapped)
     return points
 
 
-def _in_planes(points: Array, snapped: Sequence[tuple[Plane, Index]]) -> Array:
+def _moved_into_planes(points: Array, snapped: Sequence[tuple[Plane, Index]]) -> Array:
     points = points.copy()
     for plane, nodes in snapped:
         points[nodes, plane.axis] = plane.value
     return points
 
 
-def _sound(start: Array, target: Array, elements: Index) -> Array:
-    """Move nodes from start to target, except those of elements that it would badly distort.
+def limit_distortion(start: Array, target: Array, elements: Index) -> Array:
+    """Move nodes to their targets, except those of elements that would be distorted too much.
 
-    Elements that are flat at the start stay so; `_qualities` tells.
+    Parameters
+    ----------
+    start, target : array of shape (n_nodes, 3)
+        In m.
+    elements : array of int, shape (n_elements, 4 or 10)
+
+    Returns
+    -------
+    array of shape (n_nodes, 3)
+        Elements have at least `MIN_JACOBIAN_RATIO` times their Jacobian at the start. Elements that
+        are flat at the start stay flat; :func:`acoustube.indentation.tetrahedra.qualities` finds
+        them.
     """
-    least = LEAST_JACOBIAN * jacobians(start, elements[:, :4])[:, 0]
+    least = MIN_JACOBIAN_RATIO * jacobians(start, elements[:, :4])[:, 0]
     moved = target.copy()
     while np.any(bad := jacobians(moved, elements).min(axis=1) < least):
         nodes = np.unique(elements[bad])
@@ -184,7 +240,18 @@ def _sound(start: Array, target: Array, elements: Index) -> Array:
 
 
 def jacobians(points: Array, elements: Index) -> Array:
-    """Return the Jacobian (n_elements, n_points) at nodes and points, or of linear ones."""
+    """Return the Jacobian determinants of tetrahedra.
+
+    Parameters
+    ----------
+    points : array of shape (n_nodes, 3)
+    elements : array of int, shape (n_elements, 4 or 10)
+
+    Returns
+    -------
+    array of shape (n_elements, n)
+        At the nodes and then the quadrature points of quadratic elements; one of linear ones.
+    """
     if elements.shape[1] == 4:
         sides = points[elements[:, 1:]] - points[elements[:, :1]]
         return np.linalg.det(sides)[:, None]
@@ -192,8 +259,8 @@ def jacobians(points: Array, elements: Index) -> Array:
     return np.linalg.det(np.einsum("eni,qnj->eqij", points[elements], slopes))
 
 
-def _order(elements: Index, points: Array) -> Index:
-    """Return the nodes in an order that keeps the stiffness matrix a narrow band."""
+def _bandwidth_order(elements: Index, points: Array) -> Index:
+    """Return the reverse Cuthill-McKee order of the nodes [1]_, for a narrow band."""
     n = elements.shape[1]
     rows, columns = np.repeat(elements, n, axis=1).ravel(), np.tile(elements, n).ravel()
     graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(points),) * 2)

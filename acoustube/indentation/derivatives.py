@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.types import Array
+from acoustube.base.units import MM
 from acoustube.indentation import contact, element, linear_solver
 from acoustube.indentation.assembly import Model, stiffness
 from acoustube.indentation.contact import Body
@@ -120,7 +121,7 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
         except LinAlgError as error:
             raise SimulationError(
                 "The press cannot be differentiated at a depth of "
-                f"{1e3 * indentation.depth[increment]:.3f} mm: the tangent stiffness is not "
+                f"{MM * indentation.depth[increment]:.3f} mm: the tangent stiffness is not "
                 "positive definite (buckling); choose another depth."
             ) from error
         residual_derivative = _residual_derivative(

@@ -1,4 +1,13 @@
-"""The stiffness matrix: where the entries of the element matrices go, and how it is factorised."""
+"""Sparse stiffness matrix: assembly from element matrices, and direct factorisation.
+
+References
+----------
+.. [1] J. J. Sylvester, "A demonstration of the theorem that every homogeneous quadratic polynomial
+   is reducible by real orthogonal substitutions to the form of a sum of positive and negative
+   squares", Philosophical Magazine 4, 138-142 (1852).
+.. [2] G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th ed., Johns Hopkins University Press
+   (2013), sections 4.3 (banded Cholesky) and 8.1 (law of inertia).
+"""
 
 from __future__ import annotations
 
@@ -21,28 +30,27 @@ from acoustube.base.types import Array, Index
 Solve = Callable[[Array], Array]
 
 LARGEST_BANDED_WORK = 5e10
-"""Unknowns times squared bandwidth beyond which PARDISO is quicker than banded Cholesky."""
+"""Unknowns times squared bandwidth above which PARDISO is faster than banded Cholesky."""
 LARGEST_BAND = 3e8
-"""Numbers in the band (2.4 GB) beyond which it is not stored."""
+"""Entries of the band (2.4 GB) above which it is not stored."""
 _PARDISO_POSITIVE_DEFINITE = 2
 _PARDISO_NOT_POSITIVE = -4
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Where each entry of the element matrices goes in the lower triangle of the stiffness matrix.
+    """Sparsity pattern of the stiffness matrix's lower triangle, with the map from its elements.
 
     Attributes
     ----------
     free : array of bool, shape (n_nodes, 3)
         Displacement components that are unknowns; the others are zero.
-    source : array of int
-        Positions of the entries in the concatenated element matrices, those that are summed into
-        one place next to each other.
-    starts : array of int
-        Where in `source` each such group begins.
-    rows, columns : array of int
-        Place of each group, sorted by column.
+    source : array of int, shape (n_entries,)
+        Positions in the concatenated element matrices, grouped by the entry they are summed into.
+    starts : array of int, shape (n_nonzeros,)
+        Start of each group in `source`.
+    rows, columns : array of int, shape (n_nonzeros,)
+        Row and column of each group, sorted by column.
     """
 
     free: NDArray[np.bool_]
@@ -57,7 +65,17 @@ class Pattern:
         return int(self.free.sum())
 
     def assemble(self, matrices: Sequence[Array]) -> sparse.csc_array:
-        """Return the lower triangle of the sum of element matrices."""
+        """Assemble the lower triangle of the stiffness matrix.
+
+        Parameters
+        ----------
+        matrices : sequence of array of shape (n_elements, n, n)
+            Element matrices in the order of the connectivities given to :func:`pattern`.
+
+        Returns
+        -------
+        sparse array of shape (n_free, n_free)
+        """
         entries = np.concatenate([np.ravel(matrix) for matrix in matrices])
         values = np.add.reduceat(entries[self.source], self.starts)
         pointers = np.searchsorted(self.columns, np.arange(self.n_free + 1))
@@ -65,13 +83,26 @@ class Pattern:
         return sparse.csc_array((values, self.rows, pointers), shape=shape)
 
     def restrict(self, matrix: Any) -> sparse.csc_array:
-        """Return the lower triangle of a matrix of all components, for the unknowns only."""
+        """Return the lower triangle of a matrix, rows and columns of the unknowns only.
+
+        Parameters
+        ----------
+        matrix : sparse array of shape (3 n_nodes, 3 n_nodes)
+        """
         free = np.flatnonzero(self.free.ravel())
         return sparse.tril(matrix[free][:, free], format="csc")
 
 
 def pattern(free: NDArray[np.bool_], connectivities: Sequence[Index]) -> Pattern:
-    """Prepare the assembly of element matrices, each over the nodes of a row of a connectivity."""
+    """Return the sparsity pattern of a stiffness matrix.
+
+    Parameters
+    ----------
+    free : array of bool, shape (n_nodes, 3)
+        Displacement components that are unknowns.
+    connectivities : sequence of array of int, shape (n_elements, n_local)
+        Node numbers of the elements, one array for each kind.
+    """
     number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
     rows, columns = [], []
     for nodes in connectivities:
@@ -89,20 +120,19 @@ def pattern(free: NDArray[np.bool_], connectivities: Sequence[Index]) -> Pattern
 
 
 def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
-    """Factorise by the direct method that is quickest for the matrix.
+    """Factorise a symmetric positive definite matrix by the fastest direct method for its size.
 
     Parameters
     ----------
     lower : sparse array of shape (n, n)
-        Lower triangle of a symmetric matrix, with its diagonal, whose unknowns are numbered along
-        the tube.
+        Lower triangle of the matrix, with its diagonal; the unknowns are numbered along the tube.
     order : array of int, shape (n,), optional
-        Another order of the unknowns, taken where it makes the band narrower.
+        Another order of the unknowns, used if its band is narrower.
 
     Returns
     -------
     callable
-        Solves for right-hand sides of shape (n,) or (n, k).
+        Solver for right-hand sides of shape (n,) or (n, k).
 
     Raises
     ------
@@ -111,10 +141,10 @@ def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
 
     Notes
     -----
-    Banded Cholesky works as fast as the processor can multiply, but its work is n b^2 for a
-    bandwidth b; it is the quickest up to some 5e10, which only a whole tube or a fine section
-    exceeds. Beyond that PARDISO is, if pypardiso is installed. SuperLU took 4 to 10 times as long
-    as banded Cholesky on swept tubes: it is for a band that is too large to store.
+    Banded Cholesky runs at the processor's peak rate, with n b^2 operations for a bandwidth b; it
+    is the fastest up to about 5e10, which only a whole tube or a fine section exceeds. Above that
+    PARDISO is, if pypardiso is installed. SuperLU took 4 to 10 times as long as banded Cholesky on
+    swept tubes: it is for a band too large to store.
     """
     n = lower.shape[0]
     if order is not None and bandwidth(lower, order) >= bandwidth(lower):
@@ -126,29 +156,36 @@ def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
 
 
 def section_order(points: Array, free: NDArray[np.bool_]) -> Index:
-    """Return the order of the unknowns section by section, and in each from its bottom upwards.
+    """Return the order of the unknowns by section, and in each section from its bottom upwards.
 
-    Two sides of a ring are then numbered together: its last nodes are not far from its first.
+    Both sides of a ring are numbered together, so that the band of a whole tube is narrow.
 
     Parameters
     ----------
     points : array of shape (n_nodes, 3)
         In m; the tube lies along z.
     free : array of bool, shape (n_nodes, 3)
-        Which displacement components are unknowns.
+        Displacement components that are unknowns.
+
+    Returns
+    -------
+    array of int, shape (n_free,)
     """
     _, y, z = points[np.nonzero(free)[0]].T
     return np.lexsort((y, z))
 
 
 def bandwidth(lower: sparse.csc_array, order: Index | None = None) -> int:
-    """Return the largest distance of an entry from the diagonal, with the unknowns in an order."""
+    """Return the half bandwidth: the largest distance of an entry from the diagonal.
+
+    Arguments as of :func:`factorise`.
+    """
     rows, columns = _places(lower, order)
     return int(np.abs(rows - columns).max(initial=0))
 
 
 def _places(lower: sparse.csc_array, order: Index | None) -> tuple[Index, Index]:
-    """Return row and column of every entry, with the unknowns in an order."""
+    """Return the row and column of every entry after reordering the unknowns."""
     columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
     if order is None:
         return lower.indices, columns
@@ -170,14 +207,14 @@ def banded(lower: sparse.csc_array, order: Index | None = None) -> Solve:
 
 
 def superlu(lower: sparse.csc_array) -> Solve:
-    """Factorise by sparse elimination in SciPy; result and errors as of :func:`factorise`.
+    """Factorise by sparse LU in SciPy; argument, result and errors as of :func:`factorise`.
 
     Notes
     -----
-    With no pivoting threshold in symmetric mode, every pivot is taken from the diagonal and the
-    factors are L D L^T with D the diagonal of U. By Sylvester's law D then has as many negative
-    entries as the matrix has negative eigenvalues. A zero pivot makes the library swap rows, which
-    shows in its permutations, or give up.
+    In symmetric mode with a pivoting threshold of zero, every pivot is on the diagonal and the
+    factors are L D L^T with D the diagonal of U. By Sylvester's law of inertia [1]_ D has as many
+    negative entries as the matrix has negative eigenvalues. At a zero pivot the library swaps rows,
+    which its permutations show, or fails.
     """
     matrix = (lower + sparse.tril(lower, -1).T).tocsc()
     options = {"SymmetricMode": True}
@@ -192,7 +229,7 @@ def superlu(lower: sparse.csc_array) -> Solve:
 
 
 def pardiso(lower: sparse.csc_array, library: Any) -> Solve:
-    """Factorise by PARDISO in Intel's MKL; result and errors as of :func:`factorise`.
+    """Factorise by PARDISO of Intel's MKL; result and errors as of :func:`factorise`.
 
     Parameters
     ----------
@@ -200,14 +237,14 @@ def pardiso(lower: sparse.csc_array, library: Any) -> Solve:
     library : module
         ``pypardiso.pardiso_wrapper``.
     """
-    # Row by row, the upper triangle of a symmetric matrix is its lower one column by column.
+    # The upper triangle by rows is the lower triangle of a symmetric matrix by columns.
     n = lower.shape[0]
     upper = sparse.csr_matrix((lower.data, lower.indices, lower.indptr), shape=(n, n))
     # A copy, because every new solver looks for MKL on the disk, which takes 0.2 s.
     solver = copy(_unused_solver(library))
     solver.pt, solver.iparm = np.zeros_like(solver.pt), np.zeros_like(solver.iparm)
-    # From 2025 on, MKL takes the defaults of its parameters amiss unless the first is set, which
-    # says that all are given; the second asks for nested dissection.
+    # From 2025 on, MKL misreads the defaults of its parameters unless the first is set, which
+    # states that all are given; the second selects nested dissection.
     solver.set_iparm(1, 1)
     solver.set_iparm(2, 2)
     try:
@@ -221,14 +258,14 @@ def pardiso(lower: sparse.csc_array, library: Any) -> Solve:
     def solve(right: Array) -> Array:
         return solver.solve(upper, right)
 
-    # MKL keeps the factors where Python's memory management does not see them.
+    # MKL stores the factors outside of Python's memory management.
     weakref.finalize(solve, solver.free_memory, everything=True).atexit = False
     return solve
 
 
 @cache
 def _pypardiso() -> Any:
-    """Return pypardiso's module of the solver, or None where it or MKL is not installed."""
+    """Return pypardiso's solver module, or None if it or MKL is not installed."""
     try:
         return import_module("pypardiso.pardiso_wrapper")
     except ImportError:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array, Progress
+from acoustube.base.units import MM
 from acoustube.indentation.assembly import EquilibriumResults, Model, equilibrium_results
 from acoustube.indentation.newton import NewtonResult, minimise
 from acoustube.indentation.result import Indentation, PressError, bodies_at
@@ -126,8 +127,8 @@ def _failed(
     untouched: Indentation, done: Sequence[_Increment], asked: float, last: NewtonResult
 ) -> PressError:
     return PressError(
-        f"The indentation stopped at a depth of {1e3 * done[-1].depth:.2f} mm of "
-        f"{1e3 * asked:.2f} mm: {last.reason} (residual force {last.residual:.1e} N). "
+        f"The indentation stopped at a depth of {MM * done[-1].depth:.2f} mm of "
+        f"{MM * asked:.2f} mm: {last.reason} (residual force {last.residual:.1e} N). "
         "Reduce the depth, use a larger indenter, or refine the mesh (from Python).",
         _gathered(untouched, done),
     )

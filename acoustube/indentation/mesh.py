@@ -1,4 +1,4 @@
-"""Finite-element meshes of the wall: the sweep of a round tube, in whole or in symmetric parts."""
+"""Finite-element meshes of the wall: hexahedra swept along a round tube or its symmetric parts."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from acoustube.base.types import Array, Index
 from acoustube.indentation.reference_element import FACE, HEX20, Reference, lattice
 from acoustube.tube import Tube
 
-BOTTOM = 1e-3
-"""How far above its lowest point the outer wall counts as its bottom line, in its heights."""
+BOTTOM_TOLERANCE = 1e-3
+"""Height over the lowest point up to which a node is on the bottom line, in outer heights."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshSize:
-    """Number of elements of a swept tube, and how they are graded.
+    """Numbers of elements of a swept tube, and their grading.
 
     Parameters
     ----------
     through_wall, around, along : int
         Elements through the wall, around half the circle, and along the tube to one side of the
-        press.
+        indenter.
     grading : float
-        Strength of the refinement towards the press: the first element is
-        ``grading / sinh(grading)`` times as long as an even division would make it.
+        Refinement towards the indenter: the first element has ``grading / sinh(grading)`` times the
+        length of a uniform division.
     fold, touch : float
-        By which share the elements at the sides of the tube, where the wall folds, and those at its
-        top and bottom, where it is touched, are narrower than the average; zero for an even
-        division.
+        Refinement at the sides of the tube, where the wall folds, and at its top and bottom, where
+        it is in contact: the fraction by which elements are narrower than the average.
     """
 
     through_wall: int = 2
@@ -44,18 +43,18 @@ class MeshSize:
 
 
 class Sweep(NamedTuple):
-    """Where the nodes of a swept tube are, in coordinates that do not depend on its size.
+    """Size-independent coordinates of the nodes of a swept tube.
 
     Attributes
     ----------
     layer : array of shape (n_nodes,)
-        0 on the inner wall, 1 on the outer.
+        Position through the wall: 0 on the inner wall, 1 on the outer.
     across, up : arrays of shape (n_nodes,)
-        Direction of the radius in the section.
+        Components of the radial unit vector along x and y.
     station : array of shape (n_nodes,)
-        Distance along the tube from z = 0, as a share of the modelled length to one side.
+        Distance along the tube from z = 0, as a fraction of the modelled length to one side.
     shape : tuple of int
-        Elements along, around and through the wall.
+        Numbers of elements along, around and through the wall.
     """
 
     layer: Array
@@ -65,29 +64,36 @@ class Sweep(NamedTuple):
     shape: tuple[int, int, int]
 
     def place(self, bore: Any, wall: Any, reach: Any) -> tuple[Any, Any, Any]:
-        """Return the node coordinates x, y and z in m for one size of the tube."""
+        """Return the node coordinates x, y and z in m.
+
+        Parameters
+        ----------
+        bore, wall, reach : float
+            Inner diameter, wall thickness and modelled length to one side, in m.
+        """
         radius = bore / 2 + self.layer * wall
         return radius * self.across, radius * self.up, reach * self.station
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh of quadratic elements, its nodes numbered along the tube.
+    """A mesh of quadratic elements with its nodes numbered along the tube.
 
     Parameters
     ----------
     points : array of shape (n_nodes, 3)
         Node coordinates (x, y, z) in m.
-    elements : array of shape (n_elements, n_local)
+    elements : array of int, shape (n_elements, n_local)
+        Node numbers of the elements.
     inner_faces, outer_faces : array of shape (n_faces, n_face_local)
         Node numbers of the element faces on the inner and the outer wall; on a swept tube in the
         order of the elements, along slowest.
     reference : Reference
-        The kind of element.
+        Kind of element.
     halved : tuple of bool
-        Whether only the part x >= 0, and only the part z >= 0, is modelled.
+        True if only the part x >= 0, and if only the part z >= 0, is modelled.
     sweep : Sweep, optional
-        Of a round tube.
+        Size-independent coordinates; None unless the tube is round.
     """
 
     points: Array
@@ -100,20 +106,20 @@ class Mesh:
 
     @property
     def face(self) -> Reference:
-        """The kind of the elements' faces."""
+        """Kind of the elements' faces."""
         return FACE[self.reference]
 
     @property
     def copies(self) -> int:
-        """How many times the whole tube contains the modelled part."""
+        """Number of copies of the modelled part in the whole tube: 1, 2 or 4."""
         return 2 ** sum(self.halved)
 
     @cached_property
     def bottom(self) -> Index:
-        """Numbers of the nodes on the lowest line of the outer wall."""
+        """Node numbers on the bottom line of the outer wall."""
         outer = np.unique(self.outer_faces)
         height = self.points[outer, 1]
-        return outer[height - height.min() < BOTTOM * np.ptp(height)]
+        return outer[height - height.min() < BOTTOM_TOLERANCE * np.ptp(height)]
 
 
 def sweep(
@@ -124,7 +130,7 @@ def sweep(
     halved: tuple[bool, bool] = (True, True),
     presses: Sequence[float] = (0.0,),
 ) -> Mesh:
-    """Mesh a round tube with 20-node hexahedra.
+    """Mesh a round tube with 20-node hexahedra by sweeping its section along the axis.
 
     Parameters
     ----------
@@ -133,22 +139,23 @@ def sweep(
     reach : float
         Length of the modelled part to each side of z = 0, in m.
     size : MeshSize, optional
-        Number of elements.
+        Numbers of elements.
     halved : tuple of bool
-        Whether only x >= 0, and only z >= 0, is meshed.
+        True if only x >= 0, and if only z >= 0, is meshed.
     presses : sequence of float
-        Places along z at which the mesh is fine, in m.
+        Positions z of the indenters in m, around which the mesh is fine.
 
     Returns
     -------
     Mesh
-        Through the wall from the bore outwards, around from the bottom line (-y) by the side
-        x > 0 to the top line (+y) and, where the tube is whole, back on the other side.
+        Nodes and elements run through the wall from the bore outwards, around from the bottom line
+        (-y) over the side x > 0 to the top line (+y) and, where the tube is whole, back over the
+        other side.
     """
     size = size or MeshSize()
     around = size.around * (1 if halved[0] else 2)
     station = _stations(np.asarray(presses) / reach, size, from_zero=halved[1])
-    half = np.pi * _crowded(np.linspace(0, 1, 2 * size.around + 1), size)
+    half = np.pi * _graded_turn(np.linspace(0, 1, 2 * size.around + 1), size)
     angle = half if halved[0] else np.concatenate([half, 2 * np.pi - half[-2:0:-1]])
     layer = np.linspace(0, 1, 2 * size.through_wall + 1)
     s, a, e = np.meshgrid(station, angle, layer, indexing="ij")
@@ -176,23 +183,23 @@ def sweep(
     )
 
 
-def _crowded(turn: Array, size: MeshSize) -> Array:
-    """Return shares of half the circle, evenly spaced ones being moved towards sides and ends."""
+def _graded_turn(turn: Array, size: MeshSize) -> Array:
+    """Return fractions of half a turn, graded towards the sides and the ends."""
     sides, all_four = (size.fold - size.touch) / 2, (size.fold + size.touch) / 2
     wave = 2 * np.pi * turn
     return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
 
 
 def _windows(number: Index, d: int) -> Index:
-    """Return the node numbers of all elements, which share one plane of nodes with the next."""
+    """Return the node numbers of all elements; neighbours have one plane of nodes in common."""
     views = np.lib.stride_tricks.sliding_window_view(number, (3,) * d)
     return views[(slice(None, None, 2),) * d]
 
 
 def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
-    """Return the stations of the nodes along the tube, as shares of the reach.
+    """Return the stations of the nodes along the tube, as fractions of the reach.
 
-    Between two presses, and from the last to the end, the elements grow from the press outwards.
+    Between two indenters, and from the last to the end, elements grow away from the indenter.
     """
     centres = np.unique(np.abs(presses) if from_zero else presses)
     between = (centres[1:] + centres[:-1]) / 2
@@ -206,7 +213,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return stations from 0 to `length` that begin as fine as those of the whole reach."""
+    """Return stations from 0 to `length` that start as fine as those of the whole reach."""
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

@@ -1,15 +1,16 @@
-"""Quadratic tetrahedra for a wall that is given as a closed surface: STL, PLY or OBJ.
+"""Meshes of quadratic tetrahedra for a wall given as a closed surface (STL, PLY or OBJ).
 
-A piece of the surface is cut out around the press, filled with linear tetrahedra by fTetWild [1]_
-(through ``pytetwild``), and its elements are made quadratic: the wall's nodes are put back onto the
-surface, those of symmetry planes exactly into their plane. fTetWild draws random numbers that
-cannot be seeded: each call gives another mesh, whose force differs by some tenths of a per cent.
+A piece of the surface is cut out around the indenter and filled with linear tetrahedra by fTetWild
+[1]_ (through ``pytetwild``), which :mod:`acoustube.indentation.boundary_nodes` makes quadratic.
+fTetWild uses random numbers that cannot be seeded: each call returns another mesh, and the force
+differs by some tenths of a per cent.
 
 Notes
 -----
-How stiff the elements are depends on what is done to their volume ratio J. With a modulus k against
-what the projection onto a constant leaves out of it, the paper's tube (a quarter, free, under a
-25 mm rod at a depth of 2 mm) needs, against the reference force of 1.0305 N:
+The stiffness of the elements depends on the treatment of their volume ratio J. With a stabilisation
+modulus k on the part of J that its projection onto a constant leaves out, the error of the force of
+the sleeve paper's tube (a quarter, free, under a 25 mm rod at a depth of 2 mm), relative to the
+reference solution of 1.0305 N, is:
 
 ==========================  =======  ======  ======  ======  =======  ==========
 edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
@@ -18,12 +19,12 @@ edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
 0.65                        -        -1.3 %  -0.2 %  -       +1.3 %   30 000
 ==========================  =======  ======  ======  ======  =======  ==========
 
-while hexahedra give +0.1 %. The constant alone (k = 0) leaves each element swellings that nothing
-resists; no projection (k = K) locks. A rule of 14 points in place of 4 changed the force by 0.6 %
-with the former and by 1.5 to 2 % with the latter, on one layer of elements. So k = 8 mu, which with
-these edges gives +0.7 and +0.1 % at 4 mm (hexahedra +0.3 %, K with the shorter edges +1.9 %) and
-+3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). It costs some order: displacements of a smooth
-problem converge with order 2.2, not 3.
+and that of hexahedra +0.1 %. The constant alone (k = 0) leaves deformations of each element without
+stiffness (hourglass modes); no projection (k = K) locks. A rule of 14 points in place of 4 changed
+the force by 0.6 % with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is
+k = 8 mu, with errors of +0.7 and +0.1 % for these edges at 4 mm (hexahedra +0.3 %, K with the
+shorter edges +1.9 %) and +3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). The order of
+convergence falls: the displacements of a smooth problem converge with order 2.2, not 3.
 
 References
 ----------
@@ -45,39 +46,48 @@ import trimesh
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array, Index
+from acoustube.base.units import PERCENT
 from acoustube.indentation.boundary_nodes import ENVELOPE, Plane, jacobians, quadratic
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import TET10, edges
-from acoustube.indentation.wall_surface import SYMMETRY, check_thickness, symmetries, walls
+from acoustube.indentation.wall_surface import (
+    SYMMETRY_TOLERANCE,
+    check_thickness,
+    symmetries,
+    walls,
+)
 
-LEAST_QUALITY = 0.01
-"""Least Jacobian anywhere in an element, as a share of that of a regular one with such edges.
+MIN_QUALITY = 0.01
+"""Smallest Jacobian in an element, as a fraction of a regular element's with the same edges.
 
-Meshes of a round and of a D-shaped bore had 0.045 to 0.2; below the share, one element decides
-what the solver can do."""
-ASTRAY = 0.01
-"""Share of a wall's nodes that may stay off it for the sake of their elements; of a plane, none."""
+Meshes of a round and of a D-shaped bore had 0.045 to 0.2; below the limit, a single element stops
+the solver."""
+MAX_OFF_SURFACE = 0.01
+"""Largest fraction of a wall's nodes off its surface (which would distort their elements).
+
+No node may be off a plane."""
 ATTEMPTS = 6
-"""Meshes drawn before giving up; about one in twenty has a flat element beside a plane, and one in
-twelve more nodes astray than it may."""
+"""Meshes tried before an error; about one in twenty has a flat element next to a plane, and one in
+twelve more than `MAX_OFF_SURFACE`."""
 VOLUME_TOLERANCE = 0.01
+"""Largest relative error of the mesh's volume."""
 STOP_ENERGY = 15.0
-"""Distortion of the worst tetrahedron at which fTetWild stops (a regular one has 3)."""
+"""Distortion energy (AMIPS) of the worst tetrahedron at which fTetWild stops (a regular one: 3)."""
 SIZE_STATIONS = 33
-"""Places along the tube between which the edge length is interpolated."""
+"""Stations along the tube between which the edge length is interpolated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TetrahedronSize:
-    """Length of the elements' edges.
+    """Edge lengths of the elements.
 
     Parameters
     ----------
     fine, coarse : float
-        Near the press and far from it, in mean wall thicknesses.
+        Edge length near the indenter and far from it, in mean wall thicknesses.
     near, far : float
-        Distance from the press at which the edges begin and end to grow from `fine` to `coarse`,
-        in heights of the tube.
+        Distances from the indenter between which the edges grow from `fine` to `coarse`, in outer
+        heights of the tube.
     """
 
     fine: float = 0.65
@@ -99,27 +109,27 @@ def tetrahedral_mesh(
     Parameters
     ----------
     surface : trimesh.Trimesh
-        From :func:`read_surface`.
+        From :func:`acoustube.runs.imported_wall.read_surface`, in m.
     reach : float
         Length of the piece to each side of z = 0, in m.
     halved : tuple of bool
-        Whether the load is symmetric about x = 0, and about z = 0; where the wall is so too, only
+        Symmetry of the load about x = 0, and about z = 0; where the wall is symmetric too, only
         x >= 0 or z >= 0 is meshed.
     presses : sequence of float
-        Places along z at which the mesh is fine, in m.
+        Positions z of the indenters in m, around which the mesh is fine.
     size : TetrahedronSize, optional
-        Length of the elements' edges.
+        Edge lengths of the elements.
 
     Returns
     -------
     Mesh
-        Its inner faces' normals point into the wall and its outer faces' away from it, as those of
-        :func:`acoustube.indentation.mesh.sweep`.
+        The normals of its inner faces point into the wall, those of its outer faces away from it,
+        as in :func:`acoustube.indentation.mesh.sweep`.
 
     Raises
     ------
     ConfigError
-        If the piece is longer than the tube, the wall is too thin, or parts of it are lost.
+        If the piece is longer than the tube, the wall is too thin, or the mesh is not sound.
     """
     size = size or TetrahedronSize()
     whole = walls(surface)
@@ -129,33 +139,33 @@ def tetrahedral_mesh(
             "length of the surface; use a longer tube."
         )
     both = [Plane(2, -reach, 1), Plane(2, reach, -1)]
-    symmetric = symmetries(_cut(surface, both), halved, SYMMETRY * whole.thickness)
+    symmetric = symmetries(_cut(surface, both), halved, SYMMETRY_TOLERANCE * whole.thickness)
     planes = [Plane(0, 0.0, 1)] * symmetric[0]
     planes += [Plane(2, 0.0, 1), both[1]] if symmetric[1] else both
     piece = _cut(surface, planes)
     z = np.linspace(piece.bounds[0, 2], piece.bounds[1, 2], SIZE_STATIONS)
     edge = whole.thickness * _edge_lengths(z, presses, size, whole.outer.extents[1])
     check_thickness(piece, whole, edge)
-    best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never taken
+    best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never accepted
     for _ in range(ATTEMPTS):
-        points, tetrahedra = _filled(piece, z, edge, whole.thickness)
-        mesh, astray = quadratic(points, tetrahedra, planes, whole, symmetric)
-        if astray < least and _qualities(mesh.points, mesh.elements).min() > LEAST_QUALITY:
-            best, least = mesh, astray
-        if least <= ASTRAY:
+        points, tetrahedra = _tetrahedralised(piece, z, edge, whole.thickness)
+        mesh, off_surface = quadratic(points, tetrahedra, planes, whole, symmetric)
+        if off_surface < least and qualities(mesh.points, mesh.elements).min() > MIN_QUALITY:
+            best, least = mesh, off_surface
+        if least <= MAX_OFF_SURFACE:
             break
     if best is None:
         raise ConfigError(
-            f"The wall could not be filled with sound tetrahedra in {ATTEMPTS} attempts; repair "
-            "the surface, or ask for other edge lengths."
+            f"The wall could not be filled with well-shaped tetrahedra in {ATTEMPTS} attempts; "
+            "repair the surface, or choose other edge lengths."
         )
     _check_volume(best.points, best.elements, piece)
     return best
 
 
 def _cut(surface: trimesh.Trimesh, planes: Sequence[Plane]) -> trimesh.Trimesh:
-    """Return the closed part of a surface on one side of planes."""
-    import pyvista  # slow to import, and only these surfaces need it
+    """Return the closed part of a surface on one side of each plane."""
+    import pyvista  # slow to import, and needed by imported surfaces only
 
     cut = pyvista.wrap(surface)
     for axis, value, side in planes:
@@ -168,13 +178,15 @@ def _cut(surface: trimesh.Trimesh, planes: Sequence[Plane]) -> trimesh.Trimesh:
 def _edge_lengths(
     z: Array, presses: Sequence[float], size: TetrahedronSize, height: float
 ) -> Array:
-    """Return the edge length asked for at stations along the tube, in wall thicknesses."""
+    """Return the requested edge lengths at stations along the tube, in wall thicknesses."""
     distance = np.min(np.abs(z[:, None] - np.asarray(presses)), axis=1)
     return np.interp(distance / height, [size.near, size.far], [size.fine, size.coarse])
 
 
-def _filled(piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float) -> tuple[Array, Index]:
-    """Fill a closed surface with tetrahedra of the edge lengths asked for along z.
+def _tetrahedralised(
+    piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float
+) -> tuple[Array, Index]:
+    """Fill a closed surface with tetrahedra of the edge lengths requested along z.
 
     Returns
     -------
@@ -185,10 +197,10 @@ def _filled(piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float) -> 
     """
     box, cells = _column(piece.bounds, z)
     diagonal = float(np.linalg.norm(piece.extents))
-    # It leaves a file in the current folder.
-    with tempfile.TemporaryDirectory() as aside, contextlib.chdir(aside):
+    # The library writes a file into the current folder.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         points, tetrahedra = pytetwild.tetrahedralize(
-            # In wall thicknesses, for lengths near one.
+            # In wall thicknesses, so that lengths are near one.
             piece.vertices / thickness,
             piece.faces,
             edge_length_fac=float(edge.max() / diagonal),
@@ -201,29 +213,40 @@ def _filled(piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float) -> 
         )
     used, corners = np.unique(tetrahedra, return_inverse=True)
     points, corners = thickness * points[used], corners.reshape(-1, 4)
-    return points, _upright(points, corners)
+    return points, _positively_oriented(points, corners)
 
 
 def _column(bounds: Array, z: Array) -> tuple[Array, Index]:
-    """Return a column of boxes around a piece, between stations, each of six tetrahedra."""
+    """Return a column of boxes around a piece, each of six tetrahedra (the background mesh)."""
     low, high = bounds + 0.1 * np.ptp(bounds[:, :2]) * np.array([[-1.0], [1.0]])
     z = z.copy()
     z[[0, -1]] = low[2], high[2]
     points = np.array([(x, y, s) for s in z for y in (low[1], high[1]) for x in (low[0], high[0])])
-    # Along every order of the three axes, from a box's first corner to its last.
+    # One tetrahedron for each order of the axes on the path from a box's first corner to its last.
     paths = [np.cumsum([0, *order]) for order in itertools.permutations((1, 2, 4))]
     cells = 4 * np.arange(len(z) - 1)[:, None, None] + np.array(paths)
-    return points, _upright(points, cells.reshape(-1, 4))
+    return points, _positively_oriented(points, cells.reshape(-1, 4))
 
 
-def _upright(points: Array, tetrahedra: Index) -> Index:
-    """Return tetrahedra with the corners of those of negative volume in another order."""
-    upside_down = jacobians(points, tetrahedra)[:, 0] < 0
-    return np.where(upside_down[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra)
+def _positively_oriented(points: Array, tetrahedra: Index) -> Index:
+    """Return tetrahedra with two corners swapped in those of negative volume."""
+    negative = jacobians(points, tetrahedra)[:, 0] < 0
+    return np.where(negative[:, None], tetrahedra[:, [0, 2, 1, 3]], tetrahedra)
 
 
-def _qualities(points: Array, elements: Index) -> Array:
-    """Return each element's least Jacobian over that of a regular one with its mean square edge."""
+def qualities(points: Array, elements: Index) -> Array:
+    """Return the shape quality of tetrahedra.
+
+    Parameters
+    ----------
+    points : array of shape (n_nodes, 3)
+    elements : array of int, shape (n_elements, 10)
+
+    Returns
+    -------
+    array of shape (n_elements,)
+        Smallest Jacobian over that of a regular tetrahedron with the same mean square edge.
+    """
     corners = points[elements[:, :4]]
     sides = np.array([corners[:, i] - corners[:, j] for i, j in edges(3)])
     edge = np.sqrt(np.mean(np.sum(sides**2, axis=-1), axis=0))
@@ -231,10 +254,11 @@ def _qualities(points: Array, elements: Index) -> Array:
 
 
 def _check_volume(points: Array, elements: Index, piece: trimesh.Trimesh) -> None:
+    """Raise if the mesh does not fill the wall."""
     at_points = jacobians(points, elements)[:, len(TET10.nodes) :]
     volume = float(np.sum(at_points @ TET10.weights))
     if abs(volume - piece.volume) > VOLUME_TOLERANCE * piece.volume:
         raise ConfigError(
-            f"The mesh has {100 * volume / piece.volume:.1f} % of the wall's volume: parts of the "
-            "surface were lost; repair thin or damaged places, or ask for shorter edges."
+            f"The mesh has {PERCENT * volume / piece.volume:.1f} % of the wall's volume: parts of "
+            "the surface were lost; repair thin or damaged places, or choose shorter edges."
         )

@@ -1,4 +1,4 @@
-"""Inner and outer wall of an imported surface."""
+"""Inner and outer wall of an imported surface: separation, symmetry and thickness."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ import trimesh
 from acoustube.base import surfaces
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array, Mask
+from acoustube.base.units import MM
 from acoustube.tube import Tube
 
-SYMMETRY = 0.02
-"""How far the mirror image of a wall may be off it, in wall thicknesses."""
-THINNEST = 0.25
-"""Least thickness of a wall anywhere, in mean thicknesses: elements are sized by the mean."""
-LARGEST_COUNT = 60_000
-"""Most tetrahedra that a mesh is expected to have; a wall that needs more is too thin."""
-FILL = 0.13
-"""Volume of a tetrahedron among many, in cubes of the edge asked for (a regular one has 0.118)."""
+SYMMETRY_TOLERANCE = 0.02
+"""Largest distance of a symmetric wall from its mirror image, in wall thicknesses."""
+MIN_THICKNESS = 0.25
+"""Smallest thickness of a wall, in mean thicknesses: elements are sized by the mean."""
+MAX_TETRAHEDRA = 60_000
+"""Largest expected number of tetrahedra; a wall that needs more is too thin."""
+TETRAHEDRON_VOLUME = 0.13
+"""Mean volume of a tetrahedron, in cubes of the requested edge length (a regular one has 0.118)."""
 
 
 class Walls(NamedTuple):
-    """The two walls of a tube, and the mean distance in m between them."""
+    """Inner and outer wall of a tube, in m, and its mean thickness in m."""
 
     inner: trimesh.Trimesh
     outer: trimesh.Trimesh
@@ -31,19 +32,19 @@ class Walls(NamedTuple):
 
 
 def walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
-    """Separate the inner wall of a tube from the outer.
+    """Separate the inner wall of a tube from the outer wall.
 
     Parameters
     ----------
     surface : trimesh.Trimesh
-        Closed, in m, along z.
+        Closed surface of the wall in m, the tube along z.
     name : str
-        What an error calls it.
+        Name of the surface in error messages.
 
     Raises
     ------
     ConfigError
-        If it has no two flat ends across z with one opening each.
+        If the surface does not have two flat ends across z with one opening each.
     """
     low, high = surface.bounds[:, 2]
     z = surface.triangles[..., 2]
@@ -64,19 +65,19 @@ def walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
 
 
 def _part(surface: trimesh.Trimesh, chosen: Mask) -> trimesh.Trimesh:
-    """Return some of a surface's facets."""
+    """Return the selected facets of a surface."""
     part = trimesh.Trimesh(surface.vertices, surface.faces[chosen], process=False)
     part.remove_unreferenced_vertices()
     return part
 
 
 def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: float) -> Tube:
-    """Return a round tube with the scales of a surface.
+    """Return the round tube that stands for an imported wall: its sizes and moduli.
 
     Parameters
     ----------
     surface : trimesh.Trimesh
-        From :func:`read_surface`.
+        From :func:`acoustube.runs.imported_wall.read_surface`, in m.
     shear_modulus : float
         Of the wall, in Pa.
     poisson_ratio : float
@@ -84,13 +85,13 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
     Returns
     -------
     Tube
-        Its inner diameter is the height of the bore over x = 0 at mid-length, its wall as thick as
-        the surface's in the mean.
+        Its inner diameter is the height of the bore over x = 0 at mid-length, its wall thickness
+        the mean thickness of the surface.
 
     Raises
     ------
     ConfigError
-        If the surface is no tube, or x = 0 misses its bore.
+        If the surface is not a tube, or x = 0 misses its bore.
     """
     inner, _, thickness = walls(surface)
     middle = [0.0, 0.0, surface.bounds[:, 2].mean()]
@@ -98,7 +99,7 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
     (x0, x1), (y0, y1) = ring[..., 0].T, ring[..., 1].T
     crossing = (np.minimum(x0, x1) <= 0) & (np.maximum(x0, x1) >= 0) & (x0 != x1)
     if not crossing.any():
-        raise ConfigError("The bore is nowhere over x = 0 at mid-length; centre the tube on z.")
+        raise ConfigError("x = 0 misses the bore at mid-length; centre the tube on the z axis.")
     heights = (y0 - x0 * (y1 - y0) / np.where(crossing, x1 - x0, 1.0))[crossing]
     return Tube(
         inner_diameter=float(np.ptp(heights)),
@@ -110,7 +111,18 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
 
 
 def closest(wall: trimesh.Trimesh, points: Array) -> Array:
-    """Return the points of a wall that are closest to the given ones."""
+    """Return the closest points on a wall.
+
+    Parameters
+    ----------
+    wall : trimesh.Trimesh
+    points : array of shape (n, 3)
+        In m.
+
+    Returns
+    -------
+    array of shape (n, 3)
+    """
     import pyvista
 
     _, found = pyvista.wrap(wall).find_closest_cell(points, return_closest_point=True)  # type: ignore[misc]
@@ -120,37 +132,60 @@ def closest(wall: trimesh.Trimesh, points: Array) -> Array:
 def symmetries(
     piece: trimesh.Trimesh, asked: tuple[bool, bool], tolerance: float
 ) -> tuple[bool, bool]:
-    """Return about which of x = 0 and z = 0 a piece is its own mirror image, of those asked for."""
+    """Return the mirror symmetry of a piece about x = 0, and about z = 0.
+
+    Parameters
+    ----------
+    piece : trimesh.Trimesh
+        In m.
+    asked : tuple of bool
+        Symmetry of the load; false where it is not symmetric.
+    tolerance : float
+        Largest distance of the piece from its mirror image, in m.
+    """
     points = np.concatenate([piece.vertices, piece.triangles_center])
     found = []
     for wanted, axis in zip(asked, (0, 2), strict=True):
         mirrored = points * np.where(np.arange(3) == axis, -1.0, 1.0)
-        off = np.linalg.norm(closest(piece, mirrored) - mirrored, axis=1)
-        found.append(bool(wanted and off.max() < tolerance))
+        distance = np.linalg.norm(closest(piece, mirrored) - mirrored, axis=1)
+        found.append(bool(wanted and distance.max() < tolerance))
     return found[0], found[1]
 
 
 def check_thickness(piece: trimesh.Trimesh, whole: Walls, edge: Array) -> None:
-    """Refuse a wall that a mesh sized by its mean thickness would not resolve."""
+    """Raise if a mesh sized by the mean thickness would not resolve the wall.
+
+    Parameters
+    ----------
+    piece : trimesh.Trimesh
+        The part to be meshed, in m.
+    whole : Walls
+    edge : array of shape (n,)
+        Requested edge lengths along the piece, in m.
+
+    Raises
+    ------
+    ConfigError
+    """
     inside = _sampled(whole.inner)
     least = np.linalg.norm(closest(whole.outer, inside) - inside, axis=1).min()
-    if least < THINNEST * whole.thickness:
+    if least < MIN_THICKNESS * whole.thickness:
         raise ConfigError(
-            f"The wall is {1e3 * least:.3g} mm thick at its thinnest place, under a quarter of its "
-            f"mean of {1e3 * whole.thickness:.3g} mm, and cannot be meshed; make it at least "
-            f"{1e3 * THINNEST * whole.thickness:.3g} mm there."
+            f"The wall is {MM * least:.3g} mm thick at its thinnest place, under a quarter of its "
+            f"mean of {MM * whole.thickness:.3g} mm, and cannot be meshed; make it at least "
+            f"{MM * MIN_THICKNESS * whole.thickness:.3g} mm there."
         )
-    count = piece.volume * np.mean(1 / edge**3) / FILL
-    if count > LARGEST_COUNT:
-        needed = whole.thickness * np.sqrt(count / LARGEST_COUNT)
+    count = piece.volume * np.mean(1 / edge**3) / TETRAHEDRON_VOLUME
+    if count > MAX_TETRAHEDRA:
+        needed = whole.thickness * np.sqrt(count / MAX_TETRAHEDRA)
         raise ConfigError(
-            f"The wall, {1e3 * whole.thickness:.3g} mm thick in the mean, is too thin for its "
-            f"size: it would take {count:.0f} tetrahedra, {LARGEST_COUNT} are allowed; make it "
-            f"about {1e3 * needed:.2g} mm, model a shorter piece, or ask for longer edges."
+            f"The wall, {MM * whole.thickness:.3g} mm thick in the mean, is too thin for its "
+            f"size: it would need {count:.0f} tetrahedra, {MAX_TETRAHEDRA} are allowed; make it "
+            f"about {MM * needed:.2g} mm, model a shorter piece, or ask for longer edges."
         )
 
 
 def _sampled(wall: trimesh.Trimesh) -> Array:
-    """Return the corners, middles of edges and centres of a wall's facets."""
+    """Return the corners, edge midpoints and centres of a wall's facets."""
     middles = wall.vertices[wall.edges_unique].mean(axis=1)
     return np.concatenate([wall.vertices, middles, wall.triangles_center])
