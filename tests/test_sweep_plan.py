@@ -185,7 +185,7 @@ def test_shares_are_disjoint_and_complete(count):
         (["--depth", "0:8:1e-9"], ["larger step"]),
         (["--depth", "2", "2"], ["same value twice"]),
         (["--depth", "2", "12"], ["case 2 of the sweep", "depth_mm = 12", "past the floor"]),
-        (["--depth", "0.01", "2"], ["case 1 of the sweep", "hardly a touch", "0.05"]),
+        (["--depth", "0.01", "2"], ["case 1 of the sweep", "smallest supported depth", "0.05"]),
         (["--depth", "deep"], ["depth_mm = 'deep' is not a number"]),
         (["--shape", "rod", "cone"], ["case 2", "'cone'", "rod", "sphere"]),
         (["--position", "20", "39"], ["case 2", "too near the far end"]),

@@ -1,4 +1,9 @@
-"""The two ways in which acoustube refuses: wrong settings, and a solver that gave up."""
+"""Errors: settings or files that cannot be used, and solvers that did not finish."""
+
+from __future__ import annotations
+
+from numbers import Real
+from typing import Any
 
 
 class ConfigError(ValueError):
@@ -6,7 +11,39 @@ class ConfigError(ValueError):
 
     The message is one sentence that names the argument, its value, what is allowed and what to do
     next. The command line prints it and ends with exit code 2.
+
+    Parameters
+    ----------
+    reason : str
+        The sentence; where a setting is named, what is wrong with its value.
+    setting : str, optional
+        Name of the argument or setting, with its unit: ``depth_mm``.
+    value : optional
+        What it was given as.
+    allowed : optional
+        A pair of bounds, both included, or the words to choose from.
+    advice : str, optional
+        What to do, as an imperative: "use at most 8.7".
+
+    Attributes
+    ----------
+    setting, value, allowed, advice
+        The parameters; None where they do not apply.
     """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        setting: str | None = None,
+        value: Any = None,
+        allowed: tuple[Any, ...] | None = None,
+        advice: str | None = None,
+    ) -> None:
+        sentence = reason if setting is None else f"{setting} = {short(value)} {reason}"
+        super().__init__(sentence if advice is None else f"{sentence}; {advice}")
+        self.setting, self.value = setting, value
+        self.allowed, self.advice = allowed, advice
 
 
 class SimulationError(RuntimeError):
@@ -15,3 +52,10 @@ class SimulationError(RuntimeError):
     The message is one sentence that says which stage stopped, why, and what to change. The command
     line prints it and ends with exit code 1.
     """
+
+
+def short(value: Any) -> str:
+    """Return a value in the digits that say it exactly, 12 rather than 12.0; words as they are."""
+    if isinstance(value, int | str) or not isinstance(value, Real):
+        return str(value)
+    return repr(float(value)).removesuffix(".0")

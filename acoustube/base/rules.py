@@ -48,17 +48,22 @@ class Number:
             If it is not a finite number of the right kind within the bounds.
         """
         if not _is_number(value):
-            raise ConfigError(f"{name} = {value!r} is not a number; use {self.allowed}")
+            raise self._error(name, repr(value), "is not a number")
         # Written so that nan fails too; Python compares an int of any size, float() would not.
         if not self.low <= value <= self.high:
-            raise ConfigError(
-                f"{name} = {short(value)} is out of range; use {self.allowed} ({self.meaning})"
-            )
+            raise self._error(name, value, "is out of range", f" ({self.meaning})")
         if not self.whole:
             return float(value)
         if value != int(value):
-            raise ConfigError(f"{name} = {short(value)} is not a whole number; use {self.allowed}")
+            raise self._error(name, value, "is not a whole number")
         return int(value)
+
+    def _error(self, name: str, value: Any, reason: str, meaning: str = "") -> ConfigError:
+        """Return the error of a value that is not allowed."""
+        return ConfigError(
+            reason, setting=name, value=value, allowed=(self.low, self.high),
+            advice=f"use {self.allowed}{meaning}",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,10 @@ class Choice:
             If it is not one of the options.
         """
         if value not in self.options:
-            raise ConfigError(f"{name} = {value!r} is not a choice; use {self.allowed}")
+            raise ConfigError(
+                "is not a choice", setting=name, value=repr(value), allowed=self.options,
+                advice=f"use {self.allowed}",
+            )  # fmt: skip
         return str(value)
 
 
@@ -120,11 +128,15 @@ class File:
             If it is not a name; whether there is such a file is found out when it is read.
         """
         if not (isinstance(value, str) and value.strip()):
-            raise ConfigError(f"{name} = {value!r} is not a name; use {self.allowed}")
+            raise ConfigError(
+                "is not a name", setting=name, value=repr(value), advice=f"use {self.allowed}"
+            )
         try:
             value.encode()
         except UnicodeEncodeError as error:  # the shell's stand-ins for bytes of another encoding
-            raise ConfigError(f"{name} = {value!r} is not in UTF-8; rename the file") from error
+            raise ConfigError(
+                "is not in UTF-8", setting=name, value=repr(value), advice="rename the file"
+            ) from error
         return value
 
 
@@ -148,11 +160,6 @@ class Section:
                 continue
             checked = field.metadata["rule"].check(field.name, value)
             object.__setattr__(self, field.name, checked)
-
-
-def short(value: Any) -> str:
-    """Return a number in the digits that say it exactly, and 12 rather than 12.0."""
-    return str(value) if isinstance(value, int) else repr(float(value)).removesuffix(".0")
 
 
 def nearest(name: str, known: Any) -> str:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
-from acoustube.base.rules import short
 from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ MOST_CELLS = 50_000_000
 
 
 def check_touched(config: Config | Mechanics) -> None:
-    """Refuse a press that does not touch the tube, where one is needed.
+    """Raise for a press that does not touch the tube, where one is needed.
 
     Raises
     ------
@@ -34,45 +33,50 @@ def check_touched(config: Config | Mechanics) -> None:
     """
     if config.indentation.depth_mm == 0:
         raise ConfigError(
-            f"depth_mm = 0 presses nothing; use {SHALLOWEST_MM:g} or more (only a sweep may "
-            "include the untouched tube)"
-        )
+            "is no press", setting="depth_mm", value=0,
+            advice=f"use {SHALLOWEST_MM:g} or more (only a sweep may include the untouched tube)",
+        )  # fmt: skip
 
 
 def check_press(press: IndentationSettings) -> None:
-    """Refuse settings of the press that have no effect or contradict each other."""
+    """Raise for settings of the press that have no effect or contradict each other."""
     if 0 < press.depth_mm < SHALLOWEST_MM:
         raise ConfigError(
-            f"depth_mm = {short(press.depth_mm)} is hardly a touch; use {SHALLOWEST_MM:g} or more"
-        )
+            "is below the smallest supported depth", setting="depth_mm", value=press.depth_mm,
+            advice=f"use {SHALLOWEST_MM:g} or more",
+        )  # fmt: skip
     if press.yaw_deg != 0 and press.shape != "rod":
         raise ConfigError(
-            f"yaw_deg = {short(press.yaw_deg)} turns a {press.shape}, which is round; use 0"
-        )
+            f"turns a {press.shape}, which is round", setting="yaw_deg", value=press.yaw_deg,
+            advice="use 0",
+        )  # fmt: skip
     if press.offset_mm != 0 and press.shape == "rod":
         raise ConfigError(
-            f"offset_mm = {short(press.offset_mm)} moves a rod along itself, which changes "
-            "nothing; use 0"
-        )
+            "moves a rod along itself, which changes nothing", setting="offset_mm",
+            value=press.offset_mm, advice="use 0",
+        )  # fmt: skip
     if (press.layer_mm is None) != (press.layer_mpa is None):
-        raise ConfigError("layer_mm and layer_mpa describe one layer; give both or neither")
+        raise ConfigError(
+            "layer_mm and layer_mpa describe one layer", advice="give both or neither"
+        )
     if press.layer_mm is not None and press.support == "held":
         raise ConfigError(
-            f"layer_mm = {short(press.layer_mm)} cannot hold a tube down; use support free"
-        )
+            "cannot hold a tube down", setting="layer_mm", value=press.layer_mm,
+            advice="use support free",
+        )  # fmt: skip
 
 
 def check_audible(config: Config) -> None:
-    """Refuse what only the mechanics can follow so far."""
+    """Raise for what only the mechanics can follow so far."""
     if config.tube.surface is not None:
         raise ConfigError(
-            f"surface = {config.tube.surface} cannot be simulated with sound; "
-            "use acoustube indent for the press alone"
-        )
+            "cannot be simulated with sound, which round tubes alone can", setting="surface",
+            value=config.tube.surface, advice="use acoustube indent for the press alone",
+        )  # fmt: skip
 
 
 def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Refuse a press past the floor, or far beyond a closed lumen."""
+    """Raise for a press past the floor, or far beyond a closed lumen."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
     gives = indentation.layer_mm or 0.0
     deepest = _round_down(bore + tube.wall_mm / 2 + gives)
@@ -82,11 +86,14 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
         reason = f"is beyond a closed lumen by more than half a wall (bore {bore:g} mm)"
     else:
         return
-    raise ConfigError(f"depth_mm = {short(depth)} {reason}; use at most {deepest:g}")
+    raise ConfigError(
+        reason, setting="depth_mm", value=depth, allowed=(SHALLOWEST_MM, deepest),
+        advice=f"use at most {deepest:g}",
+    )  # fmt: skip
 
 
 def check_position(config: Config) -> None:
-    """Refuse a press whose bent part reaches the listening plane or the far end."""
+    """Raise for a press whose bent part reaches the probe plane or the far end."""
     tube, position = config.tube, config.position_cm
     reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
@@ -96,15 +103,16 @@ def check_position(config: Config) -> None:
     if nearest > farthest:
         shortest = _round_up(nearest + reach)
         raise ConfigError(
-            f"length_cm = {short(tube.length_cm)} is too short: {bends} and the listening plane "
-            f"is at {config.waves.probe_cm:g} cm; use at least {shortest:g}"
-        )
+            f"is too short: {bends} and the probe plane is at {config.waves.probe_cm:g} cm",
+            setting="length_cm", value=tube.length_cm, allowed=(shortest, math.inf),
+            advice=f"use at least {shortest:g}",
+        )  # fmt: skip
     if not nearest <= position <= farthest:
         end = "source" if position < nearest else "far"
         raise ConfigError(
-            f"position_cm = {short(position)} is too near the {end} end: {bends}; "
-            f"use {nearest:g} to {farthest:g}"
-        )
+            f"is too near the {end} end: {bends}", setting="position_cm", value=position,
+            allowed=(nearest, farthest), advice=f"use {nearest:g} to {farthest:g}",
+        )  # fmt: skip
 
 
 def grid_cells(
@@ -133,7 +141,7 @@ def grid_cells(
 
 
 def check_resolution(config: Config) -> None:
-    """Refuse a grid that cannot carry the sound, or that no computer will hold."""
+    """Raise for a grid that cannot carry the sound, or that no computer will hold."""
     tube, waves = config.tube, config.waves
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
     if waves.method == "scattering":  # it follows the pulse's whole band
@@ -142,10 +150,11 @@ def check_resolution(config: Config) -> None:
     coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
     if waves.resolution < coarsest:
         raise ConfigError(
-            f"resolution = {waves.resolution} is too coarse for {highest:.4g} kHz in a "
-            f"{bore:g} mm bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed); "
-            f"use at least {coarsest}"
-        )
+            f"is too coarse for {highest:.4g} kHz in a {bore:g} mm bore "
+            f"({CELLS_PER_WAVELENGTH} cells per wavelength are needed)",
+            setting="resolution", value=waves.resolution, allowed=(coarsest, math.inf),
+            advice=f"use at least {coarsest}",
+        )  # fmt: skip
     cells = grid_cells(
         bore=bore,
         outer_diameter=tube.outer_diameter_mm,
@@ -157,36 +166,38 @@ def check_resolution(config: Config) -> None:
     if cells > MOST_CELLS:
         finest = math.floor(waves.resolution * (MOST_CELLS / cells) ** (1 / 3))
         raise ConfigError(
-            f"resolution = {waves.resolution} makes {cells:.1e} grid cells in "
-            f"{tube.length_cm:g} cm of tube, more than {MOST_CELLS:.0e}; "
-            f"use at most {finest} or a shorter tube"
-        )
+            f"makes {cells:.1e} grid cells in {tube.length_cm:g} cm of tube, more than "
+            f"{MOST_CELLS:.0e}",
+            setting="resolution", value=waves.resolution, allowed=(coarsest, finest),
+            advice=f"use at most {finest} or a shorter tube",
+        )  # fmt: skip
 
 
 def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
-    """Refuse a listening plane within the first layer of cells, where the pulse is set."""
+    """Raise if the probe plane lies within the first layer of cells, where the pulse is set."""
     nearest = _round_up(tube.inner_diameter_mm / waves.resolution / MM_PER_CM)
     if waves.probe_cm < nearest:
         raise ConfigError(
-            f"probe_cm = {short(waves.probe_cm)} lies in the first layer of cells; use at least "
-            f"{nearest:g} or a higher resolution"
-        )
+            "lies in the first layer of cells", setting="probe_cm", value=waves.probe_cm,
+            allowed=(nearest, math.inf), advice=f"use at least {nearest:g} or a higher resolution",
+        )  # fmt: skip
 
 
 def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
-    """Refuse a pulse that has not left when the echo of the far end is back."""
+    """Raise for a pulse that has not left when the echo of the far end is back."""
     pulse_ms = waves.cycles / waves.frequency_khz
     record_ms = _record_ms(tube, waves)
     if pulse_ms > record_ms:
+        most = math.floor(record_ms * waves.frequency_khz)
         raise ConfigError(
-            f"cycles = {waves.cycles} make a pulse of {pulse_ms:.3g} ms, longer than the "
-            f"{record_ms:.3g} ms that a {tube.length_cm:g} cm tube takes to answer; use at most "
-            f"{math.floor(record_ms * waves.frequency_khz)}"
-        )
+            f"make a pulse of {pulse_ms:.3g} ms, longer than the {record_ms:.3g} ms of the "
+            f"round trip in a {tube.length_cm:g} cm tube",
+            setting="cycles", value=waves.cycles, allowed=(1, most), advice=f"use at most {most}",
+        )  # fmt: skip
 
 
 def check_lowpass(config: Config) -> None:
-    """Refuse an envelope filter that lets the carrier through, or is slower than the record."""
+    """Raise for an envelope filter that lets the carrier through, or is slower than the record."""
     waves, lowpass = config.waves, config.lowpass_khz
     # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
     highest = waves.frequency_khz / 2
@@ -195,15 +206,18 @@ def check_lowpass(config: Config) -> None:
     lowest = _round_up(3 / record_ms)
     if lowpass < lowest:
         raise ConfigError(
-            f"lowpass_khz = {short(lowpass)} is too slow for the {record_ms:.2f} ms that a "
-            f"{config.tube.length_cm:g} cm tube takes to answer; use at least {lowest:g}"
-        )
+            f"is too slow for the {record_ms:.2f} ms of the round trip in a "
+            f"{config.tube.length_cm:g} cm tube",
+            setting="lowpass_khz", value=lowpass, allowed=(lowest, highest),
+            advice=f"use at least {lowest:g}",
+        )  # fmt: skip
     if lowpass > highest:
+        most = _round_down(highest)
         raise ConfigError(
-            f"lowpass_khz = {short(lowpass)} lets the rectified "
-            f"{waves.frequency_khz:g} kHz carrier through; use at most {_round_down(highest):g}, "
-            "under [signals] in a --config file"
-        )
+            f"lets the rectified {waves.frequency_khz:g} kHz carrier through",
+            setting="lowpass_khz", value=lowpass, allowed=(lowest, most),
+            advice=f"use at most {most:g}, under [signals] in a --config file",
+        )  # fmt: skip
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:

@@ -52,9 +52,9 @@ class Mechanics:
             check_depth(self.tube, self.indentation)
         elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
             raise ConfigError(
-                f"mesh = {self.indentation.mesh} is of a round tube, and surface = "
-                f"{self.tube.surface} is meshed by its own size; use mesh usual"
-            )
+                f"is of a round tube, and surface = {self.tube.surface} is meshed by its own size",
+                setting="mesh", value=self.indentation.mesh, advice="use mesh usual",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

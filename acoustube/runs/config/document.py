@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acoustube.base.errors import ConfigError
-from acoustube.base.rules import Number, nearest, short
+from acoustube.base.errors import ConfigError, short
+from acoustube.base.rules import Number, nearest
 
 if TYPE_CHECKING:  # the command line imports this module before it writes anything
     from tomlkit.items import Table

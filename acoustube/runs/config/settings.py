@@ -45,7 +45,8 @@ class TubeSettings(Section):
         if self.shore_a is not None and self.shear_modulus_mpa is not None:
             raise ConfigError(
                 f"shore_a = {self.shore_a:g} and shear_modulus_mpa = {self.shear_modulus_mpa:g} "
-                "both describe the wall's stiffness; give one of the two"
+                "both describe the wall's stiffness",
+                advice="give one of the two",
             )
 
     @property
@@ -144,7 +145,7 @@ class WaveSettings(Section):
         Choice(("release", "absorbing"), "what the source end does once the pulse has left"),
     )
     probe_cm: float = setting(
-        2.0, Number(0.1, 100, "cm", "distance of the listening plane from the source end")
+        2.0, Number(0.1, 100, "cm", "distance of the probe plane from the source end")
     )
 
 

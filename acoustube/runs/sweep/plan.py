@@ -17,9 +17,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, short
 from acoustube.base.files import toml_array
-from acoustube.base.rules import Choice, Number, short
+from acoustube.base.rules import Choice, Number
 from acoustube.base.version import __version__
 from acoustube.runs.config import (
     Config,
