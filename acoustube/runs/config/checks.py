@@ -25,7 +25,7 @@ MOST_CELLS = 50_000_000
 
 
 def check_touched(config: Config | Mechanics) -> None:
-    """Raise for a press that does not touch the tube, where one is needed.
+    """Raise if the press does not touch the tube.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def check_touched(config: Config | Mechanics) -> None:
 
 
 def check_press(press: IndentationSettings) -> None:
-    """Raise for settings of the press that have no effect or contradict each other."""
+    """Raise if settings of the press have no effect or contradict each other."""
     if 0 < press.depth_mm < SHALLOWEST_MM:
         raise ConfigError(
             "is below the smallest supported depth", setting="depth_mm", value=press.depth_mm,
@@ -67,7 +67,7 @@ def check_press(press: IndentationSettings) -> None:
 
 
 def check_audible(config: Config) -> None:
-    """Raise for what only the mechanics can follow so far."""
+    """Raise for an imported surface: the acoustics support round tubes only."""
     if config.tube.surface is not None:
         raise ConfigError(
             "cannot be simulated with sound, which round tubes alone can", setting="surface",
@@ -76,7 +76,7 @@ def check_audible(config: Config) -> None:
 
 
 def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Raise for a press past the floor, or far beyond a closed lumen."""
+    """Raise if the press goes past the floor, or far beyond a closed lumen."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
     gives = indentation.layer_mm or 0.0
     deepest = _round_down(bore + tube.wall_mm / 2 + gives)
@@ -93,7 +93,7 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
 
 
 def check_position(config: Config) -> None:
-    """Raise for a press whose bent part reaches the probe plane or the far end."""
+    """Raise if the bent part of the press reaches the probe plane or the far end."""
     tube, position = config.tube, config.position_cm
     reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
@@ -141,7 +141,7 @@ def grid_cells(
 
 
 def check_resolution(config: Config) -> None:
-    """Raise for a grid that cannot carry the sound, or that no computer will hold."""
+    """Raise if the grid is too coarse for the sound, or too large."""
     tube, waves = config.tube, config.waves
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
     if waves.method == "scattering":  # it follows the pulse's whole band
@@ -184,7 +184,7 @@ def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
-    """Raise for a pulse that has not left when the echo of the far end is back."""
+    """Raise if the pulse has not left when the echo of the far end is back."""
     pulse_ms = waves.cycles / waves.frequency_khz
     record_ms = _record_ms(tube, waves)
     if pulse_ms > record_ms:
@@ -197,7 +197,7 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_lowpass(config: Config) -> None:
-    """Raise for an envelope filter that lets the carrier through, or is slower than the record."""
+    """Raise if the low-pass passes the carrier, or is slower than the recording."""
     waves, lowpass = config.waves, config.lowpass_khz
     # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
     highest = waves.frequency_khz / 2
