@@ -14,12 +14,11 @@ from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.network import (
     WRAPAROUND_ATTENUATION,
-    PlacedScatterer,
     interpolate_scattering,
     transfer,
 )
 from acoustube.waves.network_checks import in_band
-from acoustube.waves.scattering import Complex, Scattering
+from acoustube.waves.scattering import Complex, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_duration
 
 GRAIN = 0.5e-3

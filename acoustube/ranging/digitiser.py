@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.network import PlacedScatterer
+from acoustube.waves.scattering import PlacedScatterer
 
 Numbers = NDArray[np.integer[Any]]
 

@@ -19,9 +19,9 @@ from acoustube.waves.modes import (
     modes_below,
 )
 from acoustube.waves.modes.probes import ModalProbe, PointProbe
-from acoustube.waves.network import Placed, PlacedScatterer, heard, probe_pressure, transfer
+from acoustube.waves.network import Placed, heard, probe_pressure, transfer
 from acoustube.waves.propagation import Recording, grid_spacing, propagate
-from acoustube.waves.scattering import Scattering, scatter
+from acoustube.waves.scattering import PlacedScatterer, Scattering, scatter
 from acoustube.waves.scheme.problem import SourceEnd
 from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 from acoustube.waves.scheme.time_step import stable_step

@@ -16,7 +16,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import log, pi
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.port_waves import Complex
-from acoustube.waves.scattering import ModalScattering, Scattering
+from acoustube.waves.scattering import ModalScattering, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_duration
 
 Signal = Callable[[Array], ArrayLike]
@@ -43,24 +43,8 @@ WRAPAROUND_ATTENUATION = 1e4
 """Attenuation by the exponential window against time-domain wrap-around."""
 
 
-@dataclass(frozen=True)
-class PlacedScatterer:
-    """A press, or a bend, and its position along the tube.
-
-    Attributes
-    ----------
-    scattering : ModalScattering
-        With both reference planes at one position; that of a file is z = 0 of its surface.
-    position : float
-        Distance of the reference planes from the source end in m.
-    """
-
-    scattering: ModalScattering
-    position: float
-
-
 Placed = PlacedScatterer
-"""Former name of `PlacedScatterer`."""
+"""Former name of `acoustube.waves.scattering.PlacedScatterer`."""
 
 
 def probe_pressure(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from acoustube.air import Air
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.scattering import Complex, ModalScattering
-
-if TYPE_CHECKING:
-    from acoustube.waves.network import PlacedScatterer
+from acoustube.waves.port_waves import Complex
+from acoustube.waves.scattering import ModalScattering, PlacedScatterer
 
 OUT_OF_BAND_ENERGY = 1e-4
 """Largest fraction of a pulse's energy outside the band of the scattering matrices."""

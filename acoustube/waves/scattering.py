@@ -79,6 +79,22 @@ class Scattering(ModalScattering):
     time_step: float
 
 
+@dataclass(frozen=True)
+class PlacedScatterer:
+    """A press, or a bend, and its position along the tube.
+
+    Attributes
+    ----------
+    scattering : ModalScattering
+        With both reference planes at one position; that of a file is z = 0 of its surface.
+    position : float
+        Distance of the reference planes from the source end in m.
+    """
+
+    scattering: ModalScattering
+    position: float
+
+
 def scatter(
     cells: CutCells,
     air: Air,
