@@ -19,7 +19,7 @@ from acoustube.indentation.linear_solver import pattern
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import TET10, edges, gauss
 from acoustube.indentation.tetrahedra import TetrahedronSize, tetrahedral_mesh
-from acoustube.indentation.wall_surface import tube_of, walls
+from acoustube.indentation.wall_surface import separate_walls, tube_of
 from acoustube.runs.imported_wall import read_surface
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -83,7 +83,7 @@ def test_inside_out_surface_is_turned():
 
 def test_walls_and_scales_are_those_of_the_round_tube(surface):
     """A polygon's volume over its mean perimeter is the wall times cos(pi / n): 0.03 % less."""
-    inner, outer, thickness = walls(surface)
+    inner, outer, thickness = separate_walls(surface)
     assert np.hypot(*inner.vertices[:, :2].T).max() < 3.96e-3
     assert np.hypot(*outer.vertices[:, :2].T).min() > 5.54e-3
     assert thickness == pytest.approx(1.6e-3, rel=4e-4)

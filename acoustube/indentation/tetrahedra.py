@@ -53,8 +53,8 @@ from acoustube.indentation.reference_element import TET10, edges
 from acoustube.indentation.wall_surface import (
     SYMMETRY_TOLERANCE,
     check_thickness,
+    separate_walls,
     symmetries,
-    walls,
 )
 
 MIN_QUALITY = 0.01
@@ -132,7 +132,7 @@ def tetrahedral_mesh(
         If the piece is longer than the tube, the wall is too thin, or the mesh is not sound.
     """
     size = size or TetrahedronSize()
-    whole = walls(surface)
+    whole = separate_walls(surface)
     if not 0 < reach <= (1 + 1e-9) * surface.extents[2] / 2:
         raise ConfigError(
             f"reach = {reach:.6g} m is outside 0 to {surface.extents[2] / 2:.6g} m, half the "

@@ -31,7 +31,7 @@ class Walls(NamedTuple):
     thickness: float
 
 
-def walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
+def separate_walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
     """Separate the inner wall of a tube from the outer wall.
 
     Parameters
@@ -93,7 +93,7 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
     ConfigError
         If the surface is not a tube, or x = 0 misses its bore.
     """
-    inner, _, thickness = walls(surface)
+    inner, _, thickness = separate_walls(surface)
     middle = [0.0, 0.0, surface.bounds[:, 2].mean()]
     ring = trimesh.intersections.mesh_plane(inner, [0.0, 0.0, 1.0], middle)
     (x0, x1), (y0, y1) = ring[..., 0].T, ring[..., 1].T

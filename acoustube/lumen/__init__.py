@@ -1,6 +1,8 @@
-"""The air space inside a deformed tube: its surface, its sections, and its straightened form.
+"""Lumen, the air space of a deformed tube: its surface, its cross-sections, its straightened form.
 
-Read `surface`, then `profiles`, `straightening` and `thinning`.
+Reading order: ``straightening`` (coordinates along a bent tube), ``surface`` (the lumen of the
+pressed part and of the whole tube), ``profiles`` (height, width and area along the tube),
+``thinning`` (fewer rings for files and pictures).
 """
 
 from acoustube.lumen.profiles import TRIANGLES_PER_EDGE, Profile, inner_wall, measure, profile

@@ -1,4 +1,4 @@
-"""Height, width and area of the lumen along the tube."""
+"""Profiles of the lumen: height, width and area of its cross-sections along the tube."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
 
 TRIANGLES_PER_EDGE = 8
-"""Of an element's face, where sections are measured."""
+"""Triangle edges along the edge of an element's face, for the measurement of sections."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The lumen's cross-section along the tube; every array has shape (n,).
+    """Cross-sections of the lumen along the tube.
 
     Parameters
     ----------
-    z : array
-        Distance from the source end in m.
-    area : array
-        In m2.
-    height : array
+    z : array of shape (n,)
+        Axial positions in m.
+    area : array of shape (n,)
+        Cross-sectional area in m2.
+    height : array of shape (n,)
         Distance in m from the bottom to the top of the section at x = 0.
-    width : array
-        Greatest extent across, in m.
+    width : array of shape (n,)
+        Largest extent along x, in m.
     """
 
     z: Array
@@ -39,7 +39,18 @@ class Profile:
 
 
 def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
-    """Return the sampling and the triangles with which sections of a lumen are measured."""
+    """Triangulate the inner wall for the measurement of sections.
+
+    Parameters
+    ----------
+    mesh : Mesh
+
+    Returns
+    -------
+    sampling : sparse array of shape (n_vertices, n_nodes)
+        Interpolates nodal values at the vertices.
+    triangles : array of int, shape (n_triangles, 3)
+    """
     return triangulated(mesh, parts=TRIANGLES_PER_EDGE)
 
 
@@ -49,31 +60,33 @@ def measure(
     z: Array,
     wall: tuple[Any, Index] | None = None,
 ) -> Profile:
-    """Measure the lumen of the whole tube across planes z = const of the pressed part.
+    """Measure the lumen's sections by planes z = const at an increment of a press.
 
     Parameters
     ----------
     indentation : Indentation
     increment : int
+        Number of the increment.
     z : array of shape (n,)
-        Deformed axial positions in m, the middle of the modelled part at zero.
-    wall : optional
-        What :func:`inner_wall` returned, so that it need not be formed for every increment.
+        Deformed axial positions in m, zero in the middle of the modelled part.
+    wall : tuple, optional
+        Result of :func:`inner_wall`, to form it once for many increments.
 
     Returns
     -------
     Profile
+        Of the whole section, even if half of it is modelled.
     """
     mesh = indentation.mesh
     sampling, triangles = wall or inner_wall(mesh)
-    seen = np.abs(z) if mesh.halved[1] else z
+    modelled = np.abs(z) if mesh.halved[1] else z
     vertices = sampling @ indentation.position(increment)
-    found = profile(vertices, triangles, seen, halved=mesh.halved[0])
+    found = profile(vertices, triangles, modelled, halved=mesh.halved[0])
     return dataclasses.replace(found, z=np.asarray(z, float))
 
 
 def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False) -> Profile:
-    """Cut a tube-like surface by the planes z = const and measure the sections.
+    """Measure the sections of a tube-like surface by planes z = const.
 
     Parameters
     ----------
@@ -82,9 +95,9 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
     triangles : array of shape (n_triangles, 3)
         Consistently oriented.
     z : array of shape (n,)
-        Where to cut, in m.
+        Positions of the planes, in m.
     halved : bool
-        Whether the surface is the half x >= 0 of a symmetric one, which is measured.
+        True if the surface is the half x >= 0 of a symmetric one; the whole is measured.
 
     Returns
     -------
@@ -93,8 +106,9 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
 
     Notes
     -----
-    The area is half the sum of ``x dy - y dx`` over the segments in which the plane cuts the
-    triangles, so that neither their order nor the closing line x = 0 of a half matters.
+    By Green's theorem the area is half the sum of ``x dy - y dx`` over the segments in which the
+    plane cuts the triangles (the shoelace formula). Neither their order nor the closing line x = 0
+    of a half matters.
     """
     z = np.asarray(z, float)
     plane, start, end = _segments(vertices, triangles, z)
@@ -104,8 +118,8 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
     left, right = _extent(np.tile(plane, 2), x, z.size)
     middle = start[:, 0] * end[:, 0] <= 0
     run = np.where(middle, end[:, 0] - start[:, 0], 1.0)
-    share = np.divide(-start[:, 0], run, out=np.zeros_like(run), where=run != 0)
-    y = start[:, 1] + share * (end[:, 1] - start[:, 1])
+    fraction = np.divide(-start[:, 0], run, out=np.zeros_like(run), where=run != 0)
+    y = start[:, 1] + fraction * (end[:, 1] - start[:, 1])
     bottom, top = _extent(plane[middle], y[middle], z.size)
     return Profile(
         z=z,
@@ -116,7 +130,7 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
 
 
 def _segments(vertices: Array, triangles: Index, z: Array) -> tuple[Index, Array, Array]:
-    """Return where planes cut triangles: number of the plane, start and end (n, 2) in it.
+    """Return the segments in which planes cut triangles: plane number, start and end (n, 2).
 
     A corner in the plane counts as below it.
     """
@@ -138,13 +152,13 @@ def _segments(vertices: Array, triangles: Index, z: Array) -> tuple[Index, Array
 
 
 def _crossing(a: Array, b: Array, z: Array) -> Array:
-    """Return where the lines from a to b pass z, as (x, y)."""
-    share = (z - a[:, 2]) / (b[:, 2] - a[:, 2])
-    return a[:, :2] + share[:, None] * (b - a)[:, :2]
+    """Return the points (x, y) at which the lines from a to b cross the heights z."""
+    fraction = (z - a[:, 2]) / (b[:, 2] - a[:, 2])
+    return a[:, :2] + fraction[:, None] * (b - a)[:, :2]
 
 
 def _extent(plane: Index, values: Array, n: int) -> tuple[Array, Array]:
-    """Return the least and the greatest of the values in each of n planes, zero where none is."""
+    """Return the smallest and largest value in each of n planes; zero in planes without values."""
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, plane, values)
     np.maximum.at(high, plane, values)

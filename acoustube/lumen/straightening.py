@@ -1,4 +1,4 @@
-"""The lumen of a bent tube, straightened along its centre line."""
+"""Straightening of a bent tube: coordinates along and across a curve in its plane."""
 
 from __future__ import annotations
 
@@ -9,33 +9,34 @@ from acoustube.base.errors import SimulationError
 from acoustube.base.types import Array
 
 PROJECTION_STEPS = 30
-LEAST_STEEPNESS = 0.1
-"""Least distance to the centre of curvature, as a share of the radius, that a step is taken for."""
+"""Largest number of Newton steps for the nearest point of the curve."""
+MIN_SLOPE = 0.1
+"""Lower bound of Newton's derivative: distance to the centre of curvature over the radius."""
 
 
 def straighten(points: Array, line: Array) -> Array:
-    """Express points in coordinates along and across a curve in the plane x = 0.
+    """Transform points to coordinates along and across a curve in the plane x = 0.
 
-    A tube on a free support tilts off the floor beside the press. Sound follows it round so gentle
-    a bend; the wave solver wants it straight.
+    A tube on a free support lifts off the floor away from the indenter. So gentle a bend does not
+    reflect sound; the wave solver needs a straight tube.
 
     Parameters
     ----------
     points : array of shape (..., 3)
         Points (x, y, z) in m.
     line : array of shape (n, 3)
-        The curve, from z = 0 outwards; its tangent at z = 0 is along z.
+        Points on the curve in m, from z = 0 outwards; its tangent at z = 0 is along z.
 
     Returns
     -------
     array of shape (..., 3)
         x unchanged; y the signed distance from the curve plus the height of its first point; z
-        the arc length to the nearest point of the curve.
+        the arc length at the nearest point of the curve; in m.
 
     Raises
     ------
     SimulationError
-        If the curve bends more sharply than the points are far from it.
+        If the radius of curvature is not larger than the distance of the points from the curve.
     """
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     # The chord is shorter than the arc by a relative (h kappa)^2 / 24, under 1e-5 here.
@@ -46,13 +47,16 @@ def straighten(points: Array, line: Array) -> Array:
     for _ in range(PROJECTION_STEPS):
         offset = np.stack([y, z], axis=-1) - curve(s)
         error = np.sum(offset * tangent(s), axis=-1)
-        # Newton's step; the share of the way to the centre of curvature slows a plain one.
-        step = error / np.maximum(1 - np.sum(offset * turn(s), axis=-1), LEAST_STEEPNESS)
+        # Newton's step for the foot of the perpendicular.
+        step = error / np.maximum(1 - np.sum(offset * turn(s), axis=-1), MIN_SLOPE)
         s = s + step
         if np.abs(step).max() < 1e-12:
             break
     else:
-        raise SimulationError("The pressed tube is bent too sharply to be straightened.")
+        raise SimulationError(
+            "The pressed tube is bent too sharply to be straightened; use support 'held', a larger "
+            "indenter or a smaller depth."
+        )
     direction = tangent(s)
     normal = np.stack([direction[..., 1], -direction[..., 0]], axis=-1)
     across = np.sum((np.stack([y, z], axis=-1) - curve(s)) * normal, axis=-1)

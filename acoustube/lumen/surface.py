@@ -1,4 +1,4 @@
-"""The lumen: the air space of the pressed tube, as a watertight surface and as a profile."""
+"""Surface of the lumen: the deformed inner wall as rings of points, from end to end of the tube."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen.straightening import straighten
 
 FACETS_PER_ELEMENT = 6
-"""Around: 240 facets for the default mesh, whose area is 1.5e-4 under the circle's."""
+"""Facets around per element: 240 for the default mesh, an area 1.5e-4 below the circle's."""
 RINGS_PER_ELEMENT = 6
+"""Rings along the tube per element."""
+STRAIGHTENING_ROOM = 1.02
+"""Length of a straightened pressed part over its undeformed length, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +29,14 @@ class Lumen:
     Parameters
     ----------
     rings : array of shape (n_rings, n_around, 3)
-        The inner wall as a stack of rings from end to end: points (x, y, z) in m,
-        anticlockwise seen from the far end, the first at the bottom and the middle one at the
-        top; z runs from 0 at the source end to the tube's length.
+        Inner wall as rings of points (x, y, z) in m, anticlockwise seen from the far end, from the
+        bottom over the top back to the bottom; z from 0 at the source end to the tube's length.
     outer_rings : array of shape (n_rings, n_around, 3)
-        The outer wall likewise.
+        Outer wall likewise.
     position : float
-        Where along z the press is, in m.
+        Position of the indenter along z, in m.
     symmetric : bool
-        Whether it is symmetric about x = 0.
+        True if the lumen is symmetric about x = 0.
     """
 
     rings: Array
@@ -44,14 +46,24 @@ class Lumen:
 
     @property
     def surface(self) -> trimesh.Trimesh:
-        """The air space's closed surface, with flat caps at both ends, in m, pointing outwards."""
+        """Closed surface of the air space in m, with flat ends and outward normals."""
         return trimesh.Trimesh(
             self.rings.reshape(-1, 3), ring_faces(*self.rings.shape[:2]), process=False
         )
 
 
 def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
-    """Return the triangles (n, 3) that close a stack of rings, numbered ring by ring."""
+    """Return the triangles of the closed surface through a stack of rings, with flat ends.
+
+    Parameters
+    ----------
+    n_rings, n_around : int
+        Numbers of rings and of points on each, numbered ring by ring.
+
+    Returns
+    -------
+    array of int, shape (n_triangles, 3)
+    """
     number = np.arange(n_rings * n_around).reshape(n_rings, n_around)
     a, c = number[:-1], number[1:]
     b, d = np.roll(a, -1, axis=1), np.roll(c, -1, axis=1)
@@ -60,28 +72,27 @@ def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
 
 
 def _fan(rim: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return triangles that span a convex rim from its first point."""
+    """Return the triangle fan of a convex polygon from its first point."""
     return np.stack([np.full(len(rim) - 2, rim[0]), rim[1:-1], rim[2:]], axis=-1)
 
 
 def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool = False) -> Array:
-    """Return the deformed inner or outer wall of the modelled part, finely sampled.
+    """Return the deformed inner or outer wall of the modelled part as rings of points.
 
     Parameters
     ----------
     indentation : Indentation
-        Of a swept tube.
+        Of a round (swept) tube.
     increment : int, optional
-        Which increment; the last by default.
+        Number of the increment; the last by default.
     outer : bool, optional
         The outer wall instead of the inner.
 
     Returns
     -------
     array of shape (n_rings, n_around, 3)
-        Rings in the order of z, in m: the finite-element interpolation itself, not a fit to the
-        nodes. Rings start at the bottom and run up on the side x > 0; they are closed (the last
-        point is next to the first).
+        Points in m, evaluated from the finite-element interpolation; rings in the order of z. Each
+        ring runs from the bottom over the side x > 0; its last point is next to the first.
     """
     return _wall(indentation.mesh, indentation.position(increment), outer=outer)
 
@@ -106,20 +117,20 @@ def _wall(mesh: Mesh, position: Array, *, outer: bool) -> Array:
 
 
 def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lumen:
-    """Build the lumen of the whole tube: the deformed part, and the straight rest.
+    """Build the lumen of the whole tube: the deformed part between undeformed ends.
 
     Parameters
     ----------
     indentation : Indentation
     position : float
-        Distance in m from the source end to the press, along the tube.
+        Distance in m from the source end to the indenter, along the tube.
     increment : int, optional
-        Which increment; the last by default.
+        Number of the increment; the last by default.
 
     Returns
     -------
     Lumen
-        Straightened along the tube's bottom line (which in a held tube is straight already).
+        Straightened along the tube's bottom line (straight already in a held tube).
 
     Raises
     ------
@@ -137,32 +148,32 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     room = min(position, tube.length - position)
     if not reach < room:
         raise ConfigError(
-            f"position = {position} m is too near an end; the press needs {reach:.3f} m of tube "
-            "on each side."
+            f"position = {position} m is too near an end of the {tube.length:.3f} m long tube; use "
+            f"{reach:.3f} m or more from both ends."
         )
-    # The tube is taken as round again within one more outer diameter.
+    # Within one more outer diameter the section is joined to the undeformed circle.
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
     ends = position + np.array([-1, 1]) * round_from
     rings = [
-        _whole(wall, ring, position, ends, tube.length)
+        _with_ends(wall, ring, position, ends, tube.length)
         for wall, ring in zip(walls, round_rings, strict=True)
     ]
     return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
 
 
 def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
-    """Build the lumen of the deformed part alone, between short ends that are straight.
+    """Build the lumen of the deformed part alone, between short undeformed ends.
 
     Parameters
     ----------
     indentation : Indentation
     increment : int, optional
-        Which increment; the last by default.
+        Number of the increment; the last by default.
 
     Returns
     -------
     Lumen
-        As :func:`lumen`, the press in its middle.
+        As from :func:`lumen`, with the indenter in its middle.
 
     Raises
     ------
@@ -170,21 +181,21 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
         If the tube is bent too sharply to be straightened.
     """
     tube = indentation.tube
-    # A tube that tilts off the floor gains a little length when it is straightened.
-    half = 1.02 * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
+    # A tube that lifts off the floor is a little longer once it is straightened.
+    half = STRAIGHTENING_ROOM * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
     short = dataclasses.replace(tube, length=2 * half)
     return lumen(dataclasses.replace(indentation, tube=short), half, increment)
 
 
 def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
-    """Return the lumen of a whole tube from that of its pressed part.
+    """Return the lumen of a whole tube from the lumen of its pressed part.
 
     Parameters
     ----------
     part : Lumen
         From :func:`pressed_part`.
     position, length : float
-        Of the press and of the tube, in m.
+        Position of the indenter and length of the tube, in m.
 
     Returns
     -------
@@ -201,8 +212,8 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
         moved = rings + shift
         if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
             raise ConfigError(
-                f"position = {position} m is too near an end; the press needs {part.position:.3f} "
-                "m of tube on each side."
+                f"position = {position} m is too near an end of the {length:.3f} m long tube; use "
+                f"{part.position:.3f} m or more from both ends."
             )
         moved[0, :, 2], moved[-1, :, 2] = 0.0, length
         return moved
@@ -213,10 +224,10 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
 
 
 def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
-    """Straighten the rings of both sides of the press along the tube's bottom line.
+    """Straighten the rings on both sides of the indenter along the tube's bottom line.
 
-    That line comes to lie at the height `floor`, where that of the straight tube lies: on a soft
-    layer the press takes the whole tube down.
+    The line is moved to the height `floor` of the undeformed tube: on a soft layer the whole tube
+    moves down.
     """
     middle = 0 if mesh.halved[1] else int(np.argmin(np.abs(bottom[:, 2])))
     risen = np.array([0.0, floor - bottom[middle, 1], 0.0])
@@ -229,8 +240,8 @@ def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
     return np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
 
 
-def _whole(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:
-    """Add undeformed rings to the pressed ones, from `ends` to the ends of the tube."""
+def _with_ends(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:
+    """Add undeformed rings to the deformed ones, from `ends` to the ends of the tube."""
     z = np.array([0, *ends, length])
     straight = ring * [1, 1, 0] + z[:, None, None] * [0, 0, 1]
     moved = pressed + np.array([0, 0, position])

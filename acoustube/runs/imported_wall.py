@@ -1,4 +1,4 @@
-"""Surfaces of walls read from files."""
+"""Wall of a tube read from a surface file, checked and centred."""
 
 from __future__ import annotations
 
@@ -8,26 +8,23 @@ import trimesh
 
 from acoustube.base import surfaces
 from acoustube.base.errors import ConfigError
-from acoustube.indentation.wall_surface import walls
-
-# ---------------------------------------------------------------------------------------------
-# The surface
+from acoustube.indentation.wall_surface import separate_walls
 
 
 def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
-    """Read a tube's wall from a file.
+    """Read the surface of a tube's wall from a file.
 
     Parameters
     ----------
     path : str or Path
-        STL, PLY or OBJ; its z axis is along the tube, +y where the press comes from.
+        STL, PLY or OBJ file; the tube lies along z, the indenter comes from +y.
     unit : float
-        Length in m that the file's numbers count; millimetres by default.
+        Unit of length of the file in m; millimetres by default.
 
     Returns
     -------
     trimesh.Trimesh
-        A closed surface in m, its normals outwards, the middle of its bounding box at the origin.
+        A closed surface in m with outward normals, the centre of its bounding box at the origin.
 
     Raises
     ------
@@ -50,5 +47,5 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
             f"{path}: the surface has {1 - surface.euler_number // 2} holes through it; a tube "
             "has one, its bore. Remove what is not the wall."
         )
-    walls(surface, str(path))
+    separate_walls(surface, str(path))
     return surface
