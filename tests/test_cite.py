@@ -75,7 +75,7 @@ def test_text_names_every_reference_under_its_use(capsys):
         assert reference.in_words() in text
     assert "Flory, P. J., Thermodynamic relations" in text
     assert "vol. 57, 829-838, 1961, doi:10.1039/TF9615700829" in text
-    assert text.index("the press:") < text.index("losses in the air:")
+    assert text.index("the press:") < text.index("losses at the wall and in the air:")
 
 
 def test_bibtex_has_an_entry_for_each_with_balanced_braces(capsys):
@@ -94,10 +94,10 @@ def test_bibtex_has_an_entry_for_each_with_balanced_braces(capsys):
         (settings(), {"press"}),
         (settings(depth=6.0), {"press", "folds"}),
         (settings(surface="a.stl"), {"press", "surface"}),
-        (settings(losses="off", method="full"), {"press", "air", "absorber"}),
+        (settings(losses="off", method="full"), {"press", "air", "absorber", "grid"}),
         (
             settings(losses="on", method="scattering"),
-            {"press", "air", "absorber", "losses", "cascade"},
+            {"press", "air", "absorber", "grid", "losses", "scattering", "cascade"},
         ),
     ],
 )
@@ -113,7 +113,10 @@ def test_run_cites_what_its_settings_used(given, expected, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("losses", "expected"),
-    [("none", {"air", "absorber"}), ("wall and air", {"air", "absorber", "losses"})],
+    [
+        ("none", {"air", "absorber", "grid", "scattering"}),
+        ("wall and air", {"air", "absorber", "grid", "scattering", "losses"}),
+    ],
 )
 def test_scattering_cites_its_losses(losses, expected, tmp_path):
     with h5py.File(tmp_path / "s.nc", "w") as file:

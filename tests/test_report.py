@@ -1,12 +1,18 @@
-"""Progress and messages: the time left, lines without a terminal, bars with one."""
+"""Progress, messages and interrupts of computations that a command shows."""
 
+import importlib
+import os
+import signal
+import sys
+import threading
+import time
 from io import StringIO
 
 import pytest
 from rich.console import Console
 
 from acoustube.base import console as base_console
-from acoustube.base.console import ConsoleReporter
+from acoustube.base.console import ConsoleReporter, watched_interrupts
 from acoustube.base.report import SILENT, TimeLeft, time_in_words
 
 
@@ -114,3 +120,38 @@ def test_messages_are_printed_as_they_are_and_failures_also_when_quiet(capsys):
         else:
             assert out.startswith("acoustube ")
             assert out.endswith(": a sweep\nwritten to [folder]\nnote: a [note]\ncases  3\n")
+
+
+def interrupts_after(*delays):
+    """Interrupt this process after some seconds each."""
+    for delay in delays:
+        threading.Timer(delay, os.kill, [os.getpid(), signal.SIGINT]).start()
+
+
+@pytest.mark.parametrize("delays", [(0.1,), (0.1, 0.15)], ids=["once", "twice"])
+def test_interrupt_waits_for_an_import_and_comes_once(delays, tmp_path, monkeypatch):
+    (tmp_path / "slow_to_load.py").write_text(
+        "import time\ntime.sleep(0.3)\ntime.sleep(0.2)\nDONE = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    before = signal.getsignal(signal.SIGINT)
+    begun = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt), watched_interrupts():
+        interrupts_after(*delays)
+        importlib.import_module("slow_to_load")
+        time.sleep(5)
+    assert 0.45 < time.perf_counter() - begun < 3
+    assert sys.modules.pop("slow_to_load").DONE
+    assert signal.getsignal(signal.SIGINT) is before
+    time.sleep(0.2)  # the second has come with the first
+
+
+def test_interrupt_outside_imports_comes_at_once_and_a_lost_one_again():
+    with watched_interrupts(), watched_interrupts() as check:
+        interrupts_after(0.1)
+        begun = time.perf_counter()
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(5)
+        assert time.perf_counter() - begun < 2
+        with pytest.raises(KeyboardInterrupt):
+            check()

@@ -78,7 +78,13 @@ def topics_of(result: Path) -> set[str]:
     if result.is_file() and result.suffix == ".nc":
         origin = _attributes(result)
         if str(origin.get("title")).startswith("Scattering") and "losses" in origin:
-            return {"air", "absorber", *(("losses",) if origin["losses"] != "none" else ())}
+            return {
+                "air",
+                "absorber",
+                "grid",
+                "scattering",
+                *(("losses",) if origin["losses"] != "none" else ()),
+            }
     return _of_sweep(result)
 
 
@@ -96,7 +102,9 @@ def _of_sweep(result: Path) -> set[str]:
         )
     data = open_dataset(paths)
     if "cycle" in data.dims:
-        return {"press", "air", "losses", "absorber", "cascade", "rangefinder"}
+        return {
+            "press", "air", "losses", "absorber", "grid", "scattering", "cascade", "rangefinder",
+        }  # fmt: skip
     texts = data["configuration"].values if "configuration" in data else [None]
     return set().union(*(_of_text(text, result) for text in texts))
 
@@ -122,9 +130,9 @@ def _of_settings(settings: dict[str, Any]) -> set[str]:
     waves = settings.get("waves")
     if waves is not None:
         # Both source ends are computed, one of them absorbing.
-        found |= {"air", "absorber"}
+        found |= {"air", "absorber", "grid"}
         found |= {"losses"} if waves["losses"] == "on" else set()
-        found |= {"cascade"} if waves["method"] == "scattering" else set()
+        found |= {"scattering", "cascade"} if waves["method"] == "scattering" else set()
     return found
 
 

@@ -66,8 +66,10 @@ TOPICS = {
     "surface": "meshes of imported walls",
     "mooney": "the Mooney-Rivlin material",
     "air": "the air in the tube",
-    "losses": "losses in the air",
-    "absorber": "ends that absorb",
+    "losses": "losses at the wall and in the air",
+    "absorber": "absorbing ends",
+    "grid": "the grid and the time steps",
+    "scattering": "scattering matrices",
     "cascade": "scattering matrices joined to straight tube",
     "bends": "bends",
     "rangefinder": "the rangefinder",
@@ -191,12 +193,139 @@ REFERENCES = (
         {"number": "ISO 9613-1:1993", "year": "1993"},
     ),
     Reference(
+        "kirchhoff1868", "article", "losses",
+        "Kirchhoff, G.",
+        "{Ueber den Einfluss der Wärmeleitung in einem Gase auf die Schallbewegung}",
+        {"journal": "Annalen der Physik", "volume": "210", "pages": "177--193", "year": "1868",
+         "doi": "10.1002/andp.18682100602"},
+    ),
+    Reference(
+        "zwikker1949", "book", "losses",
+        "Zwikker, C. and Kosten, C. W.",
+        "Sound Absorbing Materials",
+        {"publisher": "Elsevier", "year": "1949"},
+    ),
+    Reference(
+        "tijdeman1975", "article", "losses",
+        "Tijdeman, H.",
+        "On the propagation of sound waves in cylindrical tubes",
+        {"journal": "Journal of Sound and Vibration", "volume": "39", "pages": "1--33",
+         "year": "1975", "doi": "10.1016/S0022-460X(75)80206-9"},
+    ),
+    Reference(
+        "bruneau1987", "article", "losses",
+        "Bruneau, A. M. and Bruneau, M. and Herzog, P. and Kergomard, J.",
+        "Boundary layer attenuation of higher order modes in waveguides",
+        {"journal": "Journal of Sound and Vibration", "volume": "119", "pages": "15--27",
+         "year": "1987", "doi": "10.1016/0022-460X(87)90186-6"},
+    ),
+    Reference(
+        "bilbao2016", "article", "losses",
+        "Bilbao, S. and Harrison, R.",
+        "Passive time-domain numerical models of viscothermal wave propagation in "
+        "acoustic tubes of variable cross section",
+        {"journal": "Journal of the Acoustical Society of America", "volume": "140",
+         "pages": "728--740", "year": "2016", "doi": "10.1121/1.4959025"},
+    ),
+    Reference(
+        "berggren2018", "article", "losses",
+        "Berggren, M. and Bernland, A. and Noreland, D.",
+        "Acoustic boundary layers as boundary conditions",
+        {"journal": "Journal of Computational Physics", "volume": "371", "pages": "633--650",
+         "year": "2018", "doi": "10.1016/j.jcp.2018.06.005"},
+    ),
+    Reference(
+        "hagg2022", "misc", "losses",
+        "Hägg, L. and Berggren, M.",
+        "Investigations of an effective time-domain boundary condition for quiescent "
+        "viscothermal acoustics",
+        {"year": "2022", "archiveprefix": "arXiv", "eprint": "2207.03152"},
+    ),
+    Reference(
         "roden2000", "article", "absorber", "Roden, J. A. and Gedney, S. D.",
         "Convolution {PML} ({CPML}): an efficient {FDTD} implementation of the {CFS-PML} for "
         "arbitrary media",
         {"journal": "Microwave and Optical Technology Letters", "volume": "27",
          "pages": "334--339", "year": "2000",
          "doi": "10.1002/1098-2760(20001205)27:5<334::AID-MOP14>3.0.CO;2-A"},
+    ),
+    Reference(
+        "yee1966", "article", "grid",
+        "Yee, K.",
+        "Numerical solution of initial boundary value problems involving Maxwell's "
+        "equations in isotropic media",
+        {"journal": "IEEE Transactions on Antennas and Propagation", "volume": "14",
+         "pages": "302--307", "year": "1966", "doi": "10.1109/TAP.1966.1138693"},
+    ),
+    Reference(
+        "botteldooren1995", "article", "grid",
+        "Botteldooren, D.",
+        "Finite-difference time-domain simulation of low-frequency room acoustic "
+        "problems",
+        {"journal": "Journal of the Acoustical Society of America", "volume": "98",
+         "pages": "3302--3308", "year": "1995", "doi": "10.1121/1.413817"},
+    ),
+    Reference(
+        "dey1997", "article", "grid",
+        "Dey, S. and Mittra, R.",
+        "A locally conformal finite-difference time-domain ({FDTD}) algorithm for "
+        "modeling three-dimensional perfectly conducting objects",
+        {"journal": "IEEE Microwave and Guided Wave Letters", "volume": "7", "pages": "273--275",
+         "year": "1997"},
+    ),
+    Reference(
+        "tolan2003", "article", "grid",
+        "Tolan, J. G. and Schneider, J. B.",
+        "Locally conformal method for acoustic finite-difference time-domain modeling "
+        "of rigid surfaces",
+        {"journal": "Journal of the Acoustical Society of America", "volume": "114",
+         "pages": "2575--2581", "year": "2003"},
+    ),
+    Reference(
+        "xiao2004", "article", "grid",
+        "Xiao, T. and Liu, Q. H.",
+        "Enlarged cells for the conformal {FDTD} method to avoid the time step "
+        "reduction",
+        {"journal": "IEEE Microwave and Wireless Components Letters", "volume": "14",
+         "pages": "551--553", "year": "2004"},
+    ),
+    Reference(
+        "bilbao2013", "article", "grid",
+        "Bilbao, S.",
+        "Modeling of complex geometries and boundary conditions in finite "
+        "difference/finite volume time domain room acoustics simulation",
+        {"journal": "IEEE Transactions on Audio, Speech, and Language Processing",
+         "volume": "21", "pages": "1524--1533", "year": "2013",
+         "doi": "10.1109/TASL.2013.2256897"},
+    ),
+    Reference(
+        "lanczos1950", "article", "grid",
+        "Lanczos, C.",
+        "An iteration method for the solution of the eigenvalue problem of linear "
+        "differential and integral operators",
+        {"journal": "Journal of Research of the National Bureau of Standards", "volume": "45",
+         "pages": "255--282", "year": "1950", "doi": "10.6028/jres.045.026"},
+    ),
+    Reference(
+        "abom1991", "article", "scattering",
+        "Åbom, M.",
+        "Measurement of the scattering-matrix of acoustical two-ports",
+        {"journal": "Mechanical Systems and Signal Processing", "volume": "5",
+         "pages": "89--104", "year": "1991", "doi": "10.1016/0888-3270(91)90017-Y"},
+    ),
+    Reference(
+        "ruhe1984", "article", "scattering",
+        "Ruhe, A.",
+        "Rational {Krylov} sequence methods for eigenvalue computation",
+        {"journal": "Linear Algebra and its Applications", "volume": "58", "pages": "391--405",
+         "year": "1984", "doi": "10.1016/0024-3795(84)90221-0"},
+    ),
+    Reference(
+        "rabiner1969", "article", "scattering",
+        "Rabiner, L. R. and Schafer, R. W. and Rader, C. M.",
+        "The chirp z-transform algorithm",
+        {"journal": "IEEE Transactions on Audio and Electroacoustics", "volume": "17",
+         "pages": "86--92", "year": "1969", "doi": "10.1109/TAU.1969.1162034"},
     ),
     Reference(
         "redheffer1962", "article", "cascade", "Redheffer, R.",

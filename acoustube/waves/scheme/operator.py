@@ -2,7 +2,7 @@
 
 Notes
 -----
-Mass balance and momentum on a staggered grid [1]_ are, per cell and face,
+Mass balance and momentum on a staggered grid [1]_, [2]_ are, per cell and face,
 
     V dp/dt = -rho c^2 sum(A u),    rho du/dt = -grad p.
 
@@ -27,9 +27,10 @@ References
 ----------
 .. [1] Yee, K. (1966). Numerical solution of initial boundary value problems involving Maxwell's
    equations in isotropic media. IEEE Transactions on Antennas and Propagation 14, 302-307.
-   doi:10.1109/TAP.1966.1138693; for sound, Botteldooren, D. (1995). Finite-difference time-domain
-   simulation of low-frequency room acoustic problems. Journal of the Acoustical Society of America
-   98, 3302-3308. doi:10.1121/1.413817
+   doi:10.1109/TAP.1966.1138693
+.. [2] Botteldooren, D. (1995). Finite-difference time-domain simulation of low-frequency room
+   acoustic problems. Journal of the Acoustical Society of America 98, 3302-3308.
+   doi:10.1121/1.413817
 """
 
 from __future__ import annotations
