@@ -11,7 +11,6 @@ from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.grid.cells import CutCells, cut_cells
 from acoustube.waves.grid.section import section_cut_ons
 from acoustube.waves.modes import (
-    Mode,
     attenuation,
     axial_wavenumber,
     cut_on_frequency,
@@ -19,6 +18,7 @@ from acoustube.waves.modes import (
     modes_below,
 )
 from acoustube.waves.modes.probes import ModalProbe, PointProbe
+from acoustube.waves.modes.round_duct import Mode
 from acoustube.waves.network import Placed, heard, probe_pressure, transfer
 from acoustube.waves.propagation import Recording, grid_spacing, propagate
 from acoustube.waves.scattering import PlacedScatterer, Scattering, scatter

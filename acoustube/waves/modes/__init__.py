@@ -3,8 +3,8 @@
 Reading order: `round_duct`, `bore_couplings` (for bends), `grid_modes`, `probes`.
 """
 
+from acoustube.waves.modes.round_duct import Mode as Mode
 from acoustube.waves.modes.round_duct import (
-    Mode,
     attenuation,
     axial_wavenumber,
     bessel_zero,
@@ -13,8 +13,8 @@ from acoustube.waves.modes.round_duct import (
     modes_below,
 )
 
+# Without `Mode`, which `acoustube.waves` documents.
 __all__ = [
-    "Mode",
     "attenuation",
     "axial_wavenumber",
     "bessel_zero",
