@@ -15,7 +15,7 @@ from acoustube import estimation, signals
 from acoustube.base.errors import ConfigError
 from acoustube.cli.cite import OF_ESTIMATORS, topics_of
 from acoustube.estimation import Boosting, EchoEnsemble, FeatureSettings, errors, uncertainty
-from acoustube.estimation.trees import exported, summed
+from acoustube.estimation.trees import export_trees, predict_trees
 from acoustube.ranging import blockage, record
 
 ECHO = FeatureSettings(kind="echo", processing=HOW)
@@ -153,7 +153,7 @@ def test_residual_scale_follows_noise_that_grows():
     rng = np.random.default_rng(0)
     estimate = rng.uniform(0, 2, 20_000)
     at, scale = uncertainty.residual_scale(estimate, rng.normal(size=20_000) * (0.1 + estimate))
-    assert len(at) == uncertainty.MOST_BINS
+    assert len(at) == uncertainty.MAX_BINS
     assert scale == pytest.approx(0.1 + at, rel=0.15)
 
 
@@ -210,7 +210,7 @@ def test_exported_trees_predict_as_scikit_learn_does():
         HistGradientBoostingRegressor(max_iter=n, max_leaf_nodes=leaves).fit(x, y[:, n % 2])
         for n, leaves in ((1, 2), (20, 31))
     ]
-    found = summed(exported(models), x)
+    found = predict_trees(export_trees(models), x)
     assert found == pytest.approx(np.stack([model.predict(x) for model in models]), abs=1e-12)
 
 
@@ -338,12 +338,12 @@ def narrow_weights(arrays):
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("boosting", broken_trees, "trees of the mean are not whole"),
-        ("boosting", past_the_end, "trees of the mean are not whole"),
+        ("boosting", broken_trees, "trees of the mean are invalid"),
+        ("boosting", past_the_end, "trees of the mean are invalid"),
         ("network", nan_weights, "its weights_1"),
         ("echo", narrow_weights, "its weights_1"),
         ("network", header_with(kind="song"), "it is a song"),
-        ("network", header_with(targets=["taste"]), "network does not tell taste"),
+        ("network", header_with(targets=["taste"]), "network does not estimate taste"),
         ("network", header_with(settings={"cheese": 1}), "cheese"),
         ("network", lambda arrays: arrays.pop("quantiles"), "quantiles"),
     ],

@@ -28,7 +28,13 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.cli import live
 from acoustube.cli.live import trace
-from acoustube.recordings.echotube_stream import FRAME_BYTES, HEAD, Decoder, Receiver, encode
+from acoustube.recordings.echotube_stream import (
+    FRAME_BYTES,
+    PULSE_WIDTH_BYTES,
+    Decoder,
+    Receiver,
+    encode,
+)
 from acoustube.runs.live import RATE, Stream
 from acoustube.signals import Processing, Tracker
 from acoustube.signals.calibration import arctan_fall
@@ -36,7 +42,7 @@ from acoustube.signals.calibration import arctan_fall
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
 CARRIER, SPEED = 42e3, 343.24
 PULSE_LENGTH = 11 / CARRIER
-TIME = np.arange(HEAD, FRAME_BYTES) / RATE
+TIME = np.arange(PULSE_WIDTH_BYTES, FRAME_BYTES) / RATE
 HOW = signals.without_aliased_template(Processing(prominence=0.05), RATE)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
 
@@ -185,7 +191,7 @@ def test_any_payload_survives(samples, width):
     line = encode(width, np.frombuffer(samples, np.uint8))
     assert line.count(0) == 1
     assert line[-1] == 0
-    decoder = Decoder(len(samples) + HEAD)
+    decoder = Decoder(len(samples) + PULSE_WIDTH_BYTES)
     (frame,) = decoder.feed(line)
     assert (frame.pulse_width, frame.samples.tobytes()) == (width, samples)
     assert counts(decoder) == (1, 0, 0)

@@ -1,5 +1,6 @@
 """The package's own names: exported, loaded when used, and nothing heavy before."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -34,6 +35,19 @@ def test_signals_of_recordings_need_no_wave_solver():
     loaded = loaded_by("import acoustube.signals")
     assert "acoustube.signals" in loaded
     assert not {"acoustube.waves", "acoustube.ranging", "jax"} & set(loaded)
+
+
+def test_former_names_are_forwarded_with_a_warning():
+    for package, former, name in (
+        ("signals", "suited", "without_aliased_template"),
+        ("estimation", "described", "feature_table"),
+        ("estimation", "Describing", "FeatureSettings"),
+    ):
+        module = importlib.import_module(f"acoustube.{package}")
+        with pytest.warns(DeprecationWarning, match=f"{former} is {name} now"):
+            assert getattr(module, former) is getattr(module, name)
+        with pytest.raises(AttributeError, match="no attribute 'absent'"):
+            _ = module.absent
 
 
 def test_readme_example_prints_what_it_says(capsys):

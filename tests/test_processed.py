@@ -122,7 +122,7 @@ def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
     for old, new, part in (
         ("cutoff = 10000.0", "cutoff = 0.0", "cutoff = 0.0 must be positive"),
         ("prominence = ", "prominence = -", "must be positive"),
-        ("frequency = 42000.0", 'frequency = "x"', "must be a finite number"),
+        ("frequency = 42000.0", 'frequency = "x"', "is not a finite number"),
     ):
         (tmp_path / "edited.toml").write_text(text.replace(old, new, 1))
         refused = run_here("process", "closed.npz", "--calibration", str(tmp_path / "edited.toml"))

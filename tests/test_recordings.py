@@ -299,7 +299,7 @@ def test_continuous_record_is_cut_into_whole_cycles(tmp_path_factory, n, length,
     path = saved(tmp_path_factory.mktemp("cut") / "a.npz", record)
     data = read(path, samples=length)
     np.testing.assert_array_equal(data["signal"], record[: n * length].reshape(n, length))
-    assert ("no complete cycle" in data.attrs["warnings"]) == (rest % length > 0)
+    assert ("not a complete cycle" in data.attrs["warnings"]) == (rest % length > 0)
 
 
 def test_temperature_of_each_sample_is_averaged_over_the_cycles(tmp_path):
@@ -544,7 +544,7 @@ def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
         read(saved(tmp_path / "a.npz", cycles()), samples=7)
     np.savez(tmp_path / "b.npz", left=cycles(), right=cycles())
     with pytest.raises(
-        ConfigError, match="holds left, right, of which none is known as the signal"
+        ConfigError, match="holds left, right, none of which is known as the signal"
     ):
         read(tmp_path / "b.npz", rate=RATE, temperature=20)
 

@@ -233,7 +233,7 @@ def test_wrong_signals_are_refused_with_the_reason():
         (time**2, good, "not evenly spaced"),
         (np.where(time > 1e-3, np.nan, time), good, "not evenly spaced"),
         (time[:1], good[:1], "at least two samples"),
-        (time + 1, good, "leaves no send pulse"),
+        (time + 1, good, "leaves fewer than 3 samples"),
     ):
         with pytest.raises(ValueError, match=reason):
             signals.process(wrong_time, pressure, pulse_duration=DURATION)

@@ -147,9 +147,9 @@ def test_tables_tell_units_frames_and_gaps(tmp_path):
     assert markers.first[0] == pytest.approx([2e-3, 2e-3, 3e-3])
     assert np.all(np.isnan(markers.first[1]))
     assert markers.second == pytest.approx(1e-3 * np.array([[4, 5, 6], [7, 8, 9]]))
-    assert (markers.unit, markers.told) == ("mm", True)
+    assert (markers.unit, markers.unit_stated) == ("mm", True)
     bare = table(tmp_path / "b.csv", ["A;1;2;3", "B;4;5;6"], "column;x;y;z")
-    assert read_markers(bare).told is False
+    assert read_markers(bare).unit_stated is False
     assert read_markers(bare, unit="cm").second == pytest.approx(1e-2 * np.array([[4, 5, 6]]))
 
 
@@ -184,7 +184,7 @@ def test_c3d_is_read_as_the_table(tmp_path):
     file.write(str(tmp_path / "m.c3d"))
     markers = read_markers(tmp_path / "m.c3d")
     assert markers.names == ("A", "B")
-    assert markers.told
+    assert markers.unit_stated
     assert markers.first == pytest.approx(first, abs=1e-6)
     assert markers.second == pytest.approx(second, abs=1e-6)
 

@@ -99,6 +99,23 @@ REFERENCES = (
         {},
     ),
     Reference(
+        "turin1960", "article", "sensor", "Turin, G. L.", "An introduction to matched filters",
+        {"journal": "IRE Transactions on Information Theory", "volume": "6", "pages": "311--329",
+         "year": "1960", "doi": "10.1109/TIT.1960.1057571"},
+    ),
+    Reference(
+        "hampel1974", "article", "sensor", "Hampel, F. R.",
+        "The influence curve and its role in robust estimation",
+        {"journal": _STATISTICS, "volume": "69", "pages": "383--393", "year": "1974",
+         "doi": "10.1080/01621459.1974.10482962"},
+    ),
+    Reference(
+        "cheshire1999", "article", "sensor", "Cheshire, S. and Baker, M.",
+        "Consistent overhead byte stuffing",
+        {"journal": "IEEE/ACM Transactions on Networking", "volume": "7", "pages": "159--172",
+         "year": "1999", "doi": "10.1109/90.769765"},
+    ),
+    Reference(
         "simo1985", "article", "press", "Simo, J. C. and Taylor, R. L. and Pister, K. S.",
         "Variational and projection methods for the volume constraint in finite deformation "
         "elasto-plasticity",
@@ -356,6 +373,15 @@ REFERENCES = (
     Reference(
         "echotube2019", "inproceedings", "rangefinder", "", "{EchoTube}",
         {"booktitle": "ISS 2019", "year": "2019", "doi": "10.1145/3343055.3359712"},
+    ),
+    Reference(
+        "morse1968", "book", "rangefinder", "Morse, P. M. and Ingard, K. U.",
+        "Theoretical Acoustics", {"publisher": "McGraw-Hill", "year": "1968"},
+    ),
+    Reference(
+        "salmon2011", "inproceedings", "rangefinder", "Salmon, J. K. and others",
+        "Parallel random numbers: as easy as 1, 2, 3",
+        {"booktitle": "SC '11", "year": "2011", "doi": "10.1145/2063384.2063405"},
     ),
     Reference(
         "rousseeuw1984", "article", "arm", "Rousseeuw, P. J.",

@@ -1,4 +1,4 @@
-"""A classical baseline: gradient boosting on the features of the echo."""
+"""Gradient boosting on the features of the echo."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
 from acoustube.estimation.inputs import check_inputs, check_rows, offsets
 from acoustube.estimation.splits import folds
-from acoustube.estimation.trees import exported, summed
+from acoustube.estimation.trees import export_trees, predict_trees
 
-NARROWEST = 0.05
-"""Smallest stated scale, as a share of the median size of the held-out residuals."""
+MIN_SCALE = 0.05
+"""Smallest stated scale, relative to the median absolute held-out residual."""
 
 
 class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
@@ -28,33 +28,34 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     n_folds : int
         Models, each of which holds out one fold of the rows.
     max_iter : int
-        Trees of a model.
+        Trees of a model, as ``max_iter`` of scikit-learn.
     learning_rate : float
     max_leaf_nodes : int
-        Of a tree, at most.
+        Most leaves of a tree, as ``max_leaf_nodes`` of scikit-learn.
     offset_columns : tuple of int or None
-        For each target the column of X that it is learned as an addition to, if any.
+        For each target the column of X whose values are subtracted from it before training and
+        added to the estimate; None for no offset.
     seed : int
 
     Attributes
     ----------
     means_, scales_ : acoustube.estimation.trees.Trees
-        Models of the target, and of the size of its held-out residual, fold by fold within target
-        by target.
+        Models of the target and of its absolute held-out residual; the folds vary fastest.
     quantiles_ : array of shape (level, target)
         See :mod:`acoustube.estimation.uncertainty`.
 
     Notes
     -----
-    scikit-learn's ``HistGradientBoostingRegressor``. A second model of the same folds learns how
-    large the residuals of held-out rows are, from the features, and is itself asked on held-out
-    rows only [1]_.
+    scikit-learn's ``HistGradientBoostingRegressor``, after LightGBM [2]_. A second model of the
+    same folds estimates the absolute residuals of held-out rows from the features, and is itself
+    evaluated on held-out rows only [1]_.
 
     References
     ----------
     .. [1] J. Lei et al., Distribution-free predictive inference for regression, Journal of the
        American Statistical Association 113 (2018), 1094-1111, section 5.2.
        doi:10.1080/01621459.2017.1307116
+    .. [2] G. Ke et al., LightGBM: a highly efficient gradient boosting decision tree, NeurIPS 2017.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         groups: ArrayLike | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Self:
-        """Grow the trees.
+        """Fit the models.
 
         Parameters
         ----------
@@ -105,18 +106,18 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
         fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
 
-        def report(part: float, share: float) -> None:
+        def report(part: float, fraction: float) -> None:
             if progress is not None:
-                progress((part + share) / 2)
+                progress((part + fraction) / 2)
 
         rest = targets - offsets(x, self.offset_columns, self.n_targets_)
-        means = self._grown(x, rest, fold, lambda share: report(0, share))
-        self.means_ = exported(means)
-        residual = rest - self._own(self.means_, x, fold)
-        scales = self._grown(x, np.abs(residual), fold, lambda share: report(1, share))
-        self.scales_ = exported(scales)
-        self.narrowest_ = NARROWEST * np.median(np.abs(residual), axis=0) + np.finfo(float).tiny
-        scale = np.maximum(self._own(self.scales_, x, fold), self.narrowest_)
+        means = self._fit_models(x, rest, fold, lambda fraction: report(0, fraction))
+        self.means_ = export_trees(means)
+        residual = rest - self._held_out(self.means_, x, fold)
+        scales = self._fit_models(x, np.abs(residual), fold, lambda fraction: report(1, fraction))
+        self.scales_ = export_trees(scales)
+        self.narrowest_ = MIN_SCALE * np.median(np.abs(residual), axis=0) + np.finfo(float).tiny
+        scale = np.maximum(self._held_out(self.scales_, x, fold), self.narrowest_)
         self.quantiles_ = uncertainty.conformal_quantiles(residual, scale)
         return self
 
@@ -125,10 +126,10 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         estimate = offsets(x, self.offset_columns, self.n_targets_) + self._mean(self.means_, x)
         return estimate, np.maximum(self._mean(self.scales_, x), self.narrowest_)
 
-    def _grown(
+    def _fit_models(
         self, x: Array, targets: Array, fold: NDArray[np.intp], report: Callable[[float], None]
     ) -> list[Any]:
-        """Return one model per target and fold, which has not seen that fold."""
+        """Return one model per target and fold, fitted without the rows of that fold."""
         models: list[Any] = []
         for target in targets.T:
             for k in range(self.n_folds):
@@ -142,11 +143,11 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return models
 
     def _by_fold(self, trees: Any, x: Array) -> Array:
-        """Return what all models make of rows, (fold, row, target)."""
-        every = summed(trees, x).reshape(self.n_targets_, self.n_folds, len(x))
+        """Return the outputs of all models, (fold, row, target)."""
+        every = predict_trees(trees, x).reshape(self.n_targets_, self.n_folds, len(x))
         return np.asarray(every.transpose(1, 2, 0))
 
-    def _own(self, trees: Any, x: Array, fold: NDArray[np.intp]) -> Array:
+    def _held_out(self, trees: Any, x: Array, fold: NDArray[np.intp]) -> Array:
         return np.asarray(self._by_fold(trees, x)[fold, np.arange(len(x))])
 
     def _mean(self, trees: Any, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""An estimator of position, depth and force that uses the whole echo."""
+"""Ensemble of networks for position, depth and force from the features of the whole echo."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from acoustube.estimation.splits import folds
 
 
 class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
-    """Networks that state a distribution for each target, one network per fold.
+    """Networks that estimate a Laplace distribution for each target, one network per fold.
 
-    Made for :func:`acoustube.estimation.features.echo_features`, which hold what the press sent
-    back: its spectrum and its course, freed of the way. Position is learned as what must be added
-    to the distance of the highest peak.
+    For the features of :func:`acoustube.estimation.features.echo_features`. Position is estimated
+    as an offset from the distance of the strongest echo.
 
     Parameters
     ----------
@@ -31,8 +30,8 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     hidden : tuple of int
         Widths of the hidden layers.
     offset_columns : tuple of int or None
-        For each target the column of X that it is learned as an addition to, if any. These columns
-        are no inputs of the networks.
+        For each target the column of X whose values are subtracted from it before training and
+        added to the estimate; None for no offset. These columns are not inputs of the networks.
     seed : int
 
     Attributes
@@ -43,10 +42,10 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
 
     Notes
     -----
-    A deep ensemble [1]_ of Laplace distributions in place of normal ones, since some highest peaks
-    are not the press: where one is off by a metre its weight in the loss must not be squared. The
-    estimate is the mean of the networks' medians. Its scale adds the mean of their variances and
-    the variance of their medians, and is multiplied by what held-out rows ask for.
+    A deep ensemble [1]_ of Laplace distributions in place of normal ones, since some strongest
+    echoes are not the press: outliers of a metre must not enter the loss squared. The estimate is
+    the mean of the networks' medians. Its scale is the root of the mean of their variances and the
+    variance of their medians, multiplied by the conformal quantile of held-out rows.
 
     References
     ----------
@@ -111,7 +110,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
             epochs=self.epochs, batch_size=self.batch_size, learning_rate=self.learning_rate,
             weight_decay=self.weight_decay, seed=self.seed, progress=progress,
         )  # fmt: skip
-        median, deviation = self._every(x)
+        median, deviation = self._by_fold(x)
         rows = np.arange(len(x))
         scale = np.hypot(deviation[fold, rows], median.std(axis=0))
         self.quantiles_ = uncertainty.conformal_quantiles(rest - median[fold, rows], scale)
@@ -119,11 +118,11 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         x = check_inputs(X, self.n_features_in_)
-        median, deviation = self._every(x)
+        median, deviation = self._by_fold(x)
         scale = np.sqrt(np.mean(deviation**2, axis=0) + np.var(median, axis=0))
         return offsets(x, self.offset_columns, self.n_targets_) + median.mean(axis=0), scale
 
-    def _every(self, x: Array) -> tuple[Array, Array]:
+    def _by_fold(self, x: Array) -> tuple[Array, Array]:
         """Return medians and deviations of all networks, (fold, row, target)."""
         scales = self.networks_.scaler
         out, log_scale = np.split(network.predict(self.networks_, self._inputs(x)), 2, axis=-1)

@@ -1,10 +1,17 @@
-"""What estimators are told of each cycle: the paper's two numbers, or the whole echo.
+"""Features of cycles for the estimators: the strongest peak, or the whole echo.
 
-The whole echo is described as the press sent it back, not as it arrived: what the way there and
-back takes is put back in at each frequency by the plane mode's attenuation in that bore and air. So
-an estimator that has learned presses at one place can know them at another. Which echo is the
-press's is decided against what a tube returns without one: irregularities all along it, which fade
-as echoes do, and a noise that does not.
+The two features of the strongest peak are those of "Wearable, Fabric-Embedded Acoustic Waveguides
+for Meter-Scale Contact Localization and Force Sensing" (the sleeve paper).
+
+The features of the whole echo are those at the press, not at the sensor: the attenuation of the
+plane mode on the path there and back, in that bore and air, is compensated at each frequency. An
+estimator trained on presses at one distance can therefore be applied at another. The press's echo
+is selected by its level over the background: the clutter of the tube's irregularities, attenuated
+as echoes are, and a constant noise.
+
+The thresholds were chosen by hand on simulated cycles of the default rangefinder
+(:mod:`acoustube.ranging`). They are part of the definition of the features: a change of one needs a
+new format of model files.
 """
 
 from __future__ import annotations
@@ -35,57 +42,59 @@ from acoustube.signals import (
 from acoustube.signals.peaks import strongest_echo
 from acoustube.waves.modes import axial_wavenumber
 
-PAPER = ("amplitude", "distance")
-"""Names of the paper's inputs, the highest peak's, in 1 and m."""
+PEAK_FEATURES = ("amplitude", "distance")
+"""Names of the features of the strongest peak, relative to the send pulse and in m."""
 LABELS = (
     "true_distance", "depth", "force", "diameter", "press", "tube", "session", "shape",
     "lumen_area",
 )  # fmt: skip
-"""What may be known of a cycle besides its signal: what is to be told, and what groups cycles."""
-CHUNK = 250
-"""Cycles that are described together: 8 MB of double precision per step."""
+"""Names of labels of cycles: targets of the estimators, and groups of cycles."""
+CYCLES_PER_CHUNK = 250
+"""Cycles whose features are computed at once: 8 MB of double precision per step."""
 THREADS = 2
 
-BEFORE, AFTER = 0.8e-3, 1.6e-3
-"""Window in s around the highest peak: an echo lasts 0.5 ms, and what a press traps leaks later."""
-TAPER = 0.2
-"""Share of the window over which it rises, and falls."""
-BAND, STEP = 3.5e3, 500.0
-"""Half the width of the band around the carrier, and the step in it, in Hz: the transducer passes
-3 kHz, and the window resolves 400 Hz."""
-DELAYS = np.arange(-6, 13) * 1e-4
-"""Of the envelope's samples after the highest peak, in s."""
-FLOOR = 1e-6
-"""Share of the send pulse below which nothing is told apart: under a hundredth of a count."""
-FIRST, NEAR = 0.5, 0.25
-"""Height of the first echo of a press, as a share of the highest, and how far before it in m."""
-LOUDEST = 3.0
-"""Highest of the noise in a window, in its medians: what is lower is no echo."""
-OVER_BACKGROUND = 0.5
-"""Least prominence of an echo over the background."""
-OTHERS = 2
-"""Echoes that are told besides the one that stands out most."""
-APART = 0.1
-"""Distance in m from that echo within which another is of the same press."""
-LOWEST = -40.0
-"""Level in dB that stands for an echo that is not there."""
-WARMTH_STEP = 2.0
-"""In K, between temperatures at which the attenuation is computed."""
+WINDOW_BEFORE, WINDOW_AFTER = 0.8e-3, 1.6e-3
+"""Window in s around the strongest echo: an echo lasts 0.5 ms, and trapped sound leaks later."""
+TAPER_FRACTION = 0.2
+"""Fraction of the window over which its taper rises, and falls."""
+SPECTRUM_HALF_WIDTH, SPECTRUM_STEP = 3.5e3, 500.0
+"""Half the width of the band around the carrier, and the frequency step, in Hz: the transducer's
+bandwidth is 3 kHz, and the window resolves 400 Hz."""
+ENVELOPE_DELAYS = np.arange(-6, 13) * 1e-4
+"""Delays in s of the envelope's samples after the strongest echo."""
+LEAST_AMPLITUDE = 1e-6
+"""Lower bound of amplitudes, relative to the send pulse: under a hundredth of an ADC count."""
+FIRST_ECHO_RATIO, FIRST_ECHO_REACH = 0.5, 0.25
+"""Least amplitude of a press's first echo, relative to its strongest, and largest lead in m."""
+NOISE_MAXIMUM = 3.0
+"""Maximum of the noise in a window over its median: lower peaks are not echoes."""
+LEAST_PROMINENCE = 0.5
+"""Least prominence of an echo, relative to the background."""
+N_OTHER_ECHOES = 2
+"""Number of further echoes among the features."""
+SAME_PRESS_DISTANCE = 0.1
+"""Distance in m within which two echoes belong to the same press."""
+ABSENT_LEVEL = -40.0
+"""Level in dB that stands for an absent echo."""
+TEMPERATURE_STEP = 2.0
+"""Step in K of the temperatures at which the attenuation is computed."""
 DECIBEL = 20 / np.log(10)
+"""Decibels per neper."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureSettings:
-    """How cycles become features.
+    """Settings of the features of cycles.
 
     Attributes
     ----------
     kind : str
-        ``paper``: :data:`PAPER`. ``echo``: see :func:`echo_features`.
+        ``paper``: :data:`PEAK_FEATURES`, those of the sleeve paper. ``echo``: those of
+        :func:`echo_features`.
     processing : Processing
         As for :func:`acoustube.signals.locate`.
     radius : float
-        Of the bore in m, for the attenuation; that of a recording that tells it goes before.
+        Radius of the bore in m, for the attenuation; overridden by that of a recording.
     """
 
     kind: str = "paper"
@@ -94,43 +103,48 @@ class FeatureSettings:
 
 
 def feature_table(
-    cycles: xr.Dataset, how: FeatureSettings, progress: Callable[[float], None] | None = None
+    cycles: xr.Dataset, settings: FeatureSettings, progress: Callable[[float], None] | None = None
 ) -> xr.Dataset:
-    """Return what estimators are told of cycles, beside what they are to tell.
+    """Return the feature table of recorded cycles, with their labels.
 
     Parameters
     ----------
     cycles : xarray.Dataset
-        ``signal`` (cycle, time) and ``temperature`` (cycle) in degC, as of
-        :func:`acoustube.recordings.read`; :data:`LABELS` as far as they are known.
-    how : FeatureSettings
+        ``signal`` (cycle, time) and ``temperature`` (cycle) in degC, as from
+        :func:`acoustube.recordings.read`; any of :data:`LABELS` (cycle).
+    settings : FeatureSettings
     progress : callable, optional
         Called with the finished fraction.
 
     Returns
     -------
     xarray.Dataset
-        ``features`` (cycle, feature), the coordinate ``feature`` holding their names: a row of nan
-        for a cycle without an echo. And the labels (cycle).
+        ``features`` (cycle, feature) with their names as coordinate ``feature``, nan for a cycle
+        without an echo; the labels (cycle); the attribute ``sampling_rate`` in Hz.
+
+    Raises
+    ------
+    ValueError
+        As :func:`acoustube.signals.process`.
     """
     time, signal = cycles["time"].values, cycles["signal"].values
-    warmth, count = cycles["temperature"].values, cycles.sizes["cycle"]
-    processing = without_aliased_template(how.processing, sampling_rate(time))
-    radii = _radii(cycles, how.radius)
+    temperatures, count = cycles["temperature"].values, cycles.sizes["cycle"]
+    processing = without_aliased_template(settings.processing, sampling_rate(time))
+    radii = _radii(cycles, settings.radius)
 
     def piece(start: int) -> Array:
-        part = slice(start, start + CHUNK)
-        if how.kind == "paper":
-            ranging = locate(time, signal[part], processing, temperature=warmth[part])
+        part = slice(start, start + CYCLES_PER_CHUNK)
+        if settings.kind == "paper":
+            ranging = locate(time, signal[part], processing, temperature=temperatures[part])
             return np.stack([ranging.amplitude, ranging.distance], axis=-1)
-        return echo_features(time, signal[part], warmth[part], processing, radii[part])
+        return echo_features(time, signal[part], temperatures[part], processing, radii[part])
 
-    starts, rows = range(0, count, CHUNK), []
+    starts, rows = range(0, count, CYCLES_PER_CHUNK), []
     with ThreadPoolExecutor(THREADS) as pool:
         for start, found in zip(starts, pool.map(piece, starts), strict=True):
             rows.append(found)
             if progress is not None:
-                progress(min(1.0, (start + CHUNK) / count))
+                progress(min(1.0, (start + CYCLES_PER_CHUNK) / count))
     known = {
         name: ("cycle", cycles[name].values, cycles[name].attrs)
         for name in LABELS
@@ -138,14 +152,14 @@ def feature_table(
     }
     return xr.Dataset(
         {"features": (("cycle", "feature"), np.concatenate(rows))} | known,
-        {"feature": list(names(how))},
+        {"feature": list(names(settings))},
         {"sampling_rate": sampling_rate(time)},
     )
 
 
-def names(how: FeatureSettings) -> tuple[str, ...]:
+def names(settings: FeatureSettings) -> tuple[str, ...]:
     """Return the names of the features."""
-    return PAPER if how.kind == "paper" else echo_names(how.processing.frequency)
+    return PEAK_FEATURES if settings.kind == "paper" else echo_names(settings.processing.frequency)
 
 
 def _radii(cycles: xr.Dataset, default: float) -> Array:
@@ -160,81 +174,94 @@ def echo_names(carrier: float) -> tuple[str, ...]:
     return (
         "distance", "level", "over_background", "over_noise", "clutter", "first_lead",
         "first_level",
-        *(f"other_{i}_{what}" for what in ("level", "distance") for i in range(1, OTHERS + 1)),
+        *(f"other_{i + 1}_{what}" for what in ("level", "distance") for i in range(N_OTHER_ECHOES)),
         *(f"spectrum_{1e-3 * f:.1f}_khz" for f in frequencies(carrier)),
-        *(f"envelope_{1e3 * t:+.1f}_ms" for t in DELAYS if t != 0),
+        *(f"envelope_{1e3 * t:+.1f}_ms" for t in ENVELOPE_DELAYS if t != 0),
     )  # fmt: skip
 
 
 def frequencies(carrier: float) -> Array:
     """Return the frequencies of the spectrum in Hz around a carrier."""
-    return carrier + np.arange(-BAND, BAND + STEP / 2, STEP)
+    return carrier + np.arange(
+        -SPECTRUM_HALF_WIDTH, SPECTRUM_HALF_WIDTH + SPECTRUM_STEP / 2, SPECTRUM_STEP
+    )
 
 
 def echo_features(
-    time: Array, signal: Any, temperature: Array, how: Processing, radius: float | Array = 3.95e-3
+    time: Array,
+    signal: Any,
+    temperature: Array,
+    settings: Processing,
+    radius: float | Array = 3.95e-3,
 ) -> Array:
     """Return the features of the whole echo.
 
     Parameters
     ----------
     time : array of shape (time,)
-        In s.
+        Sampling times in s.
     signal : array of shape (cycle, time)
     temperature : array of shape (cycle,)
-        In degC.
-    how : Processing
+        Temperature of the air in degC.
+    settings : Processing
         Its gain and prominence are not used.
     radius : float or array of shape (cycle,)
-        Of the bore in m.
+        Radius of the bore in m.
 
     Returns
     -------
     array of shape (cycle, feature)
-        Of the echo that stands out most from the background: ``distance`` in m; ``level`` in dB of
-        the send pulse; how far it is ``over_background`` and ``over_noise``, and the tube's
-        ``clutter``, in dB; ``first_lead`` in m and ``first_level`` in dB: how far before it the
-        first echo of this press lies, and its level against it; levels over the background in dB,
-        against that echo's, and distances from it in m, of the next :data:`OTHERS`; the spectrum
-        around it at :func:`frequencies` in dB of the send pulse; and the envelope at
-        :data:`DELAYS` in dB of the echo. Levels are corrected for the way there and back. nan for
-        a cycle without an echo.
+        nan for a cycle without an echo. The echo is that of the highest level over the background;
+        levels are corrected for the path there and back. In order: its ``distance`` in m; its
+        ``level`` in dB of the send pulse; its levels ``over_background`` and ``over_noise``, and
+        the tube's ``clutter``, in dB; ``first_lead`` in m and ``first_level`` in dB, the distance
+        from the first echo of this press to it and that echo's relative level; relative levels over
+        the background in dB, and distances from it in m, of the next :data:`N_OTHER_ECHOES`; the
+        spectrum around it at :func:`frequencies` in dB of the send pulse; and the envelope at
+        :data:`ENVELOPE_DELAYS` in dB of the echo.
 
     Notes
     -----
-    The envelope e without time gain is e exp(2 a l) on what is sent back at distance l, with the
-    attenuation a. Its median k over the search window, where it is not noise, is the clutter; the
-    median n past the window, or of the window if the record ends, the noise. The background is
-    hypot(k exp(-2 a l), 3 n): a gain that follows from physics and from the cycle itself, in place
-    of one that was fitted to closures.
+    With the plane mode's attenuation a, the envelope e at distance l corresponds to e exp(2 a l) at
+    the reflector. The clutter k is the median of that over the samples of the search window above
+    the noise. The noise n is the median of e after the search window, or within it if the record
+    ends there. The background is hypot(k exp(-2 a l), 3 n). It replaces a time gain fitted to
+    closures: it follows from the physics and from the cycle itself.
     """
-    ranging = locate(time, signal, replace(how, gain=None, prominence=1.0), temperature=temperature)
+    ranging = locate(
+        time, signal, replace(settings, gain=None, prominence=1.0), temperature=temperature
+    )
     radii = np.broadcast_to(np.asarray(radius, float), np.shape(temperature))
-    lost = _attenuation(np.append(how.frequency, frequencies(how.frequency)), temperature, radii)
+    attenuation = _attenuation(
+        np.append(settings.frequency, frequencies(settings.frequency)), temperature, radii
+    )
     speed = speed_of_sound(temperature)[:, None]
     send = ranging.send_time[:, None]
     place = speed / 2 * (time - send)
-    gain = np.exp(2 * lost[:, :1] / DECIBEL * np.maximum(place, 0.0))
-    clutter, noise = _levels(ranging.envelope, place, gain, how)
-    over = ranging.envelope / np.hypot(clutter / gain, LOUDEST * noise)
+    gain = np.exp(2 * attenuation[:, :1] / DECIBEL * np.maximum(place, 0.0))
+    clutter, noise = _levels(ranging.envelope, place, gain, settings)
+    over = ranging.envelope / np.hypot(clutter / gain, NOISE_MAXIMUM * noise)
     start = send[:, 0] + np.maximum(
-        blind_time(how.pulse_cycles / how.frequency, how.cutoff), 2 * how.nearest / speed[:, 0]
+        blind_time(settings.pulse_cycles / settings.frequency, settings.cutoff),
+        2 * settings.nearest / speed[:, 0],
     )
     echoes = find_echoes(
-        time, over, start=start, stop=send[:, 0] + 2 * how.farthest / speed[:, 0],
-        prominence=OVER_BACKGROUND,
+        time, over, start=start, stop=send[:, 0] + 2 * settings.farthest / speed[:, 0],
+        prominence=LEAST_PROMINENCE,
     )  # fmt: skip
     back, height, _ = strongest_echo(echoes)
     distance = speed[:, 0] / 2 * (back - send[:, 0])
     amplitude = _sampled(ranging.envelope, time, back[:, None])[:, 0]
-    way = lost * 2 * distance[:, None]
-    course = _sampled(ranging.envelope, time, back[:, None] + DELAYS[DELAYS != 0])
+    path_loss = attenuation * 2 * distance[:, None]
+    waveform = _sampled(
+        ranging.envelope, time, back[:, None] + ENVELOPE_DELAYS[ENVELOPE_DELAYS != 0]
+    )
     return np.concatenate(
         [
             np.stack(
                 [
                     distance,
-                    _decibel(amplitude) + way[:, 0],
+                    _decibel(amplitude) + path_loss[:, 0],
                     _decibel(height),
                     _decibel(amplitude) - _decibel(noise[:, 0]),
                     np.where(np.isfinite(back), _decibel(clutter[:, 0]), np.nan),
@@ -242,108 +269,115 @@ def echo_features(
                 axis=-1,
             ),
             _companions(echoes, back, height, speed),
-            _spectrum(time, signal, ranging, back, how) + way[:, 1:],
-            _decibel(course) - _decibel(amplitude)[:, None]
-            + lost[:, :1] * speed * DELAYS[DELAYS != 0],
+            _spectrum(time, signal, ranging, back, settings) + path_loss[:, 1:],
+            _decibel(waveform) - _decibel(amplitude)[:, None]
+            + attenuation[:, :1] * speed * ENVELOPE_DELAYS[ENVELOPE_DELAYS != 0],
         ],
         axis=-1,
     )  # fmt: skip
 
 
-def _levels(envelope: Array, place: Array, gain: Array, how: Processing) -> tuple[Array, Array]:
-    """Return the clutter as sent back, and the noise, as shares of the send pulse, (cycle, 1)."""
-    inside = (place >= how.nearest) & (place <= how.farthest)
-    past = place > how.farthest
+def _levels(
+    envelope: Array, place: Array, gain: Array, settings: Processing
+) -> tuple[Array, Array]:
+    """Return clutter at the reflector and noise, relative to the send pulse, (cycle, 1)."""
+    inside = (place >= settings.nearest) & (place <= settings.farthest)
+    past = place > settings.farthest
     quiet = np.where(past.sum(axis=-1, keepdims=True) > envelope.shape[-1] // 20, past, inside)
     noise = _median(envelope, quiet)
-    heard = inside & (envelope > 3 * noise)
-    # A tube of which nothing is heard over the noise has a clutter of that size at its start.
-    heard |= inside & ~heard.any(axis=-1, keepdims=True) & (place < 2 * how.nearest)
-    return _median(envelope * gain, heard), noise
+    audible = inside & (envelope > 3 * noise)
+    # Where no clutter exceeds the noise, the noise at the tube's start bounds it.
+    audible |= inside & ~audible.any(axis=-1, keepdims=True) & (place < 2 * settings.nearest)
+    return _median(envelope * gain, audible), noise
 
 
 def _median(values: Array, where: NDArray[np.bool_]) -> Array:
     with np.errstate(invalid="ignore"):
         found = np.ma.median(np.ma.masked_array(values, ~where), axis=-1, keepdims=True)
-    return np.maximum(np.ma.filled(found, FLOOR), FLOOR)
+    return np.maximum(np.ma.filled(found, LEAST_AMPLITUDE), LEAST_AMPLITUDE)
 
 
-def _attenuation(frequency: Array, warmth: Array, radii: Array) -> Array:
+def _attenuation(frequency: Array, temperatures: Array, radii: Array) -> Array:
     """Return the plane mode's attenuation in dB/m at frequencies, of each cycle (cycle, frequency).
 
-    Between whole multiples of :data:`WARMTH_STEP` linear, where it bends by less than 0.1 %; fixed
-    ones, so that a cycle's features do not depend on the others.
+    Interpolated linearly, with an error under 0.1 %, between multiples of :data:`TEMPERATURE_STEP`:
+    fixed ones, so that a cycle's features do not depend on other cycles.
     """
-    lost = np.empty((len(warmth), len(frequency)))
-    place = np.asarray(warmth) / WARMTH_STEP
+    attenuation = np.empty((len(temperatures), len(frequency)))
+    place = np.asarray(temperatures) / TEMPERATURE_STEP
     below = np.floor(place).astype(int)
-    share = (place - below)[:, None]
+    fraction = (place - below)[:, None]
     for radius in np.unique(radii):
         of_bore = radii == radius
         first = below[of_bore].min()
         steps = np.arange(first, below[of_bore].max() + 2)
         table = np.array(
             [
-                -axial_wavenumber(0, 0, frequency, radius, air_at(float(WARMTH_STEP * i))).imag
+                -axial_wavenumber(0, 0, frequency, radius, air_at(float(TEMPERATURE_STEP * i))).imag
                 for i in steps
             ]
         )  # (temperature, frequency)
         row = below[of_bore] - first
-        lost[of_bore] = (1 - share[of_bore]) * table[row] + share[of_bore] * table[row + 1]
-    return DECIBEL * lost
+        attenuation[of_bore] = (1 - fraction[of_bore]) * table[row] + fraction[of_bore] * table[
+            row + 1
+        ]
+    return DECIBEL * attenuation
 
 
-def _decibel(share: Array) -> Array:
-    return np.asarray(DECIBEL * np.log(np.maximum(share, FLOOR)))
+def _decibel(fraction: Array) -> Array:
+    return np.asarray(DECIBEL * np.log(np.maximum(fraction, LEAST_AMPLITUDE)))
 
 
 def _sampled(envelope: Array, time: Array, at: Array) -> Array:
     """Return envelopes at times (cycle, n) in s, linear between the samples; nan at nan."""
     place = np.clip((at - time[0]) * sampling_rate(time), 0, time.size - 1.001)
     index = np.nan_to_num(place).astype(int)
-    share = place - index
+    fraction = place - index
     left, right = (np.take_along_axis(envelope, index + i, axis=-1) for i in (0, 1))
-    return np.asarray((1 - share) * left + share * right)
+    return np.asarray((1 - fraction) * left + fraction * right)
 
 
 def _companions(echoes: Echoes, back: Array, height: Array, speed: Array) -> Array:
-    """Return lead and level of a press's first echo, and levels and distances of other echoes."""
+    """Return lead and level of a press's first echo, and levels and distances of further echoes."""
     if echoes.times.shape[-1] == 0:
-        return np.full((len(back), 2 + 2 * OTHERS), np.nan)
+        return np.full((len(back), 2 + 2 * N_OTHER_ECHOES), np.nan)
     after = speed / 2 * (echoes.times - back[:, None])  # in m
     level = _decibel(echoes.amplitudes) - _decibel(height)[:, None]
-    first = (after > -NEAR) & (level >= DECIBEL * np.log(FIRST))
+    first = (after > -FIRST_ECHO_REACH) & (level >= DECIBEL * np.log(FIRST_ECHO_RATIO))
     index = np.argmax(first, axis=-1)[:, None]
     lead, first_level = (np.take_along_axis(a, index, axis=-1) for a in (-after, level))
-    level = np.where(np.abs(after) > APART, level, np.nan)
-    level = np.concatenate([level, np.full((len(back), OTHERS), np.nan)], axis=-1)
-    after = np.concatenate([after, np.zeros((len(back), OTHERS))], axis=-1)
-    next_ones = np.argsort(-np.nan_to_num(level, nan=-np.inf), axis=-1)[:, :OTHERS]
+    level = np.where(np.abs(after) > SAME_PRESS_DISTANCE, level, np.nan)
+    level = np.concatenate([level, np.full((len(back), N_OTHER_ECHOES), np.nan)], axis=-1)
+    after = np.concatenate([after, np.zeros((len(back), N_OTHER_ECHOES))], axis=-1)
+    next_ones = np.argsort(-np.nan_to_num(level, nan=-np.inf), axis=-1)[:, :N_OTHER_ECHOES]
     levels, places = (np.take_along_axis(a, next_ones, axis=-1) for a in (level, after))
     there = np.isfinite(levels)
     found = np.concatenate(
-        [lead, first_level, np.where(there, levels, LOWEST), np.where(there, places, 0.0)], axis=-1
+        [lead, first_level, np.where(there, levels, ABSENT_LEVEL), np.where(there, places, 0.0)],
+        axis=-1,
     )
     return np.where(np.isfinite(back)[:, None], found, np.nan)
 
 
-def _spectrum(time: Array, signal: Any, ranging: Ranging, back: Array, how: Processing) -> Array:
+def _spectrum(
+    time: Array, signal: Any, ranging: Ranging, back: Array, settings: Processing
+) -> Array:
     """Return the spectrum of a window around an echo in dB of the send pulse."""
     rate = sampling_rate(time)
     plain = np.asarray(signal, float)
-    if how.offset_cutoff is not None:
-        plain = remove_offset(plain, rate, how.offset_cutoff)
-    since = np.arange(round(-BEFORE * rate), round(AFTER * rate) + 1)
+    if settings.offset_cutoff is not None:
+        plain = remove_offset(plain, rate, settings.offset_cutoff)
+    since = np.arange(round(-WINDOW_BEFORE * rate), round(WINDOW_AFTER * rate) + 1)
     index = np.round((np.nan_to_num(back) - time[0]) * rate).astype(int)[:, None] + since
     inside = (index >= 0) & (index < time.size)
     window = np.take_along_axis(plain, np.clip(index, 0, time.size - 1), axis=-1) * inside
-    turns = np.exp(-2j * np.pi * np.outer(since / rate, frequencies(how.frequency)))
-    amplitude = np.abs((window * _tapered(since.size)) @ turns)
-    scale = ranging.send_amplitude[:, None] * how.pulse_cycles / how.frequency * rate / 2
+    turns = np.exp(-2j * np.pi * np.outer(since / rate, frequencies(settings.frequency)))
+    amplitude = np.abs((window * _tapered_window(since.size)) @ turns)
+    scale = ranging.send_amplitude[:, None] * settings.pulse_cycles / settings.frequency * rate / 2
     return np.where(np.isfinite(back)[:, None], _decibel(amplitude / scale), np.nan)
 
 
-def _tapered(n: int) -> Array:
-    """Return a window that is flat in its middle, with cosines at both ends."""
-    place = np.minimum(np.arange(n), np.arange(n)[::-1]) / (TAPER * (n - 1))
+def _tapered_window(n: int) -> Array:
+    """Return a tapered-cosine (Tukey) window of n samples."""
+    place = np.minimum(np.arange(n), np.arange(n)[::-1]) / (TAPER_FRACTION * (n - 1))
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(place, 1.0)))

@@ -1,4 +1,8 @@
-"""The paper's force network: peak amplitude and estimated distance in, force out (section II-B)."""
+"""Force network of the sleeve paper: from peak amplitude and estimated distance to force.
+
+As section II-B of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing" (the sleeve paper).
+"""
 
 from __future__ import annotations
 
@@ -27,10 +31,10 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         Networks, each of which holds out one fold of the rows.
     epochs, batch_size : int
     learning_rate, weight_decay : float
-        Of Adam; the decay is L2 in the gradient, see
+        Settings of Adam; the decay is an L2 term in the gradient, see
         :func:`acoustube.estimation.network.optimiser`.
     seed : int
-        Of folds, initial weights and the order of the rows.
+        Random seed of folds, initial weights and the order of the rows.
 
     Attributes
     ----------
@@ -39,14 +43,15 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     weights_ : array of shape (fold,)
         Normalised inverse validation losses after the last epoch.
     scale_ : tuple of array
-        How held-out residuals grow with the estimate, in the target's unit.
+        Scale of held-out residuals as a function of the estimate, in the target's unit; see
+        :func:`acoustube.estimation.uncertainty.residual_scale`.
     quantiles_ : array of shape (level, 1)
         See :mod:`acoustube.estimation.uncertainty`.
 
     Notes
     -----
-    The scale of an estimate is the spread between the folds and the residuals of held-out rows with
-    such an estimate, added in squares.
+    The scale of an estimate is the root sum of squares of the spread between the folds and the
+    residuals of held-out rows with a similar estimate.
     """
 
     def __init__(
@@ -78,9 +83,9 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array of shape (row, input)
-            The paper's inputs are amplitude and distance.
+            In the sleeve paper amplitude and distance.
         y : array of shape (row,)
-            The paper's target is the force in N.
+            In the sleeve paper the force in N.
         groups : array of int of shape (row,), optional
             Rows of one group are held out together; each row on its own by default, as published.
         progress : callable, optional
@@ -108,7 +113,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         )  # fmt: skip
         self.weights_ = network.weights(self.networks_.validation)
         self.n_features_in_ = x.shape[1]
-        every = self._every(x)
+        every = self._by_fold(x)
         own = every[fold, np.arange(len(x))]
         residual = targets[:, 0] - own
         self.scale_ = uncertainty.residual_scale(own, residual)
@@ -117,11 +122,11 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
-        every = self._every(check_inputs(X, self.n_features_in_))
+        every = self._by_fold(check_inputs(X, self.n_features_in_))
         estimate = self.weights_ @ every
         return estimate, self._deviation(estimate, every)
 
-    def _every(self, x: Array) -> Array:
+    def _by_fold(self, x: Array) -> Array:
         """Return the estimates of all networks, (fold, row)."""
         scales = self.networks_.scaler
         out = network.predict(self.networks_, x)[..., 0]

@@ -1,4 +1,4 @@
-"""What all estimators ask of their rows."""
+"""Validation of the estimators' inputs and targets."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 
-FEWEST_ROWS = 50
-"""Rows to train with: fewer tell nothing of a deviation."""
+MIN_ROWS = 50
+"""Least number of training rows: fewer do not determine a standard deviation."""
 
 
 def is_constant(values: Array) -> bool:
-    """Tell whether a target is the same in all rows, but for rounding."""
+    """Return whether a target is equal in all rows, to rounding."""
     return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
 
 
@@ -24,7 +24,7 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
     Raises
     ------
     ConfigError
-        If they do not fit each other, are not finite or too few, or a target is constant.
+        If their lengths differ, they are not finite or too few, or a target is constant.
     """
     x, targets = check_inputs(X), np.asarray(y, float)
     targets = targets[:, None] if targets.ndim == 1 else targets
@@ -36,9 +36,9 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
         raise ConfigError(
             f"{bad} of {len(targets)} rows have a target that is not finite; leave them out"
         )
-    if len(x) < FEWEST_ROWS:
+    if len(x) < MIN_ROWS:
         raise ConfigError(
-            f"{len(x)} rows are too few to train with; record {FEWEST_ROWS} cycles with an echo or "
+            f"{len(x)} rows are too few to train with; record {MIN_ROWS} cycles with an echo or "
             "more"
         )
     for column, values in enumerate(targets.T):
@@ -56,7 +56,7 @@ def check_inputs(X: Any, columns: int | None = None) -> Array:
     Raises
     ------
     ConfigError
-        If they are no table of finite numbers, or not of that many columns.
+        If they are not finite or do not have the shape (row, columns).
     """
     x = np.asarray(X, float)
     if x.ndim != 2 or (columns is not None and x.shape[1] != columns):
@@ -70,19 +70,19 @@ def check_inputs(X: Any, columns: int | None = None) -> Array:
 
 
 def offsets(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) -> Array:
-    """Return what each target is learned as an addition to, (row, target).
+    """Return the offset of each target, (row, target): a column of the inputs, or zero.
 
     Parameters
     ----------
     x : array of shape (row, input)
     columns : tuple of int or None, optional
-        For each target a column of x, or None for nothing.
+        For each target a column of x, or None for zero.
     n_targets : int
 
     Raises
     ------
     ConfigError
-        If there is not one entry for each target.
+        If the number of entries is not n_targets.
     """
     chosen = (None,) * n_targets if columns is None else tuple(columns)
     if len(chosen) != n_targets:

@@ -1,4 +1,8 @@
-"""How far estimates are from the truth, by the paper's measures, and whether intervals hold."""
+"""Errors of estimates and coverage of their intervals.
+
+Median, RMSE and IQR of absolute errors are the measures of "Wearable, Fabric-Embedded Acoustic
+Waveguides for Meter-Scale Contact Localization and Force Sensing" (the sleeve paper).
+"""
 
 from __future__ import annotations
 
@@ -18,18 +22,18 @@ class Errors:
     ----------
     n : int
     median : float
-        Of the absolute errors.
+        Median of the absolute errors.
     rmse : float
-        Root of the mean of the squared errors.
+        Root-mean-square error.
     iqr : float
-        Of the absolute errors: their third quartile less their first.
+        Interquartile range of the absolute errors.
     relative : float
-        Median of the absolute errors over the size of the truth, as a share; where the truth is
-        zero there is none.
+        Median of the absolute errors divided by the absolute truth, where that is not zero.
     bias : float
-        Median of the errors, estimate less truth.
+        Median of estimate minus truth.
     covered, covered_wide : float
-        Share of the truths within the stated intervals of 68 % and 90 %; nan without intervals.
+        Coverage: fraction of the truths within the stated intervals of 68 % and 90 %; nan without
+        intervals.
     """
 
     n: int
@@ -53,24 +57,23 @@ def errors(
     Parameters
     ----------
     truth, estimate : array of shape (n,)
-        In the same unit. Where one of them is not finite there is no error.
+        In the same unit. Pairs with a value that is not finite are left out.
     half_width, wide : array of shape (n,), optional
-        Half the lengths of the intervals around the estimates that are stated to hold 68 % and
-        90 % of the truths.
+        Half widths of the intervals around the estimates with a stated coverage of 68 % and 90 %.
 
     Returns
     -------
     Errors
-        All nan for no estimates.
+        All nan without estimates.
 
     Notes
     -----
-    Tables I and II of the paper evaluate absolute errors and give their median, RMSE, IQR and, of
+    Tables I and II of the sleeve paper give median, RMSE and IQR of the absolute errors and, for
     forces, the median absolute relative error, over all cycles of a dataset.
     """
-    told, found = np.asarray(truth, float), np.asarray(estimate, float)
-    used = np.isfinite(told) & np.isfinite(found)
-    true, wrong = told[used], (found - told)[used]
+    known, found = np.asarray(truth, float), np.asarray(estimate, float)
+    used = np.isfinite(known) & np.isfinite(found)
+    true, wrong = known[used], (found - known)[used]
     n, size = len(wrong), np.abs(wrong)
     if n == 0:
         return Errors(n=0, **dict.fromkeys(_MEASURES, np.nan))
@@ -98,21 +101,21 @@ def _covered(size: Array, half_width: ArrayLike | None, used: NDArray[np.bool_])
 
 
 def bins(values: ArrayLike, width: float) -> tuple[Array, NDArray[np.intp]]:
-    """Return bins of one width that hold some values, and which one each value is in.
+    """Return the non-empty bins of equal width, and the bin of each value.
 
     Parameters
     ----------
     values : array of shape (n,)
         Those that are not finite are in no bin.
     width : float
-        The bins begin at its multiples: 5 cm make 38 of the paper's 20 to 210 cm.
+        Bins begin at its multiples: 5 cm divide the sleeve paper's 20 to 210 cm into 38.
 
     Returns
     -------
     edges : array of shape (bin, 2)
         Lower and upper edges, rising. A value at an edge, to rounding, is in the upper bin.
     index : array of int of shape (n,)
-        Of the bin; -1 for none.
+        Index of the bin; -1 for values that are not finite.
     """
     values = np.asarray(values, float)
     known = np.isfinite(values)

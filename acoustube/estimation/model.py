@@ -1,4 +1,4 @@
-"""A trained estimator with all that it needs to tell a press from cycles."""
+"""Trained estimators with the settings that their features need."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
 from acoustube.estimation.features import FeatureSettings
 from acoustube.estimation.force_network import ForceNetwork
-from acoustube.estimation.inputs import FEWEST_ROWS, is_constant
+from acoustube.estimation.inputs import MIN_ROWS, is_constant
 
 Estimator = ForceNetwork | EchoEnsemble | Boosting
 
@@ -25,15 +25,15 @@ ESTIMATORS: dict[str, type[Estimator]] = {
     "boosting": Boosting,
 }
 TARGETS = {"true_distance": "distance", "depth": "depth", "force": "force"}
-"""Labels that are estimated, and what their estimates are called."""
+"""Labels that are estimated, with the names of their estimates."""
 UNITS = {"true_distance": "m", "depth": "m", "force": "N"}
 WIDE = 0.9
-"""Coverage of the second interval that is stated, beside that of one deviation."""
+"""Coverage of the wide interval; the other is that of one standard deviation."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """An estimator, what it is told and what it tells.
+    """Trained estimator with its targets and the settings of its features.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class Model:
         ``network``, ``echo`` or ``boosting``.
     estimator : ForceNetwork, EchoEnsemble or Boosting
     targets : tuple of str
-        Labels that it estimates, of :data:`TARGETS`.
+        Labels that it estimates, keys of :data:`TARGETS`.
     feature_settings : FeatureSettings
-        How cycles become its inputs.
+        Settings of its features.
     sampling_rate : float
-        Of the cycles that it knows, in Hz.
+        Sampling rate of the training cycles in Hz.
     origin : dict
-        How it was trained.
+        Numbers of cycles, and the groups that were held out together.
     """
 
     name: str
@@ -59,30 +59,30 @@ class Model:
 
 
 def kind_of_features(name: str) -> str:
-    """Return which features an estimator takes; see :class:`FeatureSettings`."""
+    """Return the kind of features of an estimator; see :class:`FeatureSettings`."""
     return "paper" if name == "network" else "echo"
 
 
 def targets_of(name: str, table: xr.Dataset) -> tuple[str, ...]:
-    """Return which labels an estimator can be trained on.
+    """Return the labels of a table that an estimator can be trained on.
 
     Raises
     ------
     ConfigError
-        If there are none.
+        If there is no such label.
     """
     wanted = ("force",) if name == "network" else tuple(TARGETS)
     known = tuple(t for t in wanted if t in table and np.isfinite(table[t]).any())
     if not known:
         raise ConfigError(
-            f"the cycles have no label {' or '.join(wanted)}, of which {name} learns; give it in "
+            f"the cycles have no label {' or '.join(wanted)}, the targets of {name}; give one in "
             "the files or in a sidecar"
         )
     return known
 
 
 def usable(table: xr.Dataset, targets: tuple[str, ...]) -> Any:
-    """Return which cycles can be trained on: with an echo and all labels; bool (cycle,)."""
+    """Return which cycles have an echo and all labels, bool (cycle,)."""
     used = np.isfinite(table["features"].values).all(axis=1)
     for target in targets:
         used &= np.isfinite(table[target].values)
@@ -109,14 +109,15 @@ def train(
     name : str
         ``network``, ``echo`` or ``boosting``.
     feature_settings : FeatureSettings
-        How the features were made.
+        Settings that the features were computed with.
     by : str
-        What is held out together; see :func:`acoustube.estimation.splits.groups`.
+        Groups held out together; see :func:`acoustube.estimation.splits.groups`.
     seed : int
+        Random seed of folds, initial weights and order.
     progress : callable, optional
         As the estimator's ``fit`` takes it.
     **settings
-        Of the estimator.
+        Parameters of the estimator.
 
     Returns
     -------
@@ -125,22 +126,21 @@ def train(
     Raises
     ------
     ConfigError
-        If labels are missing, or the cycles are too few or all alike.
+        If labels are missing, or the cycles are too few or a label is constant.
     """
     targets = targets_of(name, table)
     used = usable(table, targets)
-    if used.sum() < FEWEST_ROWS:
+    if used.sum() < MIN_ROWS:
         raise ConfigError(
             f"{used.sum()} of {used.size} cycles have an echo and the labels {', '.join(targets)}, "
-            f"too few to train with; record {FEWEST_ROWS} or more, or lower the prominence"
+            f"too few to train with; record {MIN_ROWS} or more, or lower the prominence"
         )
     rows = table.isel(cycle=used)
     y = np.stack([rows[target].values.astype(float) for target in targets], axis=-1)
     for target, values in zip(targets, y.T, strict=True):
         if is_constant(values):
             raise ConfigError(
-                f"{target} is {values[0]:g} {UNITS[target]} in all cycles, and nothing can be "
-                "learned of it; record different presses"
+                f"{target} is {values[0]:g} {UNITS[target]} in all cycles; record different presses"
             )
     if name != "network":
         distance = int(np.flatnonzero(rows["feature"].values == "distance")[0])
@@ -161,7 +161,7 @@ def train(
 
 
 def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
-    """Tell the presses of cycles.
+    """Return the estimates of a model for a table of features.
 
     Parameters
     ----------
@@ -173,13 +173,13 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         For each target its estimate (cycle), by the names of :data:`TARGETS`, with
-        ``_deviation`` and ``_half_width``: half the intervals that hold 68 % and 90 % of the
-        truths. nan for a cycle without an echo.
+        ``_deviation`` and ``_half_width``: half widths of the intervals of 68 % and 90 % coverage.
+        nan for a cycle without an echo.
 
     Raises
     ------
     ConfigError
-        If the cycles have another sampling rate than those that it was trained with.
+        If the sampling rate differs from that of the training cycles.
     """
     rate = float(table.attrs["sampling_rate"])
     if abs(rate / model.sampling_rate - 1) > 1e-3:

@@ -1,4 +1,9 @@
-"""Models as files: arrays and one line of JSON, in which nothing can be run."""
+"""Files of models: NumPy arrays and one line of JSON, read without pickle.
+
+The arrays are validated before use. skops.io was considered for the trees: it stores scikit-learn's
+private node type under a whitelist, but does not validate the nodes, of which a crafted file could
+make an endless walk, and depends on the version of scikit-learn that wrote them.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +32,7 @@ from acoustube.signals import Processing, TimeGain
 Arrays = dict[str, NDArray[Any]]
 
 FORMAT = 1
-"""Of the file; raised when what is stored, or what features mean, changes."""
+"""Version of the format; raised when the stored arrays, or the definition of features, change."""
 KIND = "acoustube model"
 FILE_NAMES = {
     "max_iter": "iterations",
@@ -38,7 +43,7 @@ FILE_NAMES = {
 
 
 def save(model: Model, path: str | Path) -> None:
-    """Write a model as a NumPy archive (.npz), whatever its name ends in.
+    """Write a model as a NumPy archive (the format of .npz) under any name.
 
     Parameters
     ----------
@@ -49,7 +54,7 @@ def save(model: Model, path: str | Path) -> None:
     Raises
     ------
     ConfigError
-        If it cannot be written.
+        If the file cannot be written.
     """
     header = {
         "kind": KIND,
@@ -76,7 +81,7 @@ def save(model: Model, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Model:
-    """Read what :func:`save` wrote.
+    """Read a model that :func:`save` wrote.
 
     Parameters
     ----------
@@ -89,11 +94,11 @@ def load(path: str | Path) -> Model:
     Raises
     ------
     ConfigError
-        If it is no model, or one that another version wrote in another format.
+        If the file is not a model, or has another format.
     """
     try:
-        if not zipfile.is_zipfile(path):  # of which NumPy says how to load it, and run it
-            raise ValueError("no NumPy archive")
+        if not zipfile.is_zipfile(path):  # else NumPy advises to load it as a pickle
+            raise ValueError("not a NumPy archive")
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         if "header" not in arrays:
@@ -130,7 +135,9 @@ def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
         or not targets
         or set(targets) - set(TARGETS)
     ):
-        raise ValueError(f"{name} does not tell {', '.join(targets)} from {feature_settings.kind}")
+        raise ValueError(
+            f"{name} does not estimate {', '.join(targets)} from {feature_settings.kind}"
+        )
     python_names = {file_name: name for name, file_name in FILE_NAMES.items()}
     settings = {
         python_names.get(key, key): tuple(value) if isinstance(value, list) else value
@@ -150,7 +157,7 @@ def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
 
 
 def _arrays(estimator: Estimator) -> Arrays:
-    """Return what an estimator has learned, by name."""
+    """Return the fitted arrays of an estimator by name."""
     learned: Arrays = {"quantiles": estimator.quantiles_}
     if isinstance(estimator, Boosting):
         learned["narrowest"] = estimator.narrowest_
@@ -168,7 +175,7 @@ def _arrays(estimator: Estimator) -> Arrays:
 
 
 def _restore(estimator: Estimator, arrays: Arrays, n_features: int, n_targets: int) -> None:
-    """Give an estimator what it has learned, once that fits together."""
+    """Set the fitted arrays of an estimator, after validation of their shapes."""
     estimator.n_features_in_ = n_features
     estimator.quantiles_ = _shaped(arrays, "quantiles", (len(LEVELS), n_targets))
     if isinstance(estimator, Boosting):
@@ -206,7 +213,7 @@ def _networks(
 
 
 def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
-    """Return trees whose every walk ends: the compiled walk looks neither left nor right."""
+    """Return validated trees: every walk must end, because the compiled one checks no bounds."""
     trees = Trees(**{name: arrays[f"{part}_{name}"] for name in Trees._fields})
     nodes, own = len(trees.feature), np.arange(len(trees.feature))
     inner = trees.feature >= 0
@@ -227,7 +234,7 @@ def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
         and not np.isnan(trees.threshold).any()
     )
     if not sound:
-        raise ValueError(f"its trees of the {part} are not whole")
+        raise ValueError(f"its trees of the {part} are invalid")
     return trees
 
 

@@ -1,7 +1,7 @@
-"""Small fully connected networks, one for each fold, trained all at once.
+"""Small fully connected networks, one per fold, trained simultaneously.
 
-Plain functions on parameters whose first axis is the fold. The rows are shared: a batch is gathered
-by index, so that the folds differ in their indices alone and one compiled step trains them all.
+Pure functions of parameters whose first axis is the fold. The rows are shared: a batch is gathered
+by index, so that the folds differ in their indices only and one compiled step trains all of them.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Loss = Literal["squared", "laplace"]
 Progress = Callable[[int, float, float], None]
 """Called after each epoch with its number from 1, and the losses of training and validation."""
 
-SLOPE = 0.01
-"""Of the Leaky ReLU for negative inputs, PyTorch's."""
+LEAKY_SLOPE = 0.01
+"""Slope of the leaky ReLU for negative inputs, PyTorch's default."""
 ROWS_AT_ONCE = 8192
-"""Rows that are predicted together, which bounds the memory."""
-WIDEST = 6.0
-"""Largest size of the logarithm of a scale: a factor of 400 from the target's own deviation."""
+"""Rows evaluated at once, which bounds the memory."""
+MAX_LOG_SCALE = 6.0
+"""Largest absolute logarithm of a scale: a factor of 400 of the target's standard deviation."""
 
 
 class Scaler(NamedTuple):
-    """Means and deviations of inputs (fold, input) and targets (fold, target)."""
+    """Means and standard deviations of inputs (fold, input) and targets (fold, target)."""
 
     x_mean: Any
     x_deviation: Any
@@ -41,16 +41,16 @@ class Scaler(NamedTuple):
 
 
 class FittedNetworks(NamedTuple):
-    """Networks after training.
+    """Trained networks.
 
     Attributes
     ----------
     layers : list
         Weights (fold, fan_in, fan_out) and biases (fold, fan_out) of each layer, float32.
     scaler : Scaler
-        Of each fold's training rows.
+        Means and standard deviations of each fold's training rows.
     training, validation : array of shape (fold, epoch)
-        Losses: the mean over the batches of an epoch, and that of the held-out rows after it.
+        Losses: mean over the batches of an epoch, and of the held-out rows after it.
     """
 
     layers: Layers
@@ -65,9 +65,9 @@ def initial(key: Any, widths: tuple[int, ...]) -> Layers:
     Parameters
     ----------
     key : jax.Array
-        Of random numbers.
+        Key of the random numbers.
     widths : tuple of int
-        Inputs, hidden layers, outputs.
+        Widths of inputs, hidden layers and outputs.
 
     References
     ----------
@@ -86,7 +86,7 @@ def outputs(layers: Layers, x: Any) -> Any:
     """Return the outputs (row, output) of one network for standardised inputs (row, input)."""
     for weights, bias in layers[:-1]:
         x = x @ weights + bias[None, :]
-        x = jnp.where(x > 0, x, SLOPE * x)
+        x = jnp.where(x > 0, x, LEAKY_SLOPE * x)
     weights, bias = layers[-1]
     return x @ weights + bias[None, :]
 
@@ -107,27 +107,33 @@ def laplace_loss(out: Any, y: Any) -> Any:
 
 
 def bounded(raw: Any) -> Any:
-    """Return the logarithm of a scale, of a size of :data:`WIDEST` at most."""
-    return WIDEST * jnp.tanh(raw / WIDEST)
+    """Return the logarithm of a scale, bounded to +-:data:`MAX_LOG_SCALE` by a tanh."""
+    return MAX_LOG_SCALE * jnp.tanh(raw / MAX_LOG_SCALE)
 
 
 LOSSES = {"squared": squared_loss, "laplace": laplace_loss}
 
 
 def optimiser(learning_rate: float, weight_decay: float) -> optax.GradientTransformation:
-    """Return Adam with the weight decay as L2 in the gradient.
+    """Return Adam [1]_ with the weight decay as an L2 term in the gradient.
 
-    That is what ``weight_decay`` of PyTorch's Adam means: decay times the parameter, biases too,
-    is added to the gradient before its moments. AdamW, which shrinks parameters beside Adam's step,
-    is another.
+    As ``weight_decay`` of PyTorch's Adam: decay times the parameter, biases included, is added to
+    the gradient before its moments. AdamW [2]_, which decays parameters separately, is different.
+
+    References
+    ----------
+    .. [1] D. P. Kingma and J. Ba, Adam: a method for stochastic optimization, ICLR 2015.
+       arXiv:1412.6980
+    .. [2] I. Loshchilov and F. Hutter, Decoupled weight decay regularization, ICLR 2019.
+       arXiv:1711.05101
     """
     return optax.chain(optax.add_decayed_weights(weight_decay), optax.adam(learning_rate))
 
 
 def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: int) -> Scaler:
-    """Return each fold's means and deviations over the rows that it trains with.
+    """Return each fold's means and standard deviations over its training rows.
 
-    A constant column gets the deviation 1, so that it becomes zero.
+    A constant column has the deviation 1, so that its standardised values are zero.
     """
     parts = [
         (data[fold != k].mean(axis=0), data[fold != k].std(axis=0))
@@ -146,10 +152,10 @@ def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: 
 def batches(
     rng: np.random.Generator, fold: NDArray[np.intp], count: int, size: int
 ) -> NDArray[np.int32]:
-    """Return the rows of each batch of an epoch, shuffled anew: (step, fold, row).
+    """Return the shuffled rows of each batch of an epoch: (step, fold, row).
 
-    Every row of a fold's training set comes once; the last batch is filled up with the first ones.
-    Folds with fewer rows than the largest begin again, so that all take as many steps.
+    Every row of a fold's training set occurs once; the last batch is filled up with the first rows.
+    Folds with fewer rows than the largest repeat their first ones, so that all take equal steps.
     """
     most = len(fold) - int(np.bincount(fold, minlength=count).min())
     steps = -(-most // size)
@@ -173,14 +179,14 @@ def train(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> FittedNetworks:
-    """Train one network per fold on the rows of the others, all at once.
+    """Train one network per fold on the rows of the other folds, all simultaneously.
 
     Parameters
     ----------
     x, y : array of shape (row, input), (row, target)
-        As they are; each fold standardises them by its own training rows.
+        Not standardised; each fold standardises them by its own training rows.
     fold : array of int of shape (row,)
-        In which fold each row is held out, from 0; no fold is empty.
+        Fold in which each row is held out, from 0; no fold is empty.
     hidden : tuple of int
         Widths of the hidden layers.
     loss : str
@@ -190,7 +196,7 @@ def train(
     learning_rate, weight_decay : float
         See :func:`optimiser`.
     seed : int
-        Of the initial weights and the order of the rows.
+        Random seed of the initial weights and the order of the rows.
     progress : callable, optional
 
     Returns
@@ -205,7 +211,7 @@ def train(
     layers = jax.vmap(partial(initial, widths=widths))(keys)
     step = optimiser(learning_rate, weight_decay)
     state = jax.vmap(step.init)(layers)
-    # Differences of large values would be lost in single precision: shift before rounding.
+    # Single precision would lose differences of large values: subtract the mean before rounding.
     shift = Scaler(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
     near = Scaler(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
     rows = tuple(
@@ -256,7 +262,7 @@ def _standardised(x: Any, y: Any, scales: Scaler) -> tuple[Any, Any]:
 
 
 def _held_out(fold: NDArray[np.intp], count: int) -> tuple[Any, Any]:
-    """Return the held-out rows of each fold (fold, row), filled up, and which of them count."""
+    """Return the held-out rows of each fold (fold, row), padded, and the mask of valid ones."""
     members = [np.flatnonzero(fold == k) for k in range(count)]
     most = max(len(rows) for rows in members)
     index = np.array([np.resize(rows, most) for rows in members], np.int32)
@@ -283,7 +289,7 @@ def predict(fitted: FittedNetworks, x: NDArray[Any]) -> NDArray[np.float64]:
     scales, parts = fitted.scaler, []
     for start in range(0, len(x), ROWS_AT_ONCE):
         part = x[start : start + ROWS_AT_ONCE]
-        # A power of two, so that few shapes are compiled.
+        # Padded to a power of two, so that few shapes are compiled.
         full = np.resize(part, (1 << (len(part) - 1).bit_length(), x.shape[1]))
         inputs = (full[None] - scales.x_mean[:, None]) / scales.x_deviation[:, None]
         parts.append(_all_outputs(fitted.layers, inputs.astype(np.float32))[:, : len(part)])
@@ -296,14 +302,11 @@ _all_outputs = jax.jit(jax.vmap(outputs))
 def own_outputs(
     fitted: FittedNetworks, x: NDArray[Any], fold: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the outputs (row, output) of the network that did not train with each row."""
+    """Return the outputs (row, output) of the network for which each row was held out."""
     return np.asarray(predict(fitted, x)[fold, np.arange(len(fold))])
 
 
 def weights(validation: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the folds' normalised inverse validation losses (fold,), of losses (fold, epoch).
-
-    Those of the last epoch.
-    """
+    """Return the folds' normalised inverse validation losses (fold,) after the last epoch."""
     inverse = 1 / np.maximum(np.asarray(validation[:, -1], float), 1e-12)
     return np.asarray(inverse / inverse.sum())

@@ -1,4 +1,8 @@
-"""Which cycles train and which test: by cycle, by session or by tube, the same for one seed."""
+"""Folds and splits of cycles by cycle, session or tube, reproducible by their seed.
+
+scikit-learn's ``GroupKFold`` balances the rows of uneven groups or shuffles them, but not both;
+``GroupShuffleSplit`` raises where a large fraction of few groups leaves none for training.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +15,29 @@ from acoustube.base.errors import ConfigError
 Index = NDArray[np.intp]
 
 KINDS = ("cycle", "session", "tube")
-"""What a split may keep together."""
+"""Groups that a split can keep together."""
 
 
 def groups(cycles: xr.Dataset, by: str) -> Index:
-    """Return the number of the group that each cycle belongs to.
+    """Return the group of each cycle.
 
     Parameters
     ----------
     cycles : xarray.Dataset
         With ``session`` or ``tube`` (cycle), names or numbers, if the split is by them.
     by : str
-        ``cycle``: each is a group of its own. ``session`` or ``tube``: a session of one tube is
-        not that of another.
+        ``cycle``: each cycle is a group. ``session`` or ``tube``: sessions of different tubes are
+        different groups.
 
     Returns
     -------
     array of int of shape (cycle,)
-        From 0.
+        Number of the group, from 0.
 
     Raises
     ------
     ConfigError
-        If there is no such label.
+        If the label is missing.
     """
     if by == "cycle":
         return np.arange(cycles.sizes["cycle"])
@@ -47,15 +51,16 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
 
 
 def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
-    """Part groups into folds of about as many rows each.
+    """Return folds of whole groups with about equal numbers of rows.
 
     Parameters
     ----------
     groups : array of int of shape (n,)
-        Rows of one group come into one fold.
+        Rows of one group belong to one fold.
     count : int
-        Of folds, 2 or more.
+        Number of folds, 2 or more.
     seed : int
+        Random seed of the shuffle.
 
     Returns
     -------
@@ -91,14 +96,15 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
 
 
 def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, Index]:
-    """Part rows into those to train with and those to test with, whole groups each.
+    """Return the training rows and the test rows of a split of whole groups.
 
     Parameters
     ----------
     groups : array of int of shape (n,)
     share : float
-        Of the groups that test: at least one, and one trains.
+        Fraction of the groups for the test: at least one, and at least one for training.
     seed : int
+        Random seed of the choice.
 
     Returns
     -------
@@ -108,11 +114,11 @@ def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, 
     Raises
     ------
     ConfigError
-        If the share is not between 0 and 1, or there is one group only.
+        If the fraction is not between 0 and 1, or there is only one group.
     """
     different, member = np.unique(groups, return_inverse=True)
     if not 0 < share < 1:
-        raise ConfigError(f"share = {share:g} must lie between 0 and 1")
+        raise ConfigError(f"share = {share:g} is out of range; use more than 0 and less than 1")
     if len(different) < 2:
         raise ConfigError("one group of cycles cannot be split; split by cycle, or record more")
     count = int(np.clip(round(share * len(different)), 1, len(different) - 1))

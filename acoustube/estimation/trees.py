@@ -1,4 +1,4 @@
-"""Regression trees as plain arrays: safe to store, and walked by all rows at once."""
+"""Regression trees as plain arrays, which can be stored safely, and their compiled evaluation."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from acoustube.base.types import Array
 
 
 class Trees(NamedTuple):
-    """Sums of trees, one sum per model.
+    """Ensembles of regression trees as arrays, one sum of trees per model.
 
     Attributes
     ----------
     baseline : array of shape (model,)
-        What the trees add to.
+        Constant to which the trees are added.
     first : array of int of shape (model + 1,)
-        Where each model's trees begin in `root`.
+        First index of each model's trees in `root`, then their total number.
     root : array of int of shape (tree,)
-        Their first nodes.
+        Root nodes of the trees.
     feature, left, right : array of int of shape (node,)
-        Column that is compared, and the next node where it is not above the threshold, and where
-        it is. A leaf has the column -1.
+        Column that is compared, and the next nodes at or below the threshold and above it. A leaf
+        has the column -1.
     threshold, value : array of shape (node,)
-        The value is that of a leaf.
+        Threshold of an inner node, and value of a leaf.
     """
 
     baseline: Array
@@ -39,10 +39,11 @@ class Trees(NamedTuple):
     value: Array
 
 
-def exported(models: list[Any]) -> Trees:
+def export_trees(models: list[Any]) -> Trees:
     """Return the trees of fitted ``HistGradientBoostingRegressor`` with one output each.
 
-    Its nodes have no public name; a test holds :func:`summed` against its own ``predict``.
+    scikit-learn has no public access to the nodes; a test compares :func:`predict_trees` with
+    ``predict`` of scikit-learn.
     """
     found = [[stage[0].nodes for stage in model._predictors] for model in models]
     nodes = [tree for trees in found for tree in trees]
@@ -63,13 +64,13 @@ def exported(models: list[Any]) -> Trees:
     )
 
 
-def summed(trees: Trees, x: Array) -> Array:
-    """Return what each model makes of rows (row, column): (model, row)."""
-    return np.asarray(_summed(*trees, np.ascontiguousarray(x, dtype=float)))
+def predict_trees(trees: Trees, x: Array) -> Array:
+    """Return the predictions of all models for rows (row, column): (model, row)."""
+    return np.asarray(_predict_trees(*trees, np.ascontiguousarray(x, dtype=float)))
 
 
 @numba.njit(parallel=True, cache=True)
-def _summed(  # type: ignore[no-untyped-def]
+def _predict_trees(  # type: ignore[no-untyped-def]
     baseline, first, root, feature, left, right, threshold, value, x
 ):
     out = np.empty((len(baseline), len(x)))

@@ -1,8 +1,9 @@
-"""From residuals on rows that were not trained with to deviations that can be relied on.
+"""Conformal prediction intervals from the residuals of held-out rows.
 
-Conformal prediction [1]_: whatever scale an estimator states for each estimate, the quantiles of
-residual over scale on held-out rows tell by what the scale must be multiplied to hold a wanted
-share of the truths. The rows must be like those that will come: held out by tube, for new tubes.
+Split-conformal prediction [1]_: for any scale that an estimator states with each estimate, the
+quantiles of residual over scale on held-out rows are the factors by which the scale is multiplied
+for a wanted coverage. Held-out and future rows must be exchangeable: held out by tube, for new
+tubes.
 
 References
 ----------
@@ -21,21 +22,21 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 
 LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
-"""Coverages at which the quantiles are kept."""
+"""Coverages at which the quantiles are stored."""
 ONE_DEVIATION = 0.6827
 """Coverage of one standard deviation of a normal variable."""
 NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal numbers over the median of their sizes."""
-MOST_BINS, ROWS_PER_BIN = 20, 30
+"""Standard deviation of normal numbers over the median of their absolute values."""
+MAX_BINS, ROWS_PER_BIN = 20, 30
 
 
 def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
-    """Return by what a scale must be multiplied for each coverage of :data:`LEVELS`.
+    """Return the factor of a scale for each coverage of :data:`LEVELS`.
 
     Parameters
     ----------
     residual, scale : array of shape (n, ...)
-        Of held-out rows, along the first axis; the scale is positive.
+        Residuals and positive scales of held-out rows, along the first axis.
 
     Returns
     -------
@@ -43,9 +44,9 @@ def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
 
     Notes
     -----
-    The quantile of level p is the ceil((n + 1) p)-th smallest of the residuals' sizes over their
-    scales: a new row like these lies within it with a probability of p at least. Where there are
-    too few rows for a level, the largest.
+    The quantile of level p is the ceil((n + 1) p)-th smallest absolute residual over scale: an
+    exchangeable new row lies within it with a probability of at least p. With too few rows for a
+    level it is the largest.
     """
     score = np.sort(np.abs(np.asarray(residual)) / np.asarray(scale), axis=0)
     rank = np.ceil((len(score) + 1) * LEVELS - 1e-9).astype(int)
@@ -53,19 +54,19 @@ def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
 
 
 def factor(quantiles: Array, coverage: float = ONE_DEVIATION) -> Array:
-    """Return the factor for a coverage, between those that are kept.
+    """Return the factor for a coverage, interpolated between the stored levels.
 
     Parameters
     ----------
     quantiles : array of shape (level, ...)
-        Of :func:`conformal_quantiles`.
+        From :func:`conformal_quantiles`.
     coverage : float
-        Share of the truths that an interval is to hold.
+        Fraction of the truths within an interval.
 
     Raises
     ------
     ConfigError
-        If it lies outside the levels.
+        If the coverage lies outside the levels.
     """
     if not LEVELS[0] <= coverage <= LEVELS[-1]:
         raise ConfigError(
@@ -73,41 +74,43 @@ def factor(quantiles: Array, coverage: float = ONE_DEVIATION) -> Array:
         )
     above = int(np.searchsorted(LEVELS, coverage))
     below = max(above - 1, 0)
-    share = 1.0 if above == below else (coverage - LEVELS[below]) / (LEVELS[above] - LEVELS[below])
-    return np.asarray((1 - share) * quantiles[below] + share * quantiles[above])
+    fraction = (
+        1.0 if above == below else (coverage - LEVELS[below]) / (LEVELS[above] - LEVELS[below])
+    )
+    return np.asarray((1 - fraction) * quantiles[below] + fraction * quantiles[above])
 
 
 def residual_scale(estimate: Array, residual: Array) -> tuple[Array, Array]:
-    """Return how residuals grow with the estimate.
+    """Return the scale of residuals as a function of the estimate.
 
     Parameters
     ----------
     estimate, residual : array of shape (n,)
-        Of held-out rows.
+        Estimates and residuals of held-out rows.
 
     Returns
     -------
     at, scale : array of shape (bin,)
-        Median of the estimates of a bin, and the deviation of its residuals by the median of their
-        sizes. The bins hold as many rows each; interpolate between them.
+        Median of the estimates in a bin, and standard deviation of its residuals from their median
+        absolute value. Bins have equal numbers of rows; interpolate between them.
     """
     order = np.argsort(estimate, kind="stable")
-    count = int(np.clip(len(order) // ROWS_PER_BIN, 1, MOST_BINS))
+    count = int(np.clip(len(order) // ROWS_PER_BIN, 1, MAX_BINS))
     parts = np.array_split(order, count)
     at = np.array([np.median(estimate[part]) for part in parts])
     scale = np.array([NORMAL_MEDIAN * np.median(np.abs(residual[part])) for part in parts])
-    # Where more than half the rows of a bin fit exactly, another bin's scale is a fair guess.
+    # A lower bound for bins of which more than half the rows fit exactly.
     typical = float(np.median(np.abs(residual))) or float(np.mean(np.abs(residual)))
     return at, np.maximum(scale, 1e-3 * typical + np.finfo(float).tiny)
 
 
 class Conformal:
-    """What all estimators do with an estimate, its scale and the scale's quantiles.
+    """Estimates with conformal intervals, from an estimate and its scale.
 
     Attributes
     ----------
     quantiles_ : array of shape (level, target)
-        Of :func:`conformal_quantiles`.
+        From :func:`conformal_quantiles`.
     """
 
     quantiles_: Array
@@ -123,13 +126,13 @@ class Conformal:
         ----------
         X : array of shape (row, input)
         return_std : bool
-            Whether to return their deviations, too.
+            True to return their standard deviations, too.
 
         Returns
         -------
         estimate, deviation : array of shape (row,) or (row, target)
-            As the targets that were trained with. The deviation is half an interval that holds
-            68 % of the truths, where they are like the held-out rows.
+            In the unit of the training targets. The deviation is the half width of an interval of
+            68 % coverage, for rows exchangeable with the held-out ones.
         """
         estimate, scale = self._estimated(X)
         if not return_std:
@@ -137,5 +140,5 @@ class Conformal:
         return estimate, scale * factor(self.quantiles_)
 
     def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
-        """Return half the intervals around the estimates that hold a share of the truths."""
+        """Return the half widths of intervals around the estimates with a coverage."""
         return np.asarray(self._estimated(X)[1] * factor(self.quantiles_, coverage))

@@ -1,8 +1,10 @@
-"""What a rangefinder at the end of a tube records: from the tube's response to an ADC's counts.
+"""Model of a rangefinder at the end of a tube, from the tube's response to ADC counts.
 
-A resonant transducer sends a burst into the tube and hears, through its own resonance again, what
-comes back; it also hears its own ring-down. An amplifier, an ADC and slow disturbances make a
-record of that. Each part can be switched off; :data:`IDEAL` has none of them.
+A resonant transducer sends a burst into the tube and receives the echoes through the same
+resonance, after its own ring-down. Noise, drift and the ADC follow. Each part can be switched off;
+:data:`IDEAL` has none of them.
+
+Reading order: rangefinder (parameters), analogue (voltage), digitiser (counts of many cycles).
 """
 
 from acoustube.ranging.analogue import blockage, clutter, response

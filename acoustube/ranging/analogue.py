@@ -1,4 +1,10 @@
-"""The voltage that a rangefinder on a tube makes before its ADC: the same in every cycle."""
+"""Voltage of a rangefinder on a tube before its ADC, which is the same in every cycle.
+
+References
+----------
+* First-order (Born) scattering: Morse, P. M. and Ingard, K. U., Theoretical Acoustics, McGraw-Hill
+  (1968).
+"""
 
 from __future__ import annotations
 
@@ -9,8 +15,8 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
+from acoustube.base.types import Array
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
-from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.network import (
     WRAPAROUND_ATTENUATION,
@@ -21,30 +27,30 @@ from acoustube.waves.network_checks import in_band
 from acoustube.waves.scattering import Complex, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_duration
 
-GRAIN = 0.5e-3
-"""Distance in m between the reflectors that stand for clutter: under a quarter wave at 100 kHz."""
-PASSED = 0.8
-"""Share of half the sampling rate up to which the anti-alias filter passes all."""
-FINER = 16
-"""Samples per sample of the record at which a drive without a closed form is transformed."""
-CYCLE = 2
-"""Computed time, which is cyclic, in records."""
+REFLECTOR_SPACING = 0.5e-3
+"""Spacing in m of the clutter's reflectors: under a quarter wavelength at 100 kHz."""
+PASSBAND = 0.8
+"""End of the anti-alias filter's passband, as a fraction of the Nyquist frequency."""
+DRIVE_OVERSAMPLING = 16
+"""Oversampling factor in the transform of a drive without a closed-form spectrum."""
+PERIOD_IN_RECORDS = 2
+"""Period of the computed time, which is cyclic, in lengths of the record."""
 
 
 def blockage(frequency: Array, position: float) -> PlacedScatterer:
-    """Return a rigid closure of the bore, as used for calibration.
+    """Return a rigid closure of the bore, as for a calibration.
 
     Parameters
     ----------
     frequency : ndarray
-        In Hz, (n,), rising and evenly spaced; the first and the last are enough.
+        In Hz, (n,), rising and evenly spaced; the first and the last suffice.
     position : float
         Distance from the source end in m.
 
     Returns
     -------
     PlacedScatterer
-        The plane mode is reflected whole, with its sign, and nothing passes. No length.
+        Reflection coefficient +1 and transmission 0 of the plane mode; of zero length.
     """
     frequency = np.asarray(frequency, float)
     n = len(frequency)
@@ -68,55 +74,57 @@ def clutter(
     density: float,
     tube_seed: int,
 ) -> Complex:
-    """Return what small irregularities along a tube send back to its source end.
+    """Return the clutter: reflections of small irregularities along a tube at its source end.
 
     Parameters
     ----------
     presses : sequence of PlacedScatterer
-        Behind a press the sound is what it lets pass, both ways.
+        Their transmission, both ways, attenuates the clutter behind them.
     air : Air
     frequency : ndarray
         In Hz, real or complex, (n,).
     radius, length : float
-        Of the bore, in m.
+        Radius of the bore and length of the tube in m.
     density : float
-        Mean power reflected per metre, in 1/m.
+        Mean reflected power per length in 1/m.
     tube_seed : int
-        Tells tubes apart.
+        Random seed of the tube's irregularities.
 
     Returns
     -------
     ndarray
-        Over what the source launches, (n,).
+        Reflected over launched pressure, (n,).
 
     Notes
     -----
-    Reflectors r_i, normal numbers of variance density * GRAIN at z_i = (i + 1/2) GRAIN, each met
-    by the plane mode on its way out and back, and no sound met by two (Born's approximation):
-    sum r_i T_i^2 exp(-2j kz z_i), with T_i the transmission of the presses before it. Echoes
-    between a press and a reflector are left out, too.
+    Reflection coefficients r_i, normal numbers of variance ``density * REFLECTOR_SPACING``, at
+    ``z_i = (i + 1/2) REFLECTOR_SPACING``. In Born's approximation (single scattering of the plane
+    mode) their sum is ``sum r_i T_i^2 exp(-2j kz z_i)``, with T_i the transmission of the presses
+    before reflector i. Multiple reflections between a press and a reflector are neglected, too.
     """
-    n = int(length / GRAIN)
-    reflectors = np.random.default_rng(tube_seed).normal(0.0, np.sqrt(density * GRAIN), n)
+    n = int(length / REFLECTOR_SPACING)
+    reflectors = np.random.default_rng(tube_seed).normal(
+        0.0, np.sqrt(density * REFLECTOR_SPACING), n
+    )
     wave = axial_wavenumber(0, 0, frequency, radius, air)
-    step = np.exp(-2j * wave * GRAIN)
+    step = np.exp(-2j * wave * REFLECTOR_SPACING)
     total = np.zeros(len(frequency), complex)
     behind = n
     for press in sorted(presses, key=lambda press: -press.position):
-        first = min(int(press.position / GRAIN + 0.5), behind)
-        _add_up(total, step, reflectors[first:behind])
+        first = min(int(press.position / REFLECTOR_SPACING + 0.5), behind)
+        _add_reflectors(total, step, reflectors[first:behind])
         plane, s = (
             press.scattering.modes.index("00"),
             interpolate_scattering(press.scattering, frequency),
         )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
         behind = first
-    _add_up(total, step, reflectors[:behind])
-    return np.asarray(total * np.exp(-1j * wave * GRAIN))
+    _add_reflectors(total, step, reflectors[:behind])
+    return np.asarray(total * np.exp(-1j * wave * REFLECTOR_SPACING))
 
 
-def _add_up(total: Complex, step: Complex, reflectors: Array) -> None:
-    """Put reflectors before what there is, in place: Horner's scheme from the far end."""
+def _add_reflectors(total: Complex, step: Complex, reflectors: Array) -> None:
+    """Add reflectors in front of a reflection, in place: Horner's scheme from the far end."""
     for r in reflectors[::-1]:
         total *= step
         total += r
@@ -136,14 +144,14 @@ def response(
     Parameters
     ----------
     presses : sequence of PlacedScatterer
-        None for an untouched tube.
+        Empty for an untouched tube.
     rangefinder : Rangefinder
     radius, length : float
-        Of the bore, in m.
+        Radius of the bore and length of the tube in m.
     temperature : float
-        Of the air, in degC.
+        Temperature of the air in degC.
     tube_seed : int
-        Of the clutter.
+        Random seed of the clutter.
 
     Returns
     -------
@@ -153,27 +161,28 @@ def response(
     Raises
     ------
     ValueError
-        As :func:`~acoustube.waves.transfer`; or if what would be heard has sound outside the band
-        of the presses, or the drive lasts longer than the record.
+        As :func:`~acoustube.waves.transfer`; or if the received spectrum exceeds the band of the
+        presses, or the drive is longer than the record.
 
     Notes
     -----
-    With drive E, resonator H, face r and the pressure p at the face over that which is launched,
-    the voltage is ``send H E + gain H^2 E (p - 1) / (1 + r)``: the wave that arrives is heard.
+    With the spectrum E of the drive, the resonator's response H, the face's reflection coefficient
+    r and the pressure p at the face over the launched pressure, the voltage is
+    ``send H E + gain H^2 E (p - 1) / (1 + r)``: the incident wave is received.
     Computed in the frequency domain and filtered without delay, so that nothing is left at half
     the sampling rate (a cosine from 0.8 of it): no finer step is needed, nothing is aliased.
     """
     rate, n = rangefinder.sampling_rate, rangefinder.n_samples
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
-    n_cycle = next_fast_len(CYCLE * n, real=True)
+    n_cycle = next_fast_len(PERIOD_IN_RECORDS * n, real=True)
     damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
     real = np.fft.rfftfreq(n_cycle, 1 / rate)[1:]
     frequency = real - 0.5j * damping / pi
-    own = _drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
-    own *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
-    own *= np.exp(-2j * pi * frequency * rangefinder.lead)
-    heard = own * rangefinder.resonator(frequency)
-    inside = in_band(presses, real, heard, what="what the rangefinder hears")
+    sent = _drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
+    sent *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
+    sent *= np.exp(-2j * pi * frequency * rangefinder.lead)
+    received = sent * rangefinder.resonator(frequency)
+    inside = in_band(presses, real, received, what="what the rangefinder receives")
     air, band, face = air_at(temperature), frequency[inside], rangefinder.face_reflection
     pressure = transfer(
         presses, air, band, radius=radius, length=length, probes=(0.0,),
@@ -186,8 +195,8 @@ def response(
             density=rangefinder.clutter, tube_seed=tube_seed,
         )  # fmt: skip
     spectrum = np.zeros(len(real) + 1, complex)
-    spectrum[1:] = rangefinder.send * own
-    spectrum[1:][inside] += rangefinder.gain * heard[inside] * arriving
+    spectrum[1:] = rangefinder.send * sent
+    spectrum[1:][inside] += rangefinder.gain * received[inside] * arriving
     time = np.arange(n) / rate
     return time, np.fft.irfft(spectrum * rate, n_cycle)[:n] * np.exp(damping * time)
 
@@ -195,16 +204,16 @@ def response(
 def _drive_spectrum(
     drive: Drive, frequency: Complex, rate: float, n_cycle: int, damping: float
 ) -> Complex:
-    """Return the transform of a drive in s, of what decays where the frequency is complex."""
+    """Return the Fourier transform of a drive in s, damped where the frequency is complex."""
     if isinstance(drive, Burst):
         return drive.spectrum(frequency)
-    step = 1 / (FINER * rate)
+    step = 1 / (DRIVE_OVERSAMPLING * rate)
     time = np.arange(int(np.ceil(drive.duration / step)) + 1) * step
     samples = drive(time) * np.exp(-damping * time)
-    return np.fft.rfft(samples, FINER * n_cycle)[1 : len(frequency) + 1] * step
+    return np.fft.rfft(samples, DRIVE_OVERSAMPLING * n_cycle)[1 : len(frequency) + 1] * step
 
 
 def _anti_alias(frequency: Array, rate: float) -> Array:
-    """Return the filter's gain: whole up to PASSED of half the rate, then a cosine down to none."""
-    falling = np.clip((2 * frequency / rate - PASSED) / (1 - PASSED), 0, 1)
+    """Return the anti-alias filter's gain: 1 in the passband, then a raised cosine to 0."""
+    falling = np.clip((2 * frequency / rate - PASSBAND) / (1 - PASSBAND), 0, 1)
     return 0.5 + 0.5 * np.cos(pi * falling)

@@ -1,4 +1,10 @@
-"""Many cycles of a rangefinder: noise, drift and the ADC."""
+"""Cycles of a rangefinder: noise, drift, reported temperature and the ADC.
+
+References
+----------
+* Random numbers of each cycle, whatever others are drawn: Salmon, J. K. et al., Parallel random
+  numbers: as easy as 1, 2, 3, SC '11 (2011). doi:10.1145/2063384.2063405
+"""
 
 from __future__ import annotations
 
@@ -11,19 +17,19 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
-from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.scattering import PlacedScatterer
 
 Numbers = NDArray[np.integer[Any]]
 
-CHUNK = 256
-"""Cycles that are digitised at once."""
-NOISE, TEMPERATURE, DRIFT = range(3)
-"""Purposes that random numbers are drawn for."""
+CYCLES_PER_CHUNK = 256
+"""Cycles digitised at once."""
+NOISE_STREAM, TEMPERATURE_STREAM, DRIFT_STREAM = range(3)
+"""Keys of the independent streams of random numbers."""
 DRIFT_PERIODS = np.geomspace(10.0, 1000.0, 8)
-"""In s: a drift is constant within a record, and no two minutes of it are alike."""
+"""Periods of the drift's sines in s: long against a record, and without a common period."""
 
 
 def digitise(
@@ -33,7 +39,7 @@ def digitise(
     seed: int,
     session_seed: int | None = None,
 ) -> NDArray[Any]:
-    """Return what the ADC makes of a voltage in each cycle.
+    """Return the ADC's counts of a voltage in each cycle.
 
     Parameters
     ----------
@@ -41,55 +47,64 @@ def digitise(
         (n_samples,) in V, without offset.
     rangefinder : Rangefinder
     cycles : ndarray of int
-        Numbers of the cycles, (n,): each has its own noise, whatever others there are.
+        Numbers of the cycles, (n,); the noise of a cycle depends on its number alone.
     seed : int
+        Random seed of the noise.
     session_seed : int, optional
-        Of the drift, in place of `seed`.
+        Random seed of the drift; default `seed`.
 
     Returns
     -------
     ndarray
         Counts, (n, n_samples): uint16, or float64 if not quantised.
     """
-    r = rangefinder
-    per_volt = 2**r.bits / r.full_scale
-    counts = np.empty((len(cycles), len(voltage)), np.uint16 if r.quantised else np.float64)
-    mean = (voltage * per_volt).astype(np.float32 if r.quantised else np.float64)
+    per_volt = 2**rangefinder.bits / rangefinder.full_scale
+    counts = np.empty(
+        (len(cycles), len(voltage)), np.uint16 if rangefinder.quantised else np.float64
+    )
+    mean = (voltage * per_volt).astype(np.float32 if rangefinder.quantised else np.float64)
     drifting = seed if session_seed is None else session_seed
-    shift = (r.offset + _wander(r, cycles, drifting)) * per_volt
-    noise = np.zeros((min(CHUNK, len(cycles)), len(voltage)), np.float32)
-    for start in range(0, len(cycles), CHUNK):
-        part = slice(start, start + CHUNK)
+    shift = (rangefinder.offset + _drift(rangefinder, cycles, drifting)) * per_volt
+    noise = np.zeros((min(CYCLES_PER_CHUNK, len(cycles)), len(voltage)), np.float32)
+    for start in range(0, len(cycles), CYCLES_PER_CHUNK):
+        part = slice(start, start + CYCLES_PER_CHUNK)
         block = noise[: len(cycles[part])]
-        if r.noise > 0:
+        if rangefinder.noise > 0:
             for row, cycle in zip(block, cycles[part], strict=True):
-                _generator(seed, NOISE, cycle).standard_normal(out=row, dtype=np.float32)
-        exact = mean + block * np.float32(r.noise * per_volt) + shift[part, None].astype(mean.dtype)
-        counts[part] = np.clip(np.rint(exact), 0, 2**r.bits - 1) if r.quantised else exact
+                _generator(seed, NOISE_STREAM, cycle).standard_normal(out=row, dtype=np.float32)
+        exact = (
+            mean
+            + block * np.float32(rangefinder.noise * per_volt)
+            + shift[part, None].astype(mean.dtype)
+        )
+        counts[part] = (
+            np.clip(np.rint(exact), 0, 2**rangefinder.bits - 1) if rangefinder.quantised else exact
+        )
     return counts
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:
-    """Return the random numbers of one purpose and cycle, whatever others were drawn."""
+    """Return the generator of one stream and cycle, independent of all others."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
-def _wander(rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
-    """Return the drift of each cycle in V: slow sines of random phase."""
-    phase = _generator(seed, DRIFT).uniform(0, 2 * pi, len(DRIFT_PERIODS))
+def _drift(rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
+    """Return the drift of each cycle in V: a sum of slow sines of random phase."""
+    phase = _generator(seed, DRIFT_STREAM).uniform(0, 2 * pi, len(DRIFT_PERIODS))
     turns = np.outer(cycles / rangefinder.cycle_rate, 2 * pi / DRIFT_PERIODS)
     rms = rangefinder.drift * np.sqrt(2 / len(phase))
     return np.asarray(rms * np.sin(turns + phase).sum(axis=1))
 
 
-def _reported(temperature: float, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
+def _reported_temperature(
+    temperature: float, rangefinder: Rangefinder, cycles: Numbers, seed: int
+) -> Array:
     """Return the temperature in degC that the board reports in each cycle."""
-    r = rangefinder
-    error = np.full(len(cycles), r.temperature_bias)
-    if r.temperature_noise > 0:
-        draws = [_generator(seed, TEMPERATURE, cycle).normal() for cycle in cycles]
-        error += r.temperature_noise * np.array(draws)
-    step = r.temperature_resolution
+    error = np.full(len(cycles), rangefinder.temperature_bias)
+    if rangefinder.temperature_noise > 0:
+        draws = [_generator(seed, TEMPERATURE_STREAM, cycle).normal() for cycle in cycles]
+        error += rangefinder.temperature_noise * np.array(draws)
+    step = rangefinder.temperature_resolution
     exact = temperature + error
     return np.round(exact / step) * step if step > 0 else exact
 
@@ -107,26 +122,27 @@ def record(
     session_seed: int | None = None,
     tube_seed: int = 0,
 ) -> xr.Dataset:
-    """Return what a rangefinder records of a tube that is held still.
+    """Return the recording of a rangefinder on a tube in a fixed state.
 
     Parameters
     ----------
     presses : sequence of PlacedScatterer
-        None for an untouched tube.
+        Empty for an untouched tube.
     rangefinder : Rangefinder, optional
-        Default that of the paper; see :data:`IDEAL`.
+        Default: the sleeve paper's board ("Wearable, Fabric-Embedded Acoustic Waveguides for
+        Meter-Scale Contact Localization and Force Sensing"); see also :data:`IDEAL`.
     radius, length : float
-        Of the bore, in m. Defaults the paper's.
+        Radius of the bore and length of the tube in m. Defaults: the sleeve paper's.
     temperature : float
-        Of the air, in degC.
+        Temperature of the air in degC.
     n_cycles, first_cycle : int
-        How many cycles, and the number of the first. A cycle is the same in whatever run.
+        Number of cycles, and the number of the first. The same number gives the same cycle.
     seed : int
-        Of noise, drift and temperature. Runs that shall differ need different ones.
+        Random seed of noise, drift and reported temperature.
     session_seed : int, optional
-        Of the drift, in place of `seed`: cycles of one session share it.
+        Random seed of the drift; default `seed`. Cycles of one session share it.
     tube_seed : int
-        Of the clutter, which belongs to the tube.
+        Random seed of the clutter, which belongs to the tube.
 
     Returns
     -------
@@ -137,21 +153,27 @@ def record(
     Raises
     ------
     ValueError
-        As :func:`response`, or if there are no cycles.
+        As :func:`response`, or if n_cycles < 1 or first_cycle < 0.
     """
     if n_cycles < 1 or first_cycle < 0:
         raise ConfigError(
-            f"n_cycles = {n_cycles} from first_cycle = {first_cycle}: use 1 or more, from 0 or more"
+            f"n_cycles = {n_cycles} from first_cycle = {first_cycle} is out of range; use 1 or "
+            "more, from 0 or more"
         )
-    r = Rangefinder() if rangefinder is None else rangefinder
+    rangefinder = rangefinder or Rangefinder()
     time, voltage = response(
-        presses, r, radius=radius, length=length, temperature=temperature, tube_seed=tube_seed
+        presses,
+        rangefinder,
+        radius=radius,
+        length=length,
+        temperature=temperature,
+        tube_seed=tube_seed,
     )
     cycles = np.arange(first_cycle, first_cycle + n_cycles)
     variables = {
-        "signal": (("cycle", "time"), digitise(voltage, r, cycles, seed, session_seed),
+        "signal": (("cycle", "time"), digitise(voltage, rangefinder, cycles, seed, session_seed),
                    {"units": "1", "long_name": "counts of the ADC"}),
-        "temperature": ("cycle", _reported(temperature, r, cycles, seed),
+        "temperature": ("cycle", _reported_temperature(temperature, rangefinder, cycles, seed),
                         {"units": "degC", "long_name": "temperature that the board reports"}),
     }  # fmt: skip
     coordinates = {
@@ -162,10 +184,11 @@ def record(
         variables,
         coordinates,
         {
-            "source": "simulation", "sampling_rate": r.sampling_rate, "full_scale": 2**r.bits,
+            "source": "simulation", "sampling_rate": rangefinder.sampling_rate,
+            "full_scale": 2**rangefinder.bits,
             "seed": seed, "tube_seed": tube_seed, "air_temperature": temperature,
             "bore_radius": radius, "tube_length": length,
             "press_positions": np.array([press.position for press in presses], float),
-            "rangefinder": r.to_json(),
+            "rangefinder": rangefinder.to_json(),
         },
     )  # fmt: skip

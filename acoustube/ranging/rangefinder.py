@@ -1,4 +1,7 @@
-"""A rangefinder's parameters, each with its unit and where its default comes from.
+"""Parameters of a rangefinder, with units and the source of each default.
+
+The sleeve paper: "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing".
 
 References
 ----------
@@ -26,7 +29,7 @@ from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 
 @dataclass(frozen=True, kw_only=True)
 class Burst(Section):
-    """A drive of unit amplitude that is switched on and off.
+    """Tone burst of unit amplitude.
 
     Attributes
     ----------
@@ -44,14 +47,14 @@ class Burst(Section):
 
     @property
     def duration(self) -> float:
-        """In s."""
+        """Duration in s."""
         return self.cycles / self.frequency
 
     def spectrum(self, frequency: Complex) -> Complex:
-        """Return the Fourier transform in s at frequencies in Hz, real or complex, but not zero.
+        """Return the Fourier transform in s at frequencies in Hz, real or complex, not zero.
 
-        A square is a sum of steps, each worth exp(-j omega t) / (j omega), a sine two lines of
-        finite length: closed forms, so that no overtone is aliased.
+        Closed forms, so that no overtone is aliased: a square is a sum of steps with the transforms
+        exp(-j omega t) / (j omega), a sine burst two sinc functions.
         """
         omega, carrier, end = 2 * pi * frequency, 2 * pi * self.frequency, self.duration
         if self.shape == "square":
@@ -72,7 +75,7 @@ Drive = Burst | Pulse | SampledPulse
 
 @dataclass(frozen=True)
 class _Kind:
-    """The rule of a setting that is no plain number; see :class:`~acoustube.base.rules.Number`."""
+    """Rule of a setting that is not a plain number; see :class:`~acoustube.base.rules.Number`."""
 
     fits: Callable[[Any], bool]
     allowed: str
@@ -86,7 +89,7 @@ class _Kind:
 
 
 def _complex(value: Any) -> Any:
-    """Return a number of [real, imaginary], as files hold it; anything else as it is."""
+    """Return [real, imaginary], as in files, as a complex number; any other value unchanged."""
     if isinstance(value, list | tuple) and len(value) == 2:
         parts = [isinstance(part, int | float) and not isinstance(part, bool) for part in value]
         return complex(*value) if all(parts) else value
@@ -97,88 +100,90 @@ DRIVE = _Kind(lambda value: isinstance(value, Drive), "a Burst, a Pulse or a Sam
 FLAG = _Kind(lambda value: isinstance(value, bool), "True or False")
 FACE = _Kind(
     lambda value: isinstance(value, int | float | complex) and abs(value) <= 1 and value != -1,
-    "a number, real or complex as [real, imaginary], of magnitude 0 to 1, but not -1: such a face "
-    "hears nothing",
+    "a number, real or complex as [real, imaginary], of magnitude 0 to 1, but not -1: at such a "
+    "face the pressure is zero",
     _complex,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rangefinder(Section):
-    """A transducer with its electronics, as it sits on a tube. The defaults are the paper's.
+    """Transducer and electronics at the end of a tube; defaults of the sleeve paper's board.
 
     Attributes
     ----------
     drive : Burst, Pulse or SampledPulse
-        What excites the transducer, of unit amplitude. Default: 13 cycles of 42 kHz (data sheet).
+        Drive of the transducer, of unit amplitude. Default: 13 cycles of 42 kHz (data sheet).
     resonance : float
         Resonance frequency of the transducer in Hz. Default 42 kHz (data sheet).
     quality_factor : float
-        Of that resonance: its frequency over its bandwidth at -3 dB; 0 for a flat response. Default
-        14 (3 kHz), chosen: within what such transducers have; the data sheet says nothing.
+        Quality factor: resonance frequency over bandwidth at -3 dB; 0 for a flat response. Default
+        14 (3 kHz), chosen: usual for such transducers; the data sheet does not state it.
     send : float
-        What the transducer hears of a steady drive at its resonance, in V: far over full scale.
-        Default 170, chosen so that a press that reflects a fifth makes a peak of its own from 16 cm
-        on, and none nearer: the dead zone of the paper and of EchoTube, 6 inches in the data sheet.
+        Voltage in V received from its own steady drive at resonance, far over full scale. Default
+        170, chosen so that a press with a reflection coefficient of 0.2 has a peak of its own from
+        16 cm on, and not nearer: the dead zone of the sleeve paper and of EchoTube, 6 inches in the
+        data sheet.
     gain : float
-        What it hears of a steady drive that comes back whole from a tube without losses, in V.
-        Default 1.25, chosen so that the arctan of the paper's calibration has the published
+        Voltage in V received from a steady drive that a lossless tube reflects completely. Default
+        1.25, chosen so that the arctan of the sleeve paper's calibration has the published
         asymptotes: 0.64 and 0.11 (as tanh) where 0.635 and 0.104 are published.
     face_reflection : complex
-        Pressure that the face sends back over that which arrives. Default 0.3, chosen: no second
+        Pressure reflection coefficient of the transducer's face. Default 0.3, chosen: no second
         echo of a press is reported.
     far_reflection : float
-        The same of the tube's far end. Default 0.05 for foam, chosen: no echo of it is reported.
+        Pressure reflection coefficient of the tube's far end. Default 0.05 for foam, chosen:
+        no echo of it is reported.
     clutter : float
-        Power that small irregularities reflect per metre of tube, in 1/m. Default 1.5e-5 (-48 dB),
-        chosen so that up to 0.6 m presses of a 25 mm rod are found from 2.5 mm on and hardly
-        before; the paper states 2.5 mm.
+        Power reflected by small irregularities per length of tube in 1/m. Default 1.5e-5 (-48 dB),
+        chosen so that up to 0.6 m presses of a 25 mm rod are detected from 2.5 mm on and rarely
+        below; the sleeve paper states 2.5 mm.
     noise : float
         Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.1 mV (0.2
         counts, less than their rounding), chosen so that beyond 1.95 m only a rod that closes the
-        lumen is found: the paper finds depths over 7 mm there. A closure is then heard to 2.4 m;
-        EchoTube reaches 2.4 to 2.5 m in 8 mm.
+        lumen is detected: the sleeve paper detects depths over 7 mm there. A closure is then
+        detected up to 2.4 m; EchoTube reaches 2.4 to 2.5 m in a bore of 8 mm.
     offset : float
         Mean voltage in V. Default 0.9, chosen: the middle of the ADC's range.
     drift : float
-        Slow wander of the offset in V, rms, over 10 s to 1000 s. Default 5 mV, chosen.
+        Slow drift of the offset in V, rms, over 10 s to 1000 s. Default 5 mV, chosen.
     sampling_rate : float
-        In Hz. Default 200 kHz (paper).
+        Samples per second. Default 200 kHz (sleeve paper).
     n_samples : int
-        Of a cycle. Default 4000 (paper).
+        Samples per cycle. Default 4000 (sleeve paper).
     bits : int
-        Of the ADC. Default 12 (paper).
+        Resolution of the ADC. Default 12 (sleeve paper).
     full_scale : float
         Voltage in V of 2**bits counts. Default 1.8 (reference manual).
     quantised : bool
-        Whether the counts are whole and clipped at both ends of the scale. Default True.
+        True for integer counts clipped at both ends of the scale. Default True.
     cycle_rate : float
-        Cycles per second. Default 20 (paper).
+        Cycles per second. Default 20 (sleeve paper).
     lead : float
         Time in s recorded before the drive starts. Default 0, chosen.
     temperature_bias, temperature_noise : float
-        Mean and random error of the reported temperature in K. Defaults 0.5 and 0.1, chosen: those
-        of a plain semiconductor sensor. 0.5 K makes 0.09 % of distance.
+        Mean and standard deviation of the reported temperature's error in K. Defaults 0.5 and 0.1,
+        chosen: those of a simple semiconductor sensor. 0.5 K is 0.09 % of distance.
     temperature_resolution : float
         Step of the reported temperature in K; 0 for none. Default 0.1, chosen.
 
     Raises
     ------
     ConfigError
-        If a value is impossible.
+        If a value is outside its range.
     """
 
     drive: Drive = field(default=Burst(), metadata={"rule": DRIVE})
     resonance: float = setting(42e3, Number(1e3, 1e6, "Hz", "resonance of the transducer"))
     quality_factor: float = setting(14.0, Number(0, 1e3, "", "0 for a flat transducer"))
-    send: float = setting(170.0, Number(0, 1e6, "V", "own drive as heard"))
-    gain: float = setting(1.25, Number(0, 1e6, "V", "whole echo as heard"))
+    send: float = setting(170.0, Number(0, 1e6, "V", "received level of the own drive"))
+    gain: float = setting(1.25, Number(0, 1e6, "V", "received level of a complete reflection"))
     face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
     far_reflection: float = setting(0.05, Number(-1, 1, "", "reflection of the far end"))
     clutter: float = setting(1.5e-5, Number(0, 0.1, "1/m", "power reflected per metre"))
     noise: float = setting(0.1e-3, Number(0, 1e3, "V", "rms of the noise"))
     offset: float = setting(0.9, Number(-1e3, 1e3, "V", "mean voltage"))
-    drift: float = setting(5e-3, Number(0, 1e3, "V", "rms of the slow wander"))
+    drift: float = setting(5e-3, Number(0, 1e3, "V", "rms of the slow drift"))
     sampling_rate: float = setting(200e3, Number(1e3, 1e8, "Hz", "samples per second"))
     n_samples: int = setting(4000, Number(16, 1e6, "", "samples of a cycle", whole=True))
     bits: int = setting(12, Number(1, 16, "", "of the ADC", whole=True))
@@ -191,7 +196,7 @@ class Rangefinder(Section):
     temperature_resolution: float = setting(0.1, Number(0, 50, "K", "step of the temperature"))
 
     def resonator(self, frequency: Complex) -> Complex:
-        """Return the transducer's response at frequencies in Hz, real or complex, but not zero.
+        """Return the transducer's response at frequencies in Hz, real or complex, not zero.
 
         A second-order band-pass, 1 / (1 + j Q (f/f0 - f0/f)): it rings as exp(-pi f0 t / Q).
         """
@@ -214,7 +219,7 @@ IDEAL = Rangefinder(
     far_reflection=0.0, clutter=0.0, noise=0.0, offset=0.0, drift=0.0, quantised=False,
     temperature_bias=0.0, temperature_noise=0.0, temperature_resolution=0.0,
 )  # fmt: skip
-"""A sensor that adds nothing: its counts are fractions, and a whole echo is as high as its drive.
+"""Ideal sensor: unquantised counts, and a complete reflection has the amplitude of the drive.
 
-Its drive is the paper's simulated one, whose sound is all within a band.
+Its drive is the band-limited pulse of the sleeve paper's simulations.
 """

@@ -1,4 +1,4 @@
-"""Checks of recorded samples: what stops a reader, and what it only warns of."""
+"""Checks of recorded samples: errors, and warnings of silent and clipped cycles."""
 
 from __future__ import annotations
 
@@ -12,21 +12,28 @@ from numpy.typing import NDArray
 from acoustube.air import TEMPERATURES
 from acoustube.base.errors import ConfigError
 
-SEND_TIME = 3e-3
-"""Time in s in which the send pulse may reach the extreme codes."""
+SEND_PULSE_END = 3e-3
+"""Time in s up to which the send pulse may reach the extreme codes."""
 
-CLIPPED_SAMPLES = 3
-"""So many samples at an extreme code later in a cycle count as clipping: an echo has one peak."""
+MIN_CLIPPED_SAMPLES = 3
+"""Samples at an extreme code after the send pulse that count as clipping: an echo has one peak."""
 
-LEAST_SPAN = 64
-"""Codes between the extremes, under which noise repeats them without clipping."""
+MIN_CODE_RANGE = 64
+"""Range of codes below which noise reaches the extremes repeatedly without clipping."""
 
-BLOCK = 1 << 22
-"""Samples checked at a time, so that a mapped file need not fit into memory."""
+BLOCK_SAMPLES = 1 << 22
+"""Samples checked at a time, so that a memory-mapped file need not fit into memory."""
 
 
 def check_temperature(path: Path, values: NDArray[Any]) -> None:
-    """Refuse a temperature in degC, of shape (cycle,), at which air is not known.
+    """Raise if a temperature lies outside the range of the model of air.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    values : array of shape (cycle,)
+        In degC.
 
     Raises
     ------
@@ -42,13 +49,13 @@ def check_temperature(path: Path, values: NDArray[Any]) -> None:
 
 
 def _blocks(signal: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
-    """Yield some cycles at a time, with the number of the first."""
-    step = max(1, BLOCK // signal.shape[1])
+    """Yield blocks of cycles, each with the number of its first cycle."""
+    step = max(1, BLOCK_SAMPLES // signal.shape[1])
     yield from ((i, signal[i : i + step]) for i in range(0, len(signal), step))
 
 
 def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return each cycle's lowest and highest sample, once all are finite and not all the same.
+    """Return each cycle's minimum and maximum; raise if samples are not finite or all equal.
 
     Parameters
     ----------
@@ -85,15 +92,17 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
     return low, high
 
 
-def dead(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
-    """Tell how many cycles are silent; see :func:`clipping`."""
+def silent_cycles(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
+    """Return a warning with the number of silent cycles; see :func:`clipped_cycles`."""
     count = int(np.sum(low == high))
     text = f"{count} of {len(low)} cycles are silent: all their samples are equal."
     return [text] if count else []
 
 
-def clipping(signal: NDArray[Any], rate: float, low: NDArray[Any], high: NDArray[Any]) -> list[str]:
-    """Tell how many cycles of integers stay at the record's extreme codes after the send pulse.
+def clipped_cycles(
+    signal: NDArray[Any], rate: float, low: NDArray[Any], high: NDArray[Any]
+) -> list[str]:
+    """Return a warning with the number of cycles clipped after the send pulse; integers only.
 
     Parameters
     ----------
@@ -101,24 +110,24 @@ def clipping(signal: NDArray[Any], rate: float, low: NDArray[Any], high: NDArray
     rate : float
         Samples per second.
     low, high : array of shape (cycle,)
-        Of :func:`check_samples`.
+        Extremes from :func:`check_samples`.
 
     Returns
     -------
     list of str
-        One sentence, or none.
+        One sentence, or an empty list.
     """
     bottom, top = int(low.min()), int(high.max())
-    later = signal[:, int(SEND_TIME * rate) :]
-    if signal.dtype.kind == "f" or top - bottom < LEAST_SPAN or not later.size:
+    later = signal[:, int(SEND_PULSE_END * rate) :]
+    if signal.dtype.kind == "f" or top - bottom < MIN_CODE_RANGE or not later.size:
         return []
     count = 0
     for _, block in _blocks(later):
         repeats = [np.sum(block == end, axis=1) for end in (bottom, top)]
-        count += int(np.sum(np.maximum(*repeats) >= CLIPPED_SAMPLES))
+        count += int(np.sum(np.maximum(*repeats) >= MIN_CLIPPED_SAMPLES))
     text = (
         f"{count} of {len(signal)} cycles reach the extreme codes {bottom} or {top} at "
-        f"{CLIPPED_SAMPLES} or more samples after the first {1e3 * SEND_TIME:g} ms, as clipped "
-        "echoes do."
+        f"{MIN_CLIPPED_SAMPLES} or more samples after the first {1e3 * SEND_PULSE_END:g} ms, as "
+        "clipped echoes do."
     )
     return [text] if count else []

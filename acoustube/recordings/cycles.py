@@ -1,4 +1,4 @@
-"""Cycles of a recording as a dataset: from named arrays to checked samples, rate and labels."""
+"""Dataset of a recording's cycles from named arrays: samples, sampling rate, labels, checked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.version import __version__
-from acoustube.recordings.checks import check_samples, check_temperature, clipping, dead
+from acoustube.recordings.checks import (
+    check_samples,
+    check_temperature,
+    clipped_cycles,
+    silent_cycles,
+)
 from acoustube.recordings.formats import open_netcdf
 from acoustube.recordings.tables import meaning
 
@@ -24,15 +29,15 @@ Named = dict[str, Any]
 RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
-LONGEST_LEAD = 0.1
-"""Time in s between trigger and record beyond which a time axis counts from elsewhere."""
+MAX_LEAD_TIME = 0.1
+"""Largest start of a time axis in s at which its zero is taken for the trigger."""
 RATE_TOLERANCE = 1e-3
-"""How far a rate may be from the time axis: times of four digits agree that well."""
+"""Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
 
-LONG_CYCLE = 0.03
-"""Length in s of a cycle, in which sound goes 5 m and back, above which several are suspected."""
-SUSPECT = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
-"""Labels, and from what length in m another unit is suspected."""
+SUSPECT_CYCLE_LENGTH = 0.03
+"""Length of a cycle in s above which a record may hold several: sound travels 5 m and back."""
+SUSPECT_LENGTHS = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
+"""Labels with the length in m above which another unit is suspected, and that unit."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -42,8 +47,8 @@ LABELS = {
 }
 
 
-def as_written(path: Path) -> xr.Dataset | None:
-    """Return a netCDF file of acoustube's own, once it is checked.
+def read_own_netcdf(path: Path) -> xr.Dataset | None:
+    """Return the checked dataset of a netCDF file that acoustube wrote.
 
     Parameters
     ----------
@@ -54,7 +59,7 @@ def as_written(path: Path) -> xr.Dataset | None:
     Returns
     -------
     xarray.Dataset or None
-        None if it is another file.
+        None if the file is of another kind.
 
     Raises
     ------
@@ -63,11 +68,11 @@ def as_written(path: Path) -> xr.Dataset | None:
     """
     try:
         data: xr.Dataset = open_netcdf(path)
-    except Exception:  # what is wrong with the file is told when it is read as any other
+    except Exception:  # what is wrong with the file is given when it is read as any other
         return None
     if "configuration" in data or "configuration" in data.attrs:
         raise ConfigError(
-            f"{path} is what acoustube simulate, indent or sweep computed, and no recording; "
+            f"{path} is a result of acoustube simulate, indent or sweep and not a recording; "
             "acoustube dataset makes recordings of a sweep"
         )
     shapes = {"signal": ("cycle", "time"), "temperature": ("cycle",)}
@@ -88,7 +93,7 @@ def as_written(path: Path) -> xr.Dataset | None:
 def assemble(
     path: Path, known: Named, others: Named, labels: Named, notes: list[str]
 ) -> xr.Dataset:
-    """Make a dataset of what was found and given.
+    """Return the dataset of a recording from the contents of its file and given values.
 
     Parameters
     ----------
@@ -118,18 +123,18 @@ def assemble(
     n, length = signal.shape
     total = record.size if record.ndim == 1 else n
     rate = _rate(path, known, (length, record.size))
-    if record.ndim == 1 and n == 1 and length > LONG_CYCLE * rate:
+    if record.ndim == 1 and n == 1 and length > SUSPECT_CYCLE_LENGTH * rate:
         notes.append(
             f"The record of {length / rate:.3g} s was taken for one cycle; give samples, the "
             "number in a cycle, if it holds several."
         )
     if "temperature" not in known:
         raise ConfigError(
-            f"{path} does not tell the temperature; give temperature in degC, or temperature_c in "
-            f"{path.stem}.toml beside it"
+            f"{path} does not state the temperature; give temperature in degC, or temperature_c in "
+            f"{path.stem}.toml in the same folder"
         )
     low, high = check_samples(path, signal)
-    notes += clipping(signal, rate, low, high) + dead(low, high)
+    notes += clipped_cycles(signal, rate, low, high) + silent_cycles(low, high)
     each = partial(_per_cycle, path, shape=signal.shape, total=total)
     temperature = _number(path, "temperature", each("temperature", known["temperature"]))
     check_temperature(path, temperature)
@@ -154,12 +159,12 @@ def assemble(
     return xr.Dataset(variables, {"cycle": cycle, "time": time}, attributes)
 
 
-def part_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
-    """Part what has a known meaning, in SI units and degC, from the rest under its own name."""
+def separate_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
+    """Return known quantities in SI units and degC, and the others under their own names."""
     known: Named = {}
     others: Named = {}
     contents = {name.replace("/", "_"): v for name, v in contents.items() if name != "cycle"}
-    # The names that are used here go before their other forms.
+    # The names of this package take precedence over their synonyms.
     for name, value in sorted(contents.items(), key=lambda item: item[0] != meaning(item[0])[0]):
         quantity, scale = meaning(name)
         if not quantity or quantity in known or (quantity == "signal" and np.ndim(value) == 0):
@@ -177,7 +182,7 @@ def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
-    """Return the samples: what is called so, or else the one array that can be meant."""
+    """Return the samples: the array named so, or else the only numeric one of most axes."""
     if "signal" in known:
         return _real(path, known["signal"])
     arrays = {name: np.asarray(value) for name, value in others.items()}
@@ -189,8 +194,8 @@ def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
         if able:
             break
     raise ConfigError(
-        f"{path} holds {', '.join(arrays) or 'no arrays'}, of which none is known as the signal; "
-        "name that one signal"
+        f"{path} holds {', '.join(arrays) or 'no arrays'}, none of which is known as the signal; "
+        "name one of them signal"
     )
 
 
@@ -212,7 +217,9 @@ def _one_channel(path: Path, array: NDArray[Any], channel: Any) -> NDArray[Any]:
             f"{path} has {count} channels; choose one with channel = 0 to {count - 1}"
         )
     if count == 1 and channel:
-        raise ConfigError(f"{path}: channel = {channel:g}, and there is one alone; leave it out")
+        raise ConfigError(
+            f"{path}: channel = {channel:g}, but the file has one channel; leave it out"
+        )
     rule = Number(0, count - 1, "", "channels count from 0", whole=True)
     chosen = int(rule.check(f"{path}: channel", 0 if channel is None else channel))
     cycles = array[..., chosen] if array.ndim == 3 else array
@@ -220,7 +227,7 @@ def _one_channel(path: Path, array: NDArray[Any], channel: Any) -> NDArray[Any]:
 
 
 def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> NDArray[Any]:
-    """Return a record in the shape (cycle, time), without a copy."""
+    """Return a record reshaped to (cycle, time), without a copy."""
     wanted = _single(path, "samples", known.get("samples_per_cycle"))
     length = None if wanted is None else int(SAMPLES.check(f"{path}: samples", wanted))
     if record.ndim == 2:
@@ -243,13 +250,13 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
     if length > n:
         raise ConfigError(f"{path}: samples = {length} is longer than the record of {n}; lower it")
     if rest := n % length:
-        notes.append(f"The last {rest} samples are no complete cycle of {length}: left out.")
+        notes.append(f"The last {rest} samples are not a complete cycle of {length}: left out.")
     return record[: n - rest].reshape(-1, length)
 
 
 def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
-    """Return the sampling rate that is told, or else the time axis's, once they agree."""
-    told = _single(path, "sampling rate", known.get("sampling_rate"))
+    """Return the sampling rate that is given, or else the time axis's, once they agree."""
+    given = _single(path, "sampling rate", known.get("sampling_rate"))
     axis = None
     if "time" in known:
         try:
@@ -261,13 +268,13 @@ def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
                 f"{path}: its time axis has {np.size(known['time'])} values for {lengths[0]} "
                 "samples; give one for each"
             )
-    if told is None and axis is None:
+    if given is None and axis is None:
         raise ConfigError(
-            f"{path} does not tell its sampling rate; give rate in Hz, or sampling_rate_hz in "
-            f"{path.stem}.toml beside it"
+            f"{path} does not state its sampling rate; give rate in Hz, or sampling_rate_hz in "
+            f"{path.stem}.toml in the same folder"
         )
-    # The last digits of a step taken from times are rounding.
-    rate = float(RATE.check(f"{path}: rate", float(f"{axis:.9g}") if told is None else told))
+    # Nine digits: the last ones of a step taken from times are rounding errors.
+    rate = float(RATE.check(f"{path}: rate", float(f"{axis:.9g}") if given is None else given))
     if axis is not None and abs(axis / rate - 1) > RATE_TOLERANCE:
         raise ConfigError(
             f"{path}: rate = {rate:g} Hz contradicts its time axis, which has {axis:g} Hz; correct "
@@ -277,7 +284,7 @@ def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
 
 
 def _single(path: Path, name: str, value: Any) -> Any:
-    """Return the one value that an array repeats, as a plain number."""
+    """Return the unique value of an array as a plain number."""
     if value is None:
         return None
     values = np.unique(np.asarray(value))
@@ -289,7 +296,7 @@ def _single(path: Path, name: str, value: Any) -> Any:
 def _per_cycle(
     path: Path, name: str, value: Any, shape: tuple[int, ...], total: int
 ) -> NDArray[Any]:
-    """Return one value per cycle: given so, for all cycles at once, or for each sample."""
+    """Return one value per cycle from one per cycle, one for all, or one per sample (averaged)."""
     n, length = shape
     try:
         values = np.asarray(value).squeeze()
@@ -319,7 +326,7 @@ def _number(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _of_length(others: Named, n: int, notes: list[str]) -> Named:
-    """Return the arrays of one number or word per cycle, and note which are none."""
+    """Return the arrays of one number or word per cycle, with a note of those left out."""
     found = {}
     for name, value in others.items():
         values = np.asarray(value)
@@ -332,22 +339,22 @@ def _of_length(others: Named, n: int, notes: list[str]) -> Named:
 
 
 def _too_long(labels: Named) -> list[str]:
-    """Suspect another unit where a label is longer than it can be."""
+    """Return warnings of labels longer than plausible in m."""
     return [
         f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in {unit}, call it "
         f"{name}_{unit}."
-        for name, (longest, unit) in SUSPECT.items()
+        for name, (longest, unit) in SUSPECT_LENGTHS.items()
         if name in labels and np.any(labels[name] > longest)
     ]
 
 
 def _start(known: Named, length: int) -> float:
-    """Return when a cycle starts by its own time axis, whose zero is taken for the trigger.
+    """Return the start of a cycle in s on its time axis, whose zero is taken for the trigger.
 
-    An axis of a whole record, or far from zero, tells nothing of the trigger.
+    Zero for an axis of a whole record or far from zero, which is not relative to the trigger.
     """
     time = np.ravel(known.get("time", ()))
-    near = time.size == length and abs(float(time[0])) < LONGEST_LEAD
+    near = time.size == length and abs(float(time[0])) < MAX_LEAD_TIME
     return float(time[0]) if near else 0.0
 
 

@@ -1,4 +1,10 @@
-"""The stream of EchoTube's board: from the bytes of a serial line to cycles, and back."""
+"""Serial stream of EchoTube's board: bytes to cycles, and back.
+
+References
+----------
+* Framing: Cheshire, S. and Baker, M., Consistent overhead byte stuffing, IEEE/ACM Transactions on
+  Networking 7 (1999), 159-172. doi:10.1109/90.769765
+"""
 
 from __future__ import annotations
 
@@ -15,13 +21,13 @@ from acoustube.base.errors import ConfigError
 
 FRAME_BYTES = 2000
 """Bytes of a frame before it is encoded."""
-HEAD = 2
-"""Bytes of the pulse width, in the place of a cycle's first samples."""
+PULSE_WIDTH_BYTES = 2
+"""Bytes of the pulse width, which replace a cycle's first samples."""
 
-DEPTH = 64
-"""Cycles that may wait, some three seconds."""
-PATIENCE = 0.1
-"""Seconds without a byte or a cycle after which a thread looks whether all is over."""
+QUEUE_DEPTH = 64
+"""Cycles that may wait: about three seconds."""
+POLL_INTERVAL = 0.1
+"""Time in s after which a waiting thread checks whether the stream has ended."""
 MISSING = (
     "a board's stream needs the libraries cobs and pyserial; install them with: "
     "pip install 'acoustube[serial]'"
@@ -29,17 +35,16 @@ MISSING = (
 
 
 class Frame(NamedTuple):
-    """What the board sends of a cycle.
+    """Cycle as the board sends it.
 
     Attributes
     ----------
     pulse_width : int
-        The time of flight that the rangefinder itself found, in us, 0 to 65535. Where the echo
-        comes back after the last sample it is that of the cycle before: the board packs what it
-        knows when it has sampled.
+        Time of flight that the rangefinder itself measured, in us, 0 to 65535. If the echo arrives
+        after the last sample it is that of the previous cycle: the board packs it on sampling.
     samples : array of shape (time,)
-        Unsigned 8-bit samples, from the third of the cycle on: the pulse width has the place of
-        the first two.
+        Unsigned 8-bit samples from the third of the cycle on: the pulse width replaces the first
+        two.
     """
 
     pulse_width: int
@@ -47,7 +52,7 @@ class Frame(NamedTuple):
 
 
 class Decoder:
-    """Find the frames in a stream of bytes that is cut into pieces of any size.
+    """Decoder of frames in a stream of bytes that arrives in pieces of any size.
 
     Parameters
     ----------
@@ -61,11 +66,11 @@ class Decoder:
     n_frames : int
         Intact frames.
     n_garbled : int
-        Pieces between two zeros that are no frame: of another length or no COBS code. A frame in
-        which a byte has become a zero is two of them; two frames whose zero in between is lost are
-        one, together.
+        Pieces between two zeros that are not a frame: of another length or not a COBS code. A
+        frame with a byte altered to zero counts as two; two frames whose separating zero is lost
+        count as one.
     n_joined : int
-        1 if what came before the first zero was no frame: the line was joined in the middle.
+        1 if the bytes before the first zero were not a frame: the stream was joined in one.
 
     Raises
     ------
@@ -97,12 +102,12 @@ class Decoder:
         self.n_bytes = self.n_frames = self.n_garbled = self.n_joined = 0
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Return the frames that end in these bytes.
+        """Return the frames completed by further bytes.
 
         Parameters
         ----------
         data : bytes
-            The next of the stream, as many as have come.
+            Next bytes of the stream, of any number.
         """
         self.n_bytes += len(data)
         *ended, rest = data.split(b"\0")
@@ -116,22 +121,22 @@ class Decoder:
         return frames
 
     def _append(self, part: bytes) -> None:
-        """Keep bytes of a piece, as far as it can become a frame."""
+        """Append bytes to the current piece, up to the longest possible frame."""
         self._piece += part[: self._longest + 1 - len(self._piece)]
         if len(self._piece) > self._longest and not self._too_long:
             self._too_long = True
             self.n_garbled += 1
 
     def _finish(self) -> Frame | None:
-        """Return the frame that a zero has ended, or count what it is instead."""
+        """Return the frame that a zero has ended, or count a garbled one."""
         payload = None if self._too_long else self._payload()
         known = self._too_long or not self._piece
         first, self._first, self._too_long = self._first, False, False
         self._piece.clear()
         if payload is not None:
             self.n_frames += 1
-            samples = np.frombuffer(payload, np.uint8, offset=HEAD)
-            return Frame(int.from_bytes(payload[:HEAD], "big"), samples)
+            samples = np.frombuffer(payload, np.uint8, offset=PULSE_WIDTH_BYTES)
+            return Frame(int.from_bytes(payload[:PULSE_WIDTH_BYTES], "big"), samples)
         if not known:
             self.n_joined += int(first)
             self.n_garbled += int(not first)
@@ -156,12 +161,14 @@ def encode(pulse_width: int, samples: ArrayLike) -> bytes:
     samples : array of shape (time,)
         Unsigned 8-bit samples without the cycle's first two.
     """
-    payload = pulse_width.to_bytes(HEAD, "big") + np.asarray(samples, np.uint8).tobytes()
+    payload = (
+        pulse_width.to_bytes(PULSE_WIDTH_BYTES, "big") + np.asarray(samples, np.uint8).tobytes()
+    )
     return bytes(_cobs().encode(payload)) + b"\0"
 
 
 def _cobs() -> ModuleType:
-    """Return the library, or say how to install it."""
+    """Return the module cobs; raise ConfigError with advice if it is missing."""
     try:
         from cobs import cobs
     except ImportError as error:
@@ -171,38 +178,38 @@ def _cobs() -> ModuleType:
 
 
 class Port(Protocol):
-    """What is used of a serial port."""
+    """Interface of a serial port, as of pyserial."""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have come."""
+        """Number of received bytes."""
 
     def read(self, size: int = 1) -> bytes:
-        """Return up to so many bytes, after a while without any also fewer."""
+        """Return up to `size` bytes, or fewer after a time-out."""
 
 
 class Receiver:
-    """Read a port on a thread of its own, and keep the newest cycles.
+    """Receiver that reads a port on its own thread and keeps the newest cycles.
 
-    Where the processing falls behind, the oldest waiting cycle is dropped and counted, so that what
-    is taken is never older than the queue.
+    If the processing is slower than the stream, the oldest waiting cycle is dropped and counted, so
+    that the delay is bounded.
 
     Parameters
     ----------
     port : Port
     decoder : Decoder
     depth : int
-        Cycles that may wait; one more, and the oldest is dropped.
+        Cycles that may wait; with a further one the oldest is dropped.
 
     Attributes
     ----------
     n_dropped : int
         Intact cycles that were never taken.
     failure : Exception or None
-        What ended the line, an OSError unless it is a defect; cycles may still be waiting.
+        Exception that ended the stream, usually an OSError; cycles may still be waiting.
     """
 
-    def __init__(self, port: Port, decoder: Decoder, depth: int = DEPTH):
+    def __init__(self, port: Port, decoder: Decoder, depth: int = QUEUE_DEPTH):
         self.n_dropped = 0
         self.failure: Exception | None = None
         self._port, self._decoder, self._depth = port, decoder, depth
@@ -219,18 +226,18 @@ class Receiver:
         self.stop()
 
     def stop(self) -> None:
-        """Read no more; what waits can still be taken."""
+        """Stop reading; waiting cycles can still be taken."""
         self._stopped.set()
         self._thread.join()
 
     def take(self) -> tuple[float, Frame] | None:
-        """Return the oldest waiting cycle and when its last byte came, or None after a while.
+        """Return arrival time and frame of the oldest waiting cycle, or None after a time-out.
 
-        The time is that of `time.perf_counter`.
+        The time in s of its last byte, by `time.perf_counter`.
         """
         with self._news:
             if not self._waiting and self.failure is None and not self._stopped.is_set():
-                self._news.wait(PATIENCE)
+                self._news.wait(POLL_INTERVAL)
             return self._waiting.popleft() if self._waiting else None
 
     def _read(self) -> None:
@@ -239,7 +246,7 @@ class Receiver:
                 data = self._port.read(max(1, self._port.in_waiting))
                 if data:
                     self._keep(self._decoder.feed(data), time.perf_counter())
-        except Exception as error:  # one of a thread would be lost; pyserial's own are OSErrors
+        except Exception as error:  # else lost with the thread; pyserial's own are OSErrors
             with self._news:
                 self.failure = error
                 self._news.notify()

@@ -1,4 +1,4 @@
-"""Files of measured signals as named arrays: what is in them, before what it means."""
+"""File formats of measured signals, read as named arrays without interpretation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def load(path: Path) -> Contents:
     Raises
     ------
     ConfigError
-        If it is damaged, or a file of another kind.
+        If the file is damaged or of another kind.
     """
     kind, loader = KINDS[path.suffix.lower()]
     try:
@@ -40,7 +40,7 @@ def load(path: Path) -> Contents:
         raise
     # The readers raise whatever their parsing trips over.
     except Exception as error:
-        reason = " ".join(str(error).split()) or "nothing is in it"
+        reason = " ".join(str(error).split()) or "it is empty"
         raise ConfigError(
             f"{path} cannot be read as {kind} ({reason}); it is cut short, "
             "damaged or a file of another kind: export it again"
@@ -119,12 +119,12 @@ def _mat(path: Path) -> Contents:
 
     if h5py.is_hdf5(path):
         return _hdf5(path)
-    # Without mat_dtype, MATLAB's doubles come as the integers that it packs them into.
+    # Without mat_dtype, MATLAB's doubles are read as the integers that they are packed into.
     return _flat(loadmat(path, mat_dtype=True, simplify_cells=True))
 
 
 def _flat(tree: Mapping[str, Any]) -> Contents:
-    """Return a nested structure's leaves by their own name; the first of a name is kept."""
+    """Return the leaves of a nested structure by name; of equal names the first."""
     found: Contents = {}
     for name, value in tree.items():
         leaves = _flat(value) if isinstance(value, Mapping) else {name: value}
@@ -133,7 +133,7 @@ def _flat(tree: Mapping[str, Any]) -> Contents:
 
 
 def _hdf5(path: Path) -> Contents:
-    """Read HDF5, and what MATLAB writes as version 7.3 of its files."""
+    """Read HDF5, and MATLAB's files of version 7.3."""
     import h5py
 
     found: Contents = {}
@@ -154,7 +154,7 @@ def _hdf5(path: Path) -> Contents:
 
 
 def _hdf5_values(item: Any) -> Any:
-    """Return a dataset's values; None for what is no number or word."""
+    """Return a dataset's values; None if they are neither numbers nor text."""
     import h5py
 
     nothing = "MATLAB_empty" in item.attrs or item.attrs.get("MATLAB_class") == b"char"
@@ -169,7 +169,7 @@ def _hdf5_values(item: Any) -> Any:
 
 
 def _with_unit(name: str, unit: Any) -> str:
-    """Return a name with its unit where both together are known: depth with mm is depth_mm."""
+    """Return a name with its unit if both together are known: depth in mm is depth_mm."""
     joined = f"{name}_{unit}"
     return joined if isinstance(unit, str) and meaning(joined)[0] else name
 
@@ -187,7 +187,7 @@ def open_netcdf(path: Path) -> Any:
 
     engine = "h5netcdf" if h5py.is_hdf5(path) else "scipy"
     if engine == "h5netcdf":
-        h5py.File(path).close()  # h5netcdf complains aloud about a file that this cannot open
+        h5py.File(path).close()  # h5netcdf prints a traceback for a file that this cannot open
     with xr.open_dataset(path, engine=engine, decode_times=False) as file:
         return file.load()
 
@@ -204,4 +204,4 @@ KINDS: dict[str, tuple[str, Callable[[Path], Contents]]] = {
     ".hdf5": ("HDF5", _hdf5),
     ".nc": ("netCDF", _netcdf),
 }
-"""What can be read, and how, by suffix."""
+"""Name and reader of each kind of file, by suffix."""

@@ -1,7 +1,7 @@
-"""Columns of markers on a sleeve, from CSV and C3D files.
+"""Positions of motion-capture markers on a sleeve, from CSV and C3D files.
 
-A text table has one marker per row and names its columns: ``column``, which of the two columns of
-markers it belongs to; ``x``, ``y``, ``z``, or ``x_mm`` and so on; and, if there are several frames,
+A text table has one marker per row and names its columns: ``column``, the column of markers that it
+belongs to; ``x``, ``y``, ``z``, or ``x_mm`` and so on; and, if there are several frames,
 ``marker``. In a C3D file the letters of a marker's label name its column: A1, A2, ..., B1, B2.
 """
 
@@ -22,8 +22,8 @@ from acoustube.recordings.tables import plain
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 DEFAULT_UNIT = "mm"
-"""That of motion capture, where a file does not tell."""
-GAPS = {"", "nan", "na", "none", "-"}
+"""Unit of motion capture, for files that do not state one."""
+GAP_CELLS = {"", "nan", "na", "none", "-"}
 
 # Coordinates of each frame, by column and marker.
 Rows = dict[str, dict[str, list[Array]]]
@@ -38,18 +38,18 @@ class Markers:
     first, second : ndarray
         Coordinates in m, (n, 3), in the order of the file; gaps are nan.
     names : tuple of str
-        What the columns are called.
+        Names of the columns.
     unit : str
-        That of the file.
-    told : bool
-        Whether the file, or the caller, told the unit.
+        Unit of the file.
+    unit_stated : bool
+        True if the file, or the caller, stated the unit.
     """
 
     first: Array
     second: Array
     names: tuple[str, str]
     unit: str
-    told: bool
+    unit_stated: bool
 
 
 def read_markers(
@@ -62,19 +62,19 @@ def read_markers(
     path : str or path
         A C3D file, or a text table with commas, semicolons or tabs.
     unit : str, optional
-        ``mm``, ``cm`` or ``m``, in place of the file's own; mm where nothing tells.
+        ``mm``, ``cm`` or ``m``, in place of the file's own; default mm.
     columns : sequence of str, optional
         The names of the two columns, where the file has others too.
 
     Returns
     -------
     Markers
-        Of a marker seen in several frames, the median place.
+        Median position of each marker over the frames.
 
     Raises
     ------
     ConfigError
-        If there is no such file, it cannot be read, it has not two columns, or the package ezc3d,
+        If the file is missing, cannot be read or does not have two columns, or the package ezc3d,
         which reads C3D, is missing.
     """
     path = Path(path)
@@ -86,19 +86,19 @@ def read_markers(
         rows, own = (_from_c3d if path.suffix.lower() == ".c3d" else _from_table)(path)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path} cannot be read as markers ({error})") from error
-    first, second = names = _two(rows, columns, path)
+    first, second = names = _column_names(rows, columns, path)
     known = unit or own
     scale = UNITS[known or DEFAULT_UNIT]
     return Markers(
-        first=scale * _places(rows[first]),
-        second=scale * _places(rows[second]),
+        first=scale * _median_positions(rows[first]),
+        second=scale * _median_positions(rows[second]),
         names=names,
         unit=known or DEFAULT_UNIT,
-        told=known is not None,
+        unit_stated=known is not None,
     )
 
 
-def _two(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple[str, str]:
+def _column_names(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple[str, str]:
     """Return the names of the two columns."""
     names = tuple(wanted) if wanted is not None else tuple(rows)
     found = ", ".join(rows) or "none"
@@ -111,8 +111,8 @@ def _two(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple[str, str
     return names[0], names[1]
 
 
-def _places(column: dict[str, list[Array]]) -> Array:
-    """Return the median place of each marker, nan where it never was seen."""
+def _median_positions(column: dict[str, list[Array]]) -> Array:
+    """Return the median position of each marker, nan for one that is in no frame."""
     found = []
     for frames in column.values():
         seen = np.array([frame for frame in frames if np.all(np.isfinite(frame))])
@@ -144,7 +144,7 @@ def _from_table(path: Path) -> tuple[Rows, str | None]:
 
 
 def _header(names: list[str], path: Path) -> tuple[dict[str, int], str | None]:
-    """Return where the columns stand, and the unit that the names tell."""
+    """Return the index of each column, and the unit in their names."""
     places: dict[str, int] = {}
     units = set()
     for i, name in enumerate(names):
@@ -167,7 +167,7 @@ def _header(names: list[str], path: Path) -> tuple[dict[str, int], str | None]:
 
 def _number(cell: str, where: str) -> float:
     """Return a cell as a number, nan for a gap."""
-    if cell.strip().casefold() in GAPS:
+    if cell.strip().casefold() in GAP_CELLS:
         return float("nan")
     try:
         return float(cell)
@@ -191,7 +191,7 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
     labels: Iterable[str] = point["LABELS"]["value"]
     unit = next(iter(point.get("UNITS", {}).get("value", [])), "").strip().lower() or None
     if unit is not None and unit not in UNITS:
-        raise ConfigError(f"{path} is in {unit}; say --unit mm, cm or m")
+        raise ConfigError(f"{path} is in {unit}; give --unit mm, cm or m")
     rows: Rows = {}
     for label, places in zip(
         labels, np.moveaxis(content["data"]["points"][:3], 0, -1), strict=True

@@ -1,4 +1,4 @@
-"""Reading one file or many, with their sidecars and what a caller knows better."""
+"""Reading of one file or many, with sidecar files and arguments that override them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name, partial_file
 from acoustube.base.netcdf import write_dataset
-from acoustube.recordings.cycles import as_written, assemble, part_known
+from acoustube.recordings.cycles import assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
 from acoustube.recordings.tables import Note
 
@@ -42,19 +42,18 @@ def read(
     Parameters
     ----------
     path : str or Path
-        NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF. Beside it may lie a file of the same
-        name ending in ``.toml`` or ``.json`` with any of ``sampling_rate_hz``, ``temperature_c``,
+        NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF. A sidecar file of the same name with
+        the suffix ``.toml`` or ``.json`` may state any of ``sampling_rate_hz``, ``temperature_c``,
         ``channel``, ``samples_per_cycle`` and a table ``labels``.
     rate : float, optional
-        Samples per second. As all arguments, it goes before what lies beside the file, and that
-        before what the file says itself.
+        Samples per second. Arguments override the sidecar file, which overrides the file.
     temperature : float or array of shape (cycle,), optional
         Temperature of the air in degC.
     channel : int, optional
-        Which channel to read, from 0.
+        Channel to read, from 0.
     samples : int, optional
-        Length of the cycles that a continuous record is cut into. Of an array of two axes, it says
-        which of them is the time; without it and a time axis of that length, rows are cycles.
+        Samples per cycle of a continuous record. Of an array of two axes, the axis of that length
+        is the time; without `samples` and a time axis of that length, rows are cycles.
 
     Returns
     -------
@@ -62,13 +61,13 @@ def read(
         ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
         the labels (cycle) that are known or as long, coordinates ``cycle`` and ``time`` (s, from
         0). Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, and ``warnings``, one a line.
-        What :func:`write` wrote comes back as it was, if nothing else is given.
+        A file of :func:`write` is returned unchanged if no other argument is given.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, does not tell its rate or temperature, or holds values that are
-        not finite, out of range, all the same or in contradiction to each other.
+        If the file cannot be read, lacks the rate or temperature, or holds values that are not
+        finite, out of range, all equal or contradictory.
 
     Notes
     -----
@@ -84,19 +83,19 @@ def read(
         "samples_per_cycle": samples,
     }
     over = _sidecar(path) | {name: value for name, value in given.items() if value is not None}
-    if path.suffix.lower() == ".nc" and not over and (own := as_written(path)) is not None:
+    if path.suffix.lower() == ".nc" and not over and (own := read_own_netcdf(path)) is not None:
         return own
     contents = load(path)
     notes = [str(value) for value in contents.values() if isinstance(value, Note)]
-    known, others = part_known({n: v for n, v in contents.items() if not isinstance(v, Note)})
-    named, labels = part_known(over.pop("labels", {}))
+    known, others = separate_known({n: v for n, v in contents.items() if not isinstance(v, Note)})
+    named, labels = separate_known(over.pop("labels", {}))
     return assemble(path, known | named | over, others, labels, notes)
 
 
 def read_all(
     paths: str | Path | Iterable[str | Path], **options: Any
 ) -> Iterator[tuple[Path, xr.Dataset | ConfigError]]:
-    """Read many recordings, and go on after one that cannot be read.
+    """Read many recordings, and continue after one that cannot be read.
 
     Parameters
     ----------
@@ -108,7 +107,7 @@ def read_all(
     Yields
     ------
     Path, xarray.Dataset or ConfigError
-        The file, and what is in it or what is wrong with it.
+        The file, and its recording or the error.
     """
     seen = set()
     for entry in _entries(paths):
@@ -127,13 +126,13 @@ def read_all(
 
 
 def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
-    """List the recordings among files and in folders.
+    """Return the recordings among files and in folders.
 
     Parameters
     ----------
     paths : str, Path or iterable of these
-        A folder stands for all recordings in it and its subfolders, numbers in their names in
-        the order of their values; what begins with a dot is left out.
+        A folder stands for all recordings in it and its subfolders, in natural order (run9 before
+        run10); hidden files are left out.
 
     Returns
     -------
@@ -159,7 +158,7 @@ def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
 
 
 def write(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a recording as netCDF, which :func:`read` returns as it was.
+    """Write a recording as netCDF; :func:`read` returns it unchanged.
 
     Parameters
     ----------
@@ -197,7 +196,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _natural(path: Path) -> list[str | int]:
-    """Return a key by which ``run10`` comes after ``run9``."""
+    """Return a sorting key by which ``run10`` comes after ``run9``."""
     parts = re.split(r"(\d+)", str(path))
     return [int(part) if i % 2 else part for i, part in enumerate(parts)]
 
@@ -213,23 +212,27 @@ def _check_kind(path: Path) -> Path:
 
 
 def _sidecar(path: Path) -> dict[str, Any]:
-    """Return what lies beside a file, under the names that files use themselves."""
-    beside = [file for suffix in (".toml", ".json") if (file := path.with_suffix(suffix)).is_file()]
-    if not beside:
+    """Return the values of a file's sidecar, under the names used in files."""
+    sidecars = [
+        file for suffix in (".toml", ".json") if (file := path.with_suffix(suffix)).is_file()
+    ]
+    if not sidecars:
         return {}
-    if len(beside) > 1:
-        raise ConfigError(f"{beside[0]} and {beside[1].name} both describe {path.name}; keep one")
-    parse = tomllib.loads if beside[0].suffix == ".toml" else json.loads
+    if len(sidecars) > 1:
+        raise ConfigError(
+            f"{sidecars[0]} and {sidecars[1].name} both describe {path.name}; keep one"
+        )
+    parse = tomllib.loads if sidecars[0].suffix == ".toml" else json.loads
     try:
-        values = dict(parse(beside[0].read_text(encoding="utf-8-sig")))
+        values = dict(parse(sidecars[0].read_text(encoding="utf-8-sig")))
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{beside[0]} cannot be read ({error}); correct it") from error
+        raise ConfigError(f"{sidecars[0]} cannot be read ({error}); correct it") from error
     if {"processing", "calibration"} <= set(values):
-        return {}  # a calibration that lies beside its recording
+        return {}  # a calibration of the same name as its recording
     for key in values:
         if key not in _SIDECAR:
             near = difflib.get_close_matches(key, _SIDECAR, n=1) or _SIDECAR
-            raise ConfigError(f"{beside[0]}: {key} is not known; use {', '.join(near)}")
+            raise ConfigError(f"{sidecars[0]}: {key} is not known; use {', '.join(near)}")
     if not isinstance(values.get("labels", {}), dict):
-        raise ConfigError(f"{beside[0]}: labels must be a table of names and their values")
+        raise ConfigError(f"{sidecars[0]}: labels must be a table of names and their values")
     return {_SIDECAR[key]: value for key, value in values.items()}

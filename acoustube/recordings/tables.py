@@ -1,4 +1,4 @@
-"""Measured signals in text tables, and the names by which quantities go in any file."""
+"""Text tables of measured signals, and the names of quantities in files of any kind."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ _MEANINGS = {
     for form in (name, name.replace("_", ""))
     for unit, scale in [("", 1.0), *((f"_{unit}", scale) for unit, scale in units.items())]
 }
-_COUNTERS = {"", "index", "cycle", "sample", "n", "i"}
-"""Columns that only count."""
+_COUNTING_COLUMNS = {"", "index", "cycle", "sample", "n", "i"}
+"""Names of columns that count rows and hold no data."""
 
 
 def plain(name: str) -> str:
-    """Return a name in small letters, all else becoming underscores: ``Depth (mm)``, depth_mm."""
+    """Return a name in lower case with underscores: ``Depth (mm)`` becomes ``depth_mm``."""
     return re.sub(r"[^a-z0-9]+", "_", name.casefold().replace("μ", "u")).strip("_")
 
 
 def meaning(name: str) -> tuple[str, float]:
-    """Return the quantity that a name stands for, and its unit in SI, or degC.
+    """Return the quantity that a name denotes, and the factor from its unit to SI or degC.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def meaning(name: str) -> tuple[str, float]:
     Returns
     -------
     str, float
-        Such as ``depth`` and 0.001; an empty name and 1 for what is not known.
+        Such as ``depth`` and 0.001; an empty name and 1 for an unknown one.
     """
     return _MEANINGS.get(plain(name), ("", 1.0))
 
@@ -83,7 +83,7 @@ def read_table(path: Path) -> Contents:
     Returns
     -------
     dict
-        The signal of shape (cycle, time), and what else the table tells.
+        The signal of shape (cycle, time), and the other columns and settings.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def read_table(path: Path) -> Contents:
     column that rises evenly in steps under 10 ms is the time; of two columns, any that does so.
     """
     names, columns, settings = _cells(path)
-    return settings | (_layout(names, columns) if names else _nameless(columns))
+    return settings | (_named_columns(names, columns) if names else _unnamed_columns(columns))
 
 
 def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
@@ -142,7 +142,7 @@ def _column(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _is_header(cells: list[str]) -> bool:
-    """Tell whether a first row names columns: by words, or by counting from 0 or 1."""
+    """Return whether a first row names columns: by words, or by numbers from 0 or 1."""
     numbers = [_number(cell) for cell in cells if cell]
     n = len(numbers)
     counts = n > 2 and any(numbers == list(range(i, i + n)) for i in (0, 1))
@@ -156,9 +156,11 @@ def _number(text: str) -> float | str:
         return text
 
 
-def _layout(names: list[str], columns: list[NDArray[Any]]) -> Contents:
+def _named_columns(names: list[str], columns: list[NDArray[Any]]) -> Contents:
     """Sort named columns into time, labels and samples, and the samples into cycles."""
-    kept = [(n, c) for n, c in zip(names, columns, strict=True) if plain(n) not in _COUNTERS]
+    kept = [
+        (n, c) for n, c in zip(names, columns, strict=True) if plain(n) not in _COUNTING_COLUMNS
+    ]
     known = {name for name, _ in kept if meaning(name)[0] not in ("", "signal")}
     timed = any(meaning(name)[0] == "time" for name in known)
     others = [name for name, _ in kept if name not in known]
@@ -167,24 +169,24 @@ def _layout(names: list[str], columns: list[NDArray[Any]]) -> Contents:
     samples = [column for name, column in kept if name in are_samples]
     labels = {name: column for name, column in kept if name not in are_samples}
     if timed or len(samples) == 1:
-        return labels | {"signal": _joined(samples)}
-    return labels | ({"signal": _joined(samples).T} if labels else _by_shape(samples))
+        return labels | {"signal": _stacked(samples)}
+    return labels | ({"signal": _stacked(samples).T} if labels else _by_shape(samples))
 
 
-def _nameless(columns: list[NDArray[Any]]) -> Contents:
+def _unnamed_columns(columns: list[NDArray[Any]]) -> Contents:
     """Sort columns without names into time and samples, and the samples into cycles."""
     if 1 < len(columns) < len(columns[0]):
         with contextlib.suppress(ValueError, TypeError):
             rate = sampling_rate(columns[0])
-            # Of two columns, the first is a time axis even where its rate will be refused.
+            # Of two columns, the first is a time axis even if its rate is rejected later.
             if rate > 100 or len(columns) == 2:
-                return {"time": columns[0], "signal": _joined(columns[1:])}
+                return {"time": columns[0], "signal": _stacked(columns[1:])}
     return _by_shape(columns)
 
 
 def _by_shape(columns: list[NDArray[Any]]) -> Contents:
-    """Take the longer side for the time; rows are cycles where both are equal."""
-    samples = _joined(columns)
+    """Return the signal with the longer side as time; rows are cycles where both are equal."""
+    samples = _stacked(columns)
     if len(columns) == 1 or samples.shape[0] >= samples.shape[1]:
         return {"signal": samples.T}
     note = Note(
@@ -194,7 +196,7 @@ def _by_shape(columns: list[NDArray[Any]]) -> Contents:
     return {"signal": samples, "note": note}
 
 
-def _joined(columns: Iterable[NDArray[Any]]) -> NDArray[Any]:
+def _stacked(columns: Iterable[NDArray[Any]]) -> NDArray[Any]:
     """Return columns as an array of shape (column, row), integers in the smallest signed type."""
     columns = list(columns)
     for i, column in enumerate(columns):

@@ -30,7 +30,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
     markers : Markers
     arm : Arm
     """
-    unit = markers.unit if markers.told else f"{markers.unit}, since the file states none"
+    unit = markers.unit if markers.unit_stated else f"{markers.unit}, since the file states none"
     words = [
         f"markers: {path}, columns {' and '.join(markers.names)}, in {unit}",
         "axis: midway between the columns, taken to lie on opposite sides of the arm"

@@ -23,9 +23,9 @@ from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
-    HEAD,
     MISSING,
-    PATIENCE,
+    POLL_INTERVAL,
+    PULSE_WIDTH_BYTES,
     Decoder,
     Frame,
     Receiver,
@@ -199,7 +199,7 @@ def _tracker(stream: Stream) -> Tracker:
     settings = signals.without_aliased_template(settings, stream.rate)
     try:
         # The first samples gave their place to the pulse width.
-        tracker = Tracker(np.arange(HEAD, stream.frame_bytes) / stream.rate, settings)
+        tracker = Tracker(np.arange(PULSE_WIDTH_BYTES, stream.frame_bytes) / stream.rate, settings)
         signals.speed_of_sound(stream.temperature)
     except ValueError as error:
         raise ConfigError(f"cycles like these cannot be processed: {error}") from error
@@ -214,7 +214,7 @@ def _opened(port: str, baud: int) -> Iterator[Any]:
     except ImportError as error:
         raise ConfigError(MISSING) from error
     try:
-        line = serial.Serial(port, baud, timeout=PATIENCE, exclusive=True)
+        line = serial.Serial(port, baud, timeout=POLL_INTERVAL, exclusive=True)
     except (OSError, ValueError) as error:
         number = getattr(error, "errno", None)
         reason = os.strerror(number) if number else error

@@ -1,8 +1,11 @@
-"""From pressure to distance: the processing that simulations and recordings share.
+"""Signal processing from pressure to distance, shared by simulations and recordings.
 
-The steps are the paper's: for recordings (section II-B) :func:`locate`, for simulated signals
-(section II-D), which need no matched filter and have no offset, :func:`process`. All functions take
-arrays of shape (..., time) and treat each cycle on its own.
+The steps are those of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing" (the sleeve paper): :func:`locate` for recordings (section II-B),
+:func:`process` for simulated signals (section II-D), which need no matched filter and have no
+offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
+
+Reading order: filters, peaks, processing, localise, tracker; calibration, calibration_file.
 """
 
 from acoustube.base.moved import renamed

@@ -1,4 +1,8 @@
-"""The calibration of a sensor from cycles with the tube closed at known places (section II-E)."""
+"""Calibration of a sensor from closures of the tube at known distances.
+
+As section II-E of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing" (the sleeve paper), where closures are called blockages.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +26,20 @@ from acoustube.signals.localise import (
 )
 from acoustube.signals.processing import Processing, process_arguments, without_aliased_template
 
-FEWEST_PLACES = 6
-"""Different places that a calibration needs: the gain has four parameters, two check them."""
-SHORTEST_SPAN = 0.3
-"""Distance in m that they must span, several lengths of a pulse."""
-FAINTEST = 1e-5
-"""Prominence of a blockage's echo: its highest peak counts, however low it is."""
-SIGMAS = 2.8
-"""Least prominence in standard deviations of cycles without contact, the paper's."""
-HALF_NORMAL = 0.8937
-"""Standard deviation of rectified normal noise over its median."""
-REACH = 0.3
-"""Distance in m from its place within which a blockage's echo is looked for."""
-OVER_BACKGROUND = 6.0
-"""Height of a blockage's echo over the untouched cycles there, in their standard deviations."""
+MIN_DISTANCES = 6
+"""Least number of different distances: four parameters of the gain, and two degrees of freedom."""
+MIN_SPAN = 0.3
+"""Least range of the distances in m: several lengths of a pulse."""
+CLOSURE_PROMINENCE = 1e-5
+"""Least prominence of a closure's echo: low enough that its highest peak is always found."""
+PROMINENCE_SIGMAS = 2.8
+"""Least prominence in standard deviations of untouched cycles (sleeve paper, section II-E)."""
+HALF_NORMAL_RATIO = 0.8937
+"""Standard deviation of the half-normal distribution (rectified normal noise) over its median."""
+SEARCH_HALF_WIDTH = 0.3
+"""Half the width in m of the search window around a closure's distance."""
+CLOSURE_SIGMAS = 6.0
+"""Least amplitude of a closure's echo over untouched cycles, in their standard deviations."""
 
 
 class Estimate(NamedTuple):
@@ -47,27 +51,27 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What a calibration found.
+    """Result of a calibration.
 
     Attributes
     ----------
     processing : Processing
-        How to process cycles with it: gain, shifted send time and least prominence set.
+        Settings with the gain, shift of the send time and least prominence found.
     sampling_rate : float
-        Of the cycles, in Hz.
+        Sampling rate of the cycles in Hz.
     c1, c2, c3, c4 : Estimate
-        Of the amplitude c1 arctan(c2 (l - c3)) + c4 at distance l; in 1, 1/m, m and 1.
+        Parameters of the amplitude c1 arctan(c2 (l - c3)) + c4 at distance l; in 1, 1/m, m and 1.
     amplitude_rmse : float
-        Of that fit.
+        Root-mean-square residual of that fit, relative to the send pulse.
     slope, intercept : Estimate
-        Of the line from true to estimated distance before the shift, in m/m and m.
+        Line from true to estimated distance before the shift, in m/m and m.
     distance_rmse : float
-        Of the estimates around the line, in m.
+        Root-mean-square residual of that line in m.
     false_alarms : float
-        Share of the untouched cycles in which the processing finds an echo.
+        Fraction of the untouched cycles in which the processing finds an echo.
     true_distance, estimated_distance, amplitude : array of shape (n,)
-        Of each cycle that was used, the distance with the shift; a closure that does not stand out
-        is left out.
+        True distance and estimate (after the shift) in m, and amplitude relative to the send pulse,
+        of each cycle used; closures whose echo does not exceed the background are left out.
     """
 
     processing: Processing
@@ -86,16 +90,16 @@ class Calibration:
     amplitude: Array
 
     def fitted_amplitude(self, distance: ArrayLike) -> Array:
-        """Return the amplitude of a blockage at distances in m, by the fit."""
-        return arctan_fall(np.asarray(distance, float), *(c.value for c in self._fall))
+        """Return the fitted amplitude of a closure's echo at distances in m."""
+        return arctan_fall(np.asarray(distance, float), *(c.value for c in self._parameters))
 
     @property
-    def _fall(self) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    def _parameters(self) -> tuple[Estimate, Estimate, Estimate, Estimate]:
         return self.c1, self.c2, self.c3, self.c4
 
 
 def arctan_fall(distance: Array, c1: float, c2: float, c3: float, c4: float) -> Array:
-    """Return c1 arctan(c2 (l - c3)) + c4 at distances l."""
+    """Return c1 arctan(c2 (l - c3)) + c4 at distances l in m: the sleeve paper's eq. 4."""
     return np.asarray(c1 * np.arctan(c2 * (distance - c3)) + c4)
 
 
@@ -104,29 +108,29 @@ def calibrate(
     blocked: ArrayLike,
     true_distance: ArrayLike,
     untouched: ArrayLike,
-    how: Processing | None = None,
+    settings: Processing | None = None,
     *,
     temperature: ArrayLike = 20.0,
     untouched_temperature: ArrayLike = 20.0,
-    sigmas: float = SIGMAS,
+    sigmas: float = PROMINENCE_SIGMAS,
 ) -> Calibration:
-    """Calibrate a sensor.
+    """Return gain, send time and least prominence from closures and untouched cycles.
 
     Parameters
     ----------
     time : array of shape (time,)
         Sampling times in s.
     blocked : array of shape (n, time)
-        Cycles with the tube closed at one place each.
+        Cycles with the tube closed at one distance each.
     true_distance : array of shape (n,)
-        These places in m.
+        These distances in m from the source end.
     untouched : array of shape (m, time)
         Cycles without contact.
-    how : Processing, optional
+    settings : Processing, optional
         Default: the sleeve paper's numbers, without matched filter where the carrier is aliased.
         Its gain, shift and prominence are replaced by those found here.
     temperature, untouched_temperature : float or array of shape (n,), (m,)
-        In degC.
+        Temperature of the air in degC.
     sigmas : float
         Least prominence in standard deviations of the untouched cycles.
 
@@ -137,43 +141,52 @@ def calibrate(
     Raises
     ------
     ValueError
-        If the places are too few or too close together, the blockages cannot be told from noise,
-        or their amplitudes do not fall with distance.
+        If the distances are too few or too close together, the closures' echoes do not exceed the
+        background, or their amplitudes do not fall with distance.
 
     Notes
     -----
-    Each blockage is looked for around its place: far ones are lower than what nearby irregularities
-    of the tube return. An arctangent is fitted to the amplitudes without gain and matched filter,
-    and a line to the distances with both, which move the maxima of the ringing send pulse and of
-    the echoes; by least squares, deviations are those of the fit. The send time is shifted so that
-    the line passes through zero and keeps its slope. The least prominence is 2.8 standard
-    deviations of what untouched cycles hold in the search window after the offset, gain, matched
-    filter, rectification and normalisation. The paper's envelope is the mean of the rectified
-    carrier, this package's its amplitude: pi/2 times as high, and the prominence with it.
+    Each closure's echo is searched around its distance: echoes from afar are lower than those of
+    nearby irregularities of the tube. An arctangent, the sleeve paper's eq. 4, is fitted to the
+    amplitudes without gain and matched filter, and a line to the distances with both, which shift
+    the maxima of the ringing send pulse and of the echoes. Both fits are least squares; deviations
+    are those of the fit. The send time is shifted so that the line passes through zero and keeps
+    its slope.
 
-    In white noise, whose envelope after the matched filter wanders like a Rayleigh variable, 2.8
-    deviations are passed in most cycles: `false_alarms` tells, and `sigmas` raises them.
+    The four fitted parameters then enter a tanh, :class:`TimeGain`, and not the arctangent that was
+    fitted. That is the sleeve paper's choice: dividing by the arctangent raised the mean baseline
+    with distance until it hid the peaks, and the tanh of the same parameters has a similar form
+    with a smaller gain at large distance.
+
+    The least prominence is 2.8 standard deviations of untouched cycles in the search window after
+    offset, gain, matched filter, rectification and normalisation. The sleeve paper's envelope is
+    the mean of the rectified carrier, this package's its amplitude: pi/2 times as high, and the
+    prominence with it. In white noise, whose envelope after the matched filter follows a Rayleigh
+    distribution, most cycles exceed 2.8 deviations: `false_alarms` states the fraction, and a
+    higher `sigmas` lowers it.
     """
-    how = without_aliased_template(how or Processing(), sampling_rate(time))
+    settings = without_aliased_template(settings or Processing(), sampling_rate(time))
     places = np.asarray(true_distance, float)
-    _check_places(places, np.asarray(blocked).shape)
+    _check_distances(places, np.asarray(blocked).shape)
     if not np.all(np.ptp(np.asarray(untouched), axis=-1) > 0):
         raise ValueError("an untouched cycle is silent: it holds no send pulse; leave it out")
     time = np.asarray(time, float)
-    plain = replace(how, gain=None, template_cycles=None, send_shift=0.0, prominence=FAINTEST)
-    ranging = _around(time, blocked, plain, temperature, places)
+    plain = replace(
+        settings, gain=None, template_cycles=None, send_shift=0.0, prominence=CLOSURE_PROMINENCE
+    )
+    ranging = _locate_closures(time, blocked, plain, temperature, places)
     quiet = locate(time, untouched, plain, temperature=untouched_temperature)
-    used = _recognised(time, ranging, quiet.envelope, places)
-    fall, fall_deviations = _fall(places[used], ranging.amplitude[used])
-    complete = replace(how, gain=TimeGain(*fall), send_shift=0.0)
-    found = _around(
-        time, blocked, replace(complete, prominence=FAINTEST), temperature, places
+    used = _detected_closures(time, ranging, quiet.envelope, places)
+    fall, fall_deviations = _fit_attenuation(places[used], ranging.amplitude[used])
+    complete = replace(settings, gain=TimeGain(*fall), send_shift=0.0)
+    found = _locate_closures(
+        time, blocked, replace(complete, prominence=CLOSURE_PROMINENCE), temperature, places
     ).distance
     used &= np.isfinite(found)
-    _check_places(places[used], (int(used.sum()), time.size))
+    _check_distances(places[used], (int(used.sum()), time.size))
     speed = np.broadcast_to(speed_of_sound(temperature), places.shape)[used]
     places, found, heights = places[used], found[used], ranging.amplitude[used]
-    (slope, intercept), line_deviations = _line(places, found)
+    (slope, intercept), line_deviations = _fit_line(places, found)
     shift = 2 * intercept / float(np.mean(speed))
     complete = replace(complete, send_shift=shift)
     sigma = untouched_deviation(time, untouched, complete, temperature=untouched_temperature)
@@ -195,7 +208,7 @@ def calibrate(
 
 
 def untouched_deviation(
-    time: ArrayLike, untouched: ArrayLike, how: Processing, *, temperature: ArrayLike = 20.0
+    time: ArrayLike, untouched: ArrayLike, settings: Processing, *, temperature: ArrayLike = 20.0
 ) -> float:
     """Return the standard deviation of untouched cycles in the search window.
 
@@ -204,36 +217,42 @@ def untouched_deviation(
     time : array of shape (time,)
         In s.
     untouched : array of shape (..., time)
-    how : Processing
-        With the gain that will be used.
+    settings : Processing
+        With the gain of the calibration.
     temperature : float or array of shape (...)
-        In degC.
+        Temperature of the air in degC.
 
     Returns
     -------
     float
-        As a share of the send pulse: after offset, gain, matched filter, rectification and
-        normalisation, the low-pass left out, as the paper has it. By the median: the send pulse may
-        still ring where the window begins, which would rule the root of the mean square.
+        Relative to the send pulse, after offset removal, gain, matched filter, rectification and
+        normalisation, without the low-pass, as in the sleeve paper. Estimated from the median: the
+        send pulse may still ring at the start of the window, which would dominate the root mean
+        square.
+
+    Raises
+    ------
+    ValueError
+        If the cycles end before the search window.
     """
     time, cycles = np.asarray(time, float), np.asarray(untouched, float)
     rate = sampling_rate(time)
-    settings = process_arguments(how, rate)
-    if how.offset_cutoff is not None:
-        cycles = remove_offset(cycles, rate, how.offset_cutoff)
-    places = nominal_distance(time, speed_of_sound(temperature), settings["pulse_duration"])
-    cycles = gain_and_match(cycles, places, how.gain, settings["template"])
-    sent = process(time, untouched, temperature=temperature, **settings).send_amplitude
+    options = process_arguments(settings, rate)
+    if settings.offset_cutoff is not None:
+        cycles = remove_offset(cycles, rate, settings.offset_cutoff)
+    places = nominal_distance(time, speed_of_sound(temperature), options["pulse_duration"])
+    cycles = gain_and_match(cycles, places, settings.gain, options["template"])
+    sent = process(time, untouched, temperature=temperature, **options).send_amplitude
     scaled = np.abs(normalise(cycles, sent))
     distance = np.broadcast_to(places, scaled.shape)
-    inside = (distance >= how.nearest) & (distance <= how.farthest)
+    inside = (distance >= settings.nearest) & (distance <= settings.farthest)
     if not inside.any():
         raise ValueError("the untouched cycles end before the search window; record longer ones")
-    return HALF_NORMAL * float(np.median(scaled[inside]))
+    return HALF_NORMAL_RATIO * float(np.median(scaled[inside]))
 
 
-def _check_places(places: Array, shape: tuple[int, ...]) -> None:
-    """Refuse places that do not belong to the cycles, or that leave the fit open."""
+def _check_distances(places: Array, shape: tuple[int, ...]) -> None:
+    """Raise if the distances do not match the cycles or do not determine the fit."""
     if len(shape) != 2 or places.shape != shape[:1]:
         raise ValueError(
             f"true_distance has shape {places.shape} and blocked {shape}; give one distance for "
@@ -242,63 +261,63 @@ def _check_places(places: Array, shape: tuple[int, ...]) -> None:
     if not np.all(np.isfinite(places) & (places > 0)):
         raise ValueError("true_distance must be positive and finite, in m")
     different = np.unique(np.round(places, 3))
-    if different.size < FEWEST_PLACES:
+    if different.size < MIN_DISTANCES:
         raise ValueError(
             f"{different.size} different places are too few to calibrate with; block the tube at "
-            f"{FEWEST_PLACES} or more"
+            f"{MIN_DISTANCES} or more"
         )
-    if np.ptp(places) < SHORTEST_SPAN:
+    if np.ptp(places) < MIN_SPAN:
         raise ValueError(
-            f"the places span {np.ptp(places):.3g} m, too little to tell how echoes fade; spread "
-            f"them over {SHORTEST_SPAN} m or more"
+            f"the places span {np.ptp(places):.3g} m, too little to fit the attenuation; "
+            f"spread them over {MIN_SPAN} m or more"
         )
 
 
-def _around(
-    time: Array, blocked: ArrayLike, how: Processing, temperature: ArrayLike, places: Array
+def _locate_closures(
+    time: Array, blocked: ArrayLike, settings: Processing, temperature: ArrayLike, places: Array
 ) -> Ranging:
-    """Process blockages, each around its place."""
+    """Process closures, each within a search window around its distance."""
     window = {
-        "nearest": np.maximum(places - REACH, how.nearest),
-        "farthest": places + REACH,
+        "nearest": np.maximum(places - SEARCH_HALF_WIDTH, settings.nearest),
+        "farthest": places + SEARCH_HALF_WIDTH,
     }
-    settings = process_arguments(how, sampling_rate(time)) | window
-    return process(time, blocked, temperature=temperature, **settings)
+    options = process_arguments(settings, sampling_rate(time)) | window
+    return process(time, blocked, temperature=temperature, **options)
 
 
-def _recognised(
+def _detected_closures(
     time: Array, ranging: Ranging, background: Array, places: Array
 ) -> NDArray[np.bool_]:
-    """Return which cycles show their blockage, and refuse when too few do.
+    """Return which cycles show their closure's echo; raise ValueError if too few do.
 
-    It must stand out from what untouched cycles (m, time) hold at the same time.
+    An echo must exceed the untouched cycles (m, time) at the same time.
     """
-    level = np.nanmean(background, axis=0) + OVER_BACKGROUND * np.nanstd(background, axis=0)
+    level = np.nanmean(background, axis=0) + CLOSURE_SIGMAS * np.nanstd(background, axis=0)
     there = np.interp(np.nan_to_num(ranging.return_time), time, level)
     used = ranging.detected & (np.nan_to_num(ranging.amplitude) > there)
     left = np.unique(np.round(places[used], 3))
-    if left.size < FEWEST_PLACES:
+    if left.size < MIN_DISTANCES:
         lost = np.unique(np.round(places[~used], 2))
         raise ValueError(
-            f"only {left.size} places show an echo within {REACH} m of where it belongs, "
-            f"{FEWEST_PLACES} are needed; not so at {', '.join(f'{z:g}' for z in lost[:8])} m: "
+            f"only {left.size} places show an echo within {SEARCH_HALF_WIDTH} m of their closure, "
+            f"{MIN_DISTANCES} are needed; none at {', '.join(f'{z:g}' for z in lost[:8])} m: "
             "check the unit of the distances (m), the tube's closure and the search window"
         )
     return used
 
 
-def _line(x: Array, y: Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return slope and intercept of the line of least squares, and their deviations."""
+def _fit_line(x: Array, y: Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return slope and intercept of the least-squares line, and their standard deviations."""
     (slope, intercept), covariance = np.polyfit(x, y, 1, cov=True)
     deviations = np.sqrt(np.diag(covariance))
     return (float(slope), float(intercept)), (float(deviations[0]), float(deviations[1]))
 
 
-def _fall(places: Array, heights: Array) -> tuple[list[float], list[float]]:
-    """Fit the arctangent, its fall negative and its steepness positive."""
+def _fit_attenuation(places: Array, heights: Array) -> tuple[list[float], list[float]]:
+    """Return c1 to c4 of the arctangent and their deviations, with c1 <= 0 and c2 > 0."""
     if not np.polyfit(places, heights, 1)[0] < 0:
         raise ValueError(
-            "the blockages' amplitudes do not fall with distance; check that the distances belong "
+            "the closures' amplitudes do not fall with distance; check that the distances belong "
             "to the cycles"
         )
     span, height = np.ptp(places), np.ptp(heights)
@@ -311,7 +330,7 @@ def _fall(places: Array, heights: Array) -> tuple[list[float], list[float]]:
         )  # fmt: skip
     except RuntimeError as error:
         raise ValueError(
-            "no arctangent fits the blockages' amplitudes; spread the places over more of the tube"
+            "the arctangent does not fit the amplitudes; spread the distances over more of the tube"
         ) from error
     return [float(c) for c in found], [float(d) for d in np.sqrt(np.diag(covariance))]
 

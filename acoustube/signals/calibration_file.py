@@ -1,4 +1,4 @@
-"""Calibrations in TOML files."""
+"""TOML files of calibrations."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from acoustube.signals.calibration import Calibration, Estimate
 from acoustube.signals.filters import TimeGain
 from acoustube.signals.processing import Processing
 
-# ---------------------------------------------------------------------------------------------
-# The file
-
 _NUMBERS = ("sampling_rate", "amplitude_rmse", "distance_rmse", "false_alarms")
 _FITS = ("c1", "c2", "c3", "c4", "slope", "intercept")
 _LISTS = ("true_distance", "estimated_distance", "amplitude")
 _UNITS = {
     "frequency": "Hz", "pulse_cycles": "carrier cycles sent", "offset_cutoff": "Hz",
     "template_cycles": "carrier cycles of the matched filter", "cutoff": "Hz, of the envelope",
-    "prominence": "share of the send pulse", "nearest": "m", "farthest": "m", "send_shift": "s",
+    "prominence": "relative to the send pulse", "nearest": "m", "farthest": "m", "send_shift": "s",
     "gain": "c1 tanh(c2 (l - c3)) + c4", "sampling_rate": "Hz", "c1": "1", "c2": "1/m", "c3": "m",
     "c4": "1", "slope": "m/m", "intercept": "m, before the shift", "amplitude_rmse": "1",
-    "distance_rmse": "m", "false_alarms": "share of the untouched cycles",
-    "true_distance": "m", "estimated_distance": "m", "amplitude": "share of the send pulse",
+    "distance_rmse": "m", "false_alarms": "fraction of the untouched cycles",
+    "true_distance": "m", "estimated_distance": "m", "amplitude": "relative to the send pulse",
 }  # fmt: skip
 
 
 def save(calibration: Calibration, path: str | Path) -> None:
-    """Write a calibration to a new TOML file that a person can read.
+    """Write a calibration to a new TOML file, each value with its unit.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    path : str or Path
 
     Raises
     ------
@@ -62,19 +64,27 @@ def save(calibration: Calibration, path: str | Path) -> None:
 
 
 def _toml(value: Any, unit: str) -> Item:
-    """Return a number, or several, with the unit as a comment."""
+    """Return a number or an array of numbers, with the unit as a comment."""
     several = np.ndim(value) > 0
     item = toml_array(float(one) for one in value) if several else tomlkit.item(float(value))
     return item.comment(unit)
 
 
 def load(path: str | Path) -> Calibration:
-    """Read what :func:`save` wrote.
+    """Read a calibration that :func:`save` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Calibration
 
     Raises
     ------
     ConfigError
-        If it is no such file.
+        If the file cannot be read or is not a calibration.
     """
     try:
         document = tomllib.loads(Path(path).read_text(encoding="utf-8"))

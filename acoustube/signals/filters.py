@@ -1,8 +1,14 @@
-"""The steps from a recorded cycle to its envelope, each a function on arrays (..., time).
+"""Filters from a recorded cycle to its envelope, each a function on arrays (..., time).
 
-All filters run forwards and backwards or are centred, and delay nothing. The steps of the paper's
-section II-B, in their order: :func:`remove_offset`, :func:`compensate`, :func:`matched_filter`,
-:func:`rectify`, :func:`normalise`, :func:`low_pass`.
+All filters are zero-phase: run forwards and backwards, or centred. In the order of the sleeve
+paper's section II-B: :func:`remove_offset`, :func:`compensate`, :func:`matched_filter`,
+:func:`rectify`, :func:`normalise`, :func:`low_pass`. (The sleeve paper: "Wearable, Fabric-Embedded
+Acoustic Waveguides for Meter-Scale Contact Localization and Force Sensing".)
+
+References
+----------
+* Matched filter: Turin, G. L., An introduction to matched filters, IRE Transactions on Information
+  Theory 6 (1960), 311-329. doi:10.1109/TIT.1960.1057571
 """
 
 from __future__ import annotations
@@ -18,22 +24,29 @@ from acoustube.base.types import Array
 FILTER_ORDER = 2
 """Order of the Butterworth low-pass, run forwards and backwards.
 
-The second order rings least: its response to a short click dips 4.3 % below zero and comes back to
-0.2 %, where the fourth order comes back to 3.7 %, an echo that is not there.
+The second order rings least: its response to an impulse undershoots to -4.3 % and overshoots to
+0.2 % afterwards; that of the fourth order overshoots to 3.7 %, which would count as an echo.
 """
 OFFSET_CUTOFF = 100.0
-"""Frequency in Hz below which a cycle's wandering offset lies."""
+"""Cut-off frequency in Hz of the high-pass that removes a cycle's offset and its drift."""
 TEMPLATE_CYCLES = 10
-"""Carrier cycles under the matched filter's Hann window."""
+"""Length of the matched filter's Hann window in carrier cycles."""
 
 
 class TimeGain(NamedTuple):
-    """How echoes fade with distance: c1 tanh(c2 (l - c3)) + c4, as a share of the send pulse.
+    """Attenuation model of the time gain: c1 tanh(c2 (l - c3)) + c4, relative to the send pulse.
 
     Attributes
     ----------
     c1, c2, c3, c4 : float
-        Half the fall, its steepness in 1/m, its middle in m, and the mean level.
+        Half the fall (negative), its steepness in 1/m, its middle in m, and the mean level.
+
+    Notes
+    -----
+    The parameters are those of the arctangent of the sleeve paper's eq. 4, which is fitted to
+    closures; see :func:`acoustube.signals.calibrate`. Both functions fall alike around c3, but the
+    tanh levels off sooner: its gain is smaller at large distance, where dividing by the arctangent
+    raised the mean baseline until it hid the peaks (section II-E).
     """
 
     c1: float
@@ -42,12 +55,12 @@ class TimeGain(NamedTuple):
     c4: float
 
     def level(self, distance: ArrayLike) -> Array:
-        """Return what is left of an echo from distances in m."""
+        """Return the relative amplitude of an echo from distances in m."""
         return np.asarray(self.c1 * np.tanh(self.c2 * (np.asarray(distance) - self.c3)) + self.c4)
 
 
 def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFSET_CUTOFF) -> Array:
-    """Subtract what is slower than a cut-off: an offset and its drift.
+    """Subtract the offset and its drift: a zero-phase high-pass.
 
     Parameters
     ----------
@@ -64,25 +77,25 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
 
     Notes
     -----
-    A cycle lasts for a few periods of the cut-off only: it is continued by its mirror image, up to
-    its whole length, and a constant is taken away exactly.
+    A cycle lasts for only a few periods of the cut-off: it is continued by its mirror image, up to
+    its whole length, and a constant is removed exactly.
     """
     cycles = np.asarray(samples, dtype=float)
     centred = np.asarray(cycles - np.mean(cycles, axis=-1, keepdims=True))
-    return np.asarray(centred - _two_ways(centred, sampling_rate, cutoff))
+    return np.asarray(centred - _zero_phase_low_pass(centred, sampling_rate, cutoff))
 
 
 def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array:
-    """Raise later samples by what echoes lose on their way: time-gain compensation.
+    """Apply time-gain compensation: divide by the attenuation at each sample's distance.
 
     Parameters
     ----------
     samples : array of shape (..., time)
         The cycles, their offset removed.
     distance : array of shape (time,) or (..., time)
-        From where an echo would arrive at each sample, in m.
+        Distance in m from which an echo arrives at each sample.
     gain : TimeGain
-        How echoes fade.
+        Attenuation model.
 
     Returns
     -------
@@ -91,19 +104,19 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
     Raises
     ------
     ValueError
-        If the gain would divide by what is not positive somewhere.
+        If the attenuation model is not positive within the cycle.
     """
     level = gain.level(distance)
     if not np.all(level > 0):
         raise ValueError(
             f"the gain's level falls to {float(np.min(level)):.3g} within the cycle and must stay "
-            "positive; calibrate over more distance"
+            "positive; calibrate over a longer range of distances"
         )
     return np.asarray(np.asarray(samples, dtype=float) / level)
 
 
 def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CYCLES) -> Array:
-    """Return the matched filter's template: a sine under a Hann window, of unit energy.
+    """Return the matched filter's template: a Hann-windowed sine of unit energy.
 
     Parameters
     ----------
@@ -122,12 +135,12 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     Raises
     ------
     ValueError
-        If the carrier is not below half the sampling rate.
+        If the carrier is not below the Nyquist frequency.
     """
     if not 0 < frequency < sampling_rate / 2:
         raise ValueError(
             f"frequency = {frequency:g} Hz must lie between 0 and half the sampling rate "
-            f"({sampling_rate / 2:g} Hz); sample faster, or go without the matched filter"
+            f"({sampling_rate / 2:g} Hz); raise the sampling rate, or omit the matched filter"
         )
     half = int(np.floor(cycles / frequency * sampling_rate / 2))
     time = np.arange(-half, half + 1) / sampling_rate
@@ -148,8 +161,8 @@ def matched_filter(samples: ArrayLike, template: ArrayLike) -> Array:
     Returns
     -------
     array of shape (..., time)
-        A pulse like the template has its highest value in its own middle. White noise keeps its
-        standard deviation where the template has unit energy.
+        The correlation with a pulse like the template is highest at that pulse's middle. White
+        noise keeps its standard deviation where the template has unit energy.
 
     Raises
     ------
@@ -172,7 +185,7 @@ def rectify(pressure: ArrayLike) -> Array:
 
 
 def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> Array:
-    """Remove what is faster than a cut-off, without delay.
+    """Apply a zero-phase Butterworth low-pass.
 
     Parameters
     ----------
@@ -197,7 +210,7 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
     Notes
     -----
     A Butterworth filter of order :data:`FILTER_ORDER`, as second-order sections, run forwards and
-    backwards: no phase, and the gain ``1 / (1 + (f/cutoff)**4)`` as long as the cut-off is far
+    backwards: zero phase, and the gain ``1 / (1 + (f/cutoff)**4)`` as long as the cut-off is far
     below half the sampling rate. The record is continued at both ends by its mirror image over
     three periods of the cut-off, so that the envelope of a steady tone stays within 5 % up to its
     ends.
@@ -208,29 +221,29 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
             f"cutoff = {cutoff:g} Hz must lie between 0 and half the sampling rate "
             f"({sampling_rate / 2:g} Hz)"
         )
-    pad = _mirrored(sampling_rate, cutoff)
+    pad = _padding(sampling_rate, cutoff)
     if samples.shape[-1] <= pad:
         raise ValueError(
             f"the record of {samples.shape[-1]} samples is too short for a low-pass at "
             f"{cutoff:g} Hz; record more than {pad} samples"
         )
-    return _two_ways(samples, sampling_rate, cutoff)
+    return _zero_phase_low_pass(samples, sampling_rate, cutoff)
 
 
-def _mirrored(sampling_rate: float, cutoff: float) -> int:
-    """Return by how many samples a record is continued at both ends."""
+def _padding(sampling_rate: float, cutoff: float) -> int:
+    """Return the number of samples of the mirror image at each end of a record."""
     return int(np.ceil(3 * sampling_rate / cutoff))
 
 
-def _two_ways(samples: Array, sampling_rate: float, cutoff: float) -> Array:
-    """Run the low-pass forwards and backwards over records continued by their mirror image."""
-    pad = min(_mirrored(sampling_rate, cutoff), samples.shape[-1] - 1)
+def _zero_phase_low_pass(samples: Array, sampling_rate: float, cutoff: float) -> Array:
+    """Run the low-pass forwards and backwards over records with mirrored ends."""
+    pad = min(_padding(sampling_rate, cutoff), samples.shape[-1] - 1)
     sections = signal.butter(FILTER_ORDER, cutoff, fs=sampling_rate, output="sos")
     return np.asarray(signal.sosfiltfilt(sections, samples, padtype="even", padlen=pad))
 
 
 def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> Array:
-    """Return the envelope of a signal: rectified, low-passed, scaled.
+    """Return the envelope of a signal: rectified, low-pass filtered and scaled by pi/2.
 
     Parameters
     ----------
@@ -250,14 +263,14 @@ def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) ->
     -----
     The mean of a rectified sine is ``2/pi`` of its amplitude. The result is scaled by ``pi/2``, so
     that a steady sine of amplitude 1 has the envelope 1. A burst that is short against the
-    cut-off's period reads lower, the send pulse and its echoes alike. At 200 kHz the overtones of
-    the rectified carrier alias below the cut-off and leave a ripple of 1 %.
+    cut-off's period has a lower envelope, the send pulse and its echoes alike. At 200 kHz the
+    overtones of the rectified carrier alias below the cut-off and leave a ripple of 1 %.
     """
     return np.pi / 2 * low_pass(rectify(pressure), sampling_rate, cutoff)
 
 
 def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
-    """Divide each signal by an amplitude of its own.
+    """Divide each signal by its amplitude.
 
     Parameters
     ----------

@@ -1,4 +1,14 @@
-"""From a cycle to a distance: the processing that simulations and recordings share."""
+"""Distance from the time of flight of a cycle's strongest echo.
+
+The sleeve paper: "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing".
+
+References
+----------
+* Standard deviation from a median: Hampel, F. R., The influence curve and its role in robust
+  estimation, Journal of the American Statistical Association 69 (1974), 383-393.
+  doi:10.1080/01621459.1974.10482962
+"""
 
 from __future__ import annotations
 
@@ -21,41 +31,43 @@ from acoustube.signals.filters import (
 from acoustube.signals.peaks import Echoes, find_echoes, send_pulse, strongest_echo
 from acoustube.signals.processing import Processing, process_arguments
 
-FLAT = 0.95
-"""Share of a send pulse's height that counts as its plateau."""
+PLATEAU_LEVEL = 0.95
+"""Fraction of the send pulse's height above which a sample is part of a plateau (clipping)."""
 NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal numbers over the median of their sizes."""
+"""Standard deviation of normal numbers over the median of their absolute values."""
 NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
-"""Noise of the envelope where nothing is heard, as a share of that on top of an echo: rectified
-white noise keeps sqrt(1 - 2 / pi) of its deviation; behind the usual matched filter, measured."""
-SAMPLED, SAMPLED_MATCHED = 0.13, 0.24
-"""Deviation of a peak's time, in samples, by the sampled absolute value of the carrier."""
+"""Ratio of envelope noise without and with an echo: sqrt(1 - 2 / pi) for rectified white noise;
+measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59 and 0.83)."""
+SAMPLING_DEVIATION_RECTIFIED, SAMPLING_DEVIATION_MATCHED = 0.13, 0.24
+"""Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier:
+measured (benchmarks/signals_peak_noise.py: 0.11 and 0.23)."""
 
 
 @dataclass(frozen=True)
 class Ranging:
-    """What the processing makes of a signal.
+    """Result of the processing of cycles.
 
     Attributes
     ----------
     envelope : array of shape (..., time)
-        Envelope as a share of the send pulse's.
+        Envelope, relative to the send pulse's maximum.
     send_time, send_amplitude : array of shape (...)
-        Maximum of the send pulse's envelope: time in s, without gain and matched filter but with
-        the shift; of a clipped pulse, half its duration after its rise. And the amplitude after
-        both, the highest before the search window.
+        Time in s of the maximum of the send pulse's envelope, without gain and matched filter but
+        with the shift; for a clipped pulse, half its duration after its rise. Maximum of the
+        envelope before the search window, after gain and matched filter, in the signal's unit.
     echoes : Echoes
         All echoes found in the search window.
     return_time, amplitude : array of shape (...)
-        The highest echo: time in s, and amplitude as a share of the send pulse. nan if there is
-        no echo.
+        Time in s and amplitude, relative to the send pulse, of the strongest echo. nan without
+        an echo.
     prominence : array of shape (...)
-        Of the highest echo. nan if there is none.
+        Prominence of the strongest echo, relative to the send pulse. nan without an echo.
     distance : array of shape (...)
-        Distance from the source end to what returned the highest echo, in m. nan if there is none.
+        Distance in m from the source end to the reflector of the strongest echo. nan without an
+        echo.
     distance_deviation : array of shape (...)
-        Standard deviation of the distance in m, by the noise of the cycle and by an error of the
-        temperature; not by what an extended press returns from its whole length.
+        Standard deviation of the distance in m due to noise and an error of the temperature; the
+        extent of the press along the tube is not included.
     detected : array of bool of shape (...)
         Whether there is an echo.
     """
@@ -75,21 +87,21 @@ class Ranging:
 def locate(
     time: ArrayLike,
     samples: ArrayLike,
-    how: Processing | None = None,
+    settings: Processing | None = None,
     *,
     temperature: ArrayLike = 20.0,
     temperature_deviation: float = 0.0,
 ) -> Ranging:
-    """Find the distance of a press in recorded cycles.
+    """Return the distance of a press from recorded cycles.
 
     Parameters
     ----------
     time : array of shape (time,)
         Sampling times in s; the pulse starts to leave the source end at 0.
     samples : array of shape (..., time)
-        The cycles in any unit, whole numbers or not, offset and all.
-    how : Processing, optional
-        The paper's by default; that of a calibration is
+        The cycles in any unit, integers or not, with their offset.
+    settings : Processing, optional
+        Default: the sleeve paper's numbers; those of a calibration are
         :attr:`acoustube.signals.Calibration.processing`.
     temperature, temperature_deviation
         See :func:`process`.
@@ -103,13 +115,13 @@ def locate(
     ValueError
         As :func:`process`.
     """
-    how = how or Processing()
+    settings = settings or Processing()
     return process(
         time,
         samples,
         temperature=temperature,
         temperature_deviation=temperature_deviation,
-        **process_arguments(how, sampling_rate(time)),
+        **process_arguments(settings, sampling_rate(time)),
     )
 
 
@@ -119,7 +131,7 @@ def speed_of_sound(temperature: ArrayLike) -> Array:
     Raises
     ------
     ValueError
-        If one is not a temperature above absolute zero.
+        If a temperature is not above absolute zero.
     """
     celsius = np.asarray(temperature, dtype=float)
     coldest = float(np.min(celsius))
@@ -129,7 +141,7 @@ def speed_of_sound(temperature: ArrayLike) -> Array:
 
 
 def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
-    """Return how far away an echo came from.
+    """Return the distance of a reflector from its time of flight.
 
     Parameters
     ----------
@@ -141,13 +153,13 @@ def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
     Returns
     -------
     array
-        One-way distance in m: half of what sound travels in that time.
+        One-way distance in m: half the path of sound in that time.
     """
     return speed_of_sound(temperature) * np.asarray(time_of_flight, dtype=float) / 2
 
 
 def blind_time(pulse_duration: float, cutoff: float) -> float:
-    """Return how long after its maximum the send pulse's envelope has faded, in s.
+    """Return the duration in s of the send pulse's envelope after its maximum.
 
     Half the pulse's duration in s, and one period of the low-pass's cut-off in Hz for its spread.
     """
@@ -171,7 +183,7 @@ def process(
     farthest: ArrayLike = np.inf,
     send_shift: float = 0.0,
 ) -> Ranging:
-    """Find the distance of a press in the signal of a probe.
+    """Return the distance of a press from the signal of a probe.
 
     Parameters
     ----------
@@ -180,15 +192,15 @@ def process(
     pressure : array of shape (..., time)
         Pressure at the probe, in any unit.
     pulse_duration : float
-        How long the source emits, in s: the number of cycles over the carrier frequency.
+        Duration of the source pulse in s: the number of cycles over the carrier frequency.
     probe_position : float
         Distance of the probe from the source end in m.
     temperature : float or array of shape (...)
         Temperature of the air in degC.
     temperature_deviation : float
-        Its standard deviation in K, for that of the distance.
+        Standard deviation of the temperature in K; it enters that of the distance.
     offset_cutoff : float, optional
-        See :func:`remove_offset`; without it the signal is taken as it is.
+        Cut-off frequency in Hz; see :func:`remove_offset`. None for no removal.
     gain : TimeGain, optional
         See :func:`compensate`.
     template : array, optional
@@ -196,18 +208,18 @@ def process(
     cutoff : float
         Cut-off of the envelope's low-pass in Hz.
     prominence : float
-        Least prominence of an echo, as a share of the send pulse.
+        Least prominence of an echo, relative to the send pulse.
     nearest, farthest : float or array of shape (...)
-        Distances from the source end, in m, between which an echo is looked for. The search never
-        starts before the send pulse has died away at the probe.
+        Limits of the search window in m from the source end. The search never starts before the
+        send pulse has decayed at the probe.
     send_shift : float
-        Added to the time of the send pulse, in s.
+        Time in s added to that of the send pulse.
 
     Returns
     -------
     Ranging
-        Envelope, send pulse, echoes, and the distance of the highest. A cycle that is silent or
-        has no echo is not an error: it is not `detected`, and its distance is nan.
+        A cycle that is silent or has no echo is not an error: it is not `detected`, and its
+        distance is nan.
 
     Raises
     ------
@@ -216,30 +228,30 @@ def process(
 
     Notes
     -----
-    The paper normalises before the low-pass, which gives the same envelope, as both are linear.
-    The amplitude of the send pulse means the maximum of its *envelope*, so that the normalised
-    send pulse is exactly 1 high, an echo from a rigid end is 1 too, and the prominence is a share
-    of it.
+    The sleeve paper normalises before the low-pass, which gives the same envelope, as both are
+    linear. The amplitude of the send pulse is the maximum of its *envelope*, so that the normalised
+    send pulse has the amplitude 1, as has an echo from a rigid end without losses.
 
     A sampled signal has no exact absolute value: the overtones of the rectified carrier alias
     below the cut-off and shift a 42 kHz echo by up to 0.3 samples (0.2 mm) at 200 kHz, 0.1 samples
-    (0.01 mm) at 2 MHz. The parabola adds nothing to that.
+    (0.01 mm) at 2 MHz. The parabolic refinement adds no further error.
 
-    No echo is looked for within :func:`blind_time` of the send pulse's maximum.
+    The search window starts :func:`blind_time` after the send pulse's maximum, or later.
 
-    Noise moves a maximum by its slope there over the envelope's curvature; the slope's deviation is
-    estimated from the differences of neighbouring samples behind the send pulse, by their median,
-    which few echoes do not move. It is less there than on top of an echo, as noise alone is
-    rectified; the deviation stated allows for that, and for the sampling.
+    Noise shifts a maximum by the noise's slope over the envelope's curvature. The slope's standard
+    deviation is estimated from the differences of adjacent samples after the send pulse, by their
+    median, which is robust against a few echoes. It is smaller there than at an echo, because noise
+    alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
+    and includes the sampling.
     """
-    time, pressure = _checked(time, pressure)
+    time, pressure = _check_signal(time, pressure)
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
     if offset_cutoff is not None:
         pressure = remove_offset(pressure, rate, offset_cutoff)
     raw = envelope(pressure, rate, cutoff)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
     send_time, send_amplitude = send_pulse(time, raw, before=send_end)
-    clipped, edge = _clipped(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
+    clipped, edge = _plateaus(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
     send_time = np.where(clipped, edge + pulse_duration / 2, send_time) + send_shift
     faded = send_time + blind_time(pulse_duration, cutoff)
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
@@ -253,13 +265,12 @@ def process(
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
     return_time, amplitude, height = strongest_echo(echoes)
     found = distance(return_time - send_time, temperature)
-    plain = template is None
-    share, samples = (
-        (NOISE_RATIO_RECTIFIED, SAMPLED) if plain else (NOISE_RATIO_MATCHED, SAMPLED_MATCHED)
-    )
-    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / share
+    ratio, samples = NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
+    if template is not None:
+        ratio, samples = NOISE_RATIO_MATCHED, SAMPLING_DEVIATION_MATCHED
+    by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / ratio
     by_sampling = speed / 2 * samples / rate
-    by_warmth = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
+    by_temperature = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
     return Ranging(
         envelope=scaled,
         send_time=send_time,
@@ -269,27 +280,27 @@ def process(
         amplitude=amplitude,
         prominence=height,
         distance=probe_position + found,
-        distance_deviation=np.hypot(np.hypot(by_noise, by_sampling), by_warmth),
+        distance_deviation=np.hypot(np.hypot(by_noise, by_sampling), by_temperature),
         detected=np.isfinite(return_time),
     )
 
 
 def nominal_distance(time: Array, speed: Array, pulse_duration: float) -> Array:
-    """Return from where an echo arrives at each time, the pulse's middle leaving at its nominal.
+    """Return the distance from which an echo arrives at each time, for the nominal send time.
 
     Parameters
     ----------
     time : array of shape (time,)
         In s.
     speed : array of shape (...)
-        Of sound in m/s.
+        Speed of sound in m/s.
     pulse_duration : float
-        In s.
+        Duration of the source pulse in s; its middle leaves the source after half of it.
 
     Returns
     -------
     array of shape (..., time)
-        In m from the probe, zero before the pulse's middle.
+        Distance in m from the probe, zero before the pulse's middle.
     """
     return speed[..., np.newaxis] * np.maximum(time - pulse_duration / 2, 0.0) / 2
 
@@ -297,33 +308,33 @@ def nominal_distance(time: Array, speed: Array, pulse_duration: float) -> Array:
 def gain_and_match(
     samples: Array, distance: Array, gain: TimeGain | None, template: ArrayLike | None
 ) -> Array:
-    """Return cycles (..., time) after gain and matched filter, as far as there are any."""
+    """Return cycles (..., time) after gain and matched filter; None leaves a step out."""
     if gain is not None:
         samples = compensate(samples, distance, gain)
     return samples if template is None else matched_filter(samples, template)
 
 
-def _clipped(
+def _plateaus(
     time: Array, envelope: Array, height: Array, *, before: float, least: float
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which send pulses are flat for longer than `least`, in s, and when they rise.
+    """Return which send pulses have a plateau longer than `least`, in s, and their rise times in s.
 
-    A send pulse far over full scale has no maximum, but a plateau that wanders with the noise.
+    A clipped send pulse has no distinct maximum, but a plateau whose maximum is arbitrary.
     """
     ahead = envelope[..., : int(np.searchsorted(time, before))]
     step, top = time[1] - time[0], np.asarray(height)[..., np.newaxis]
-    flat = step * np.sum(ahead > FLAT * top, axis=-1) > least
+    flat = step * np.sum(ahead > PLATEAU_LEVEL * top, axis=-1) > least
     high = ahead >= top / 2
     first = np.argmax(high, axis=-1)[..., np.newaxis]
     here = np.take_along_axis(ahead, first, axis=-1)[..., 0]
     earlier = np.take_along_axis(ahead, np.maximum(first - 1, 0), axis=-1)[..., 0]
     rise = here - earlier
-    share = np.divide(here - top[..., 0] / 2, rise, out=np.zeros_like(rise), where=rise > 0)
-    return flat, time[first[..., 0]] - share * step
+    fraction = np.divide(here - top[..., 0] / 2, rise, out=np.zeros_like(rise), where=rise > 0)
+    return flat, time[first[..., 0]] - fraction * step
 
 
 def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> Array:
-    """Return the standard deviation of the time of each cycle's peak, by the noise around it."""
+    """Return the standard deviation in s of the time of each cycle's peak, due to noise."""
     slopes = np.abs(np.diff(envelope[..., int(np.searchsorted(time, start)) :], axis=-1))
     if slopes.shape[-1] == 0:
         return np.full(peak.shape, np.nan)
@@ -334,13 +345,13 @@ def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> 
     left, middle, right = (
         np.take_along_axis(envelope, index + shift, axis=-1)[..., 0] for shift in (-1, 0, 1)
     )
-    bend = 2 * middle - left - right
-    steps = np.divide(noise, bend, out=np.full(bend.shape, np.nan), where=bend > 0)
+    curvature = 2 * middle - left - right
+    steps = np.divide(noise, curvature, out=np.full(curvature.shape, np.nan), where=curvature > 0)
     return np.where(np.isfinite(peak), steps * step, np.nan)
 
 
-def _checked(time: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:
-    """Return a signal as arrays, or say what is wrong with it."""
+def _check_signal(time: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:
+    """Return time and signal as arrays; raise ValueError if they do not match or are not finite."""
     time, pressure = np.asarray(time, dtype=float), np.asarray(pressure, dtype=float)
     if pressure.shape[-1:] != time.shape:
         raise ValueError(

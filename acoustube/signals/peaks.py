@@ -1,4 +1,4 @@
-"""Peaks of envelopes: the send pulse and its echoes."""
+"""Peaks of envelopes: send pulse and echoes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from acoustube.base.types import Array
 
 @dataclass(frozen=True)
 class Echoes:
-    """Peaks of an envelope, in order of time.
+    """Peaks of envelopes, in order of time.
 
     Attributes
     ----------
     times : array of shape (..., echo)
-        Times in s. Where a cycle has fewer echoes than another, the rest of its row is nan.
+        Times in s. Rows of cycles with fewer echoes are filled with nan.
     amplitudes : array of shape (..., echo)
-        Envelope at the peak.
+        Envelope at the peak, in the envelope's unit.
     prominences : array of shape (..., echo)
-        Height of the peak over the higher of the two valleys beside it.
+        Height of the peak over the higher of its two adjacent minima, in the same unit, as by
+        ``scipy.signal.find_peaks``.
     """
 
     times: Array
@@ -31,7 +32,7 @@ class Echoes:
 
 
 def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Array, Array]:
-    """Find the send pulse: the envelope's maximum before a given time.
+    """Return time and amplitude of the send pulse: the envelope's maximum before a given time.
 
     Parameters
     ----------
@@ -40,12 +41,12 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
     envelope : array of shape (..., time)
         The envelopes.
     before : float
-        Time in s by which the send pulse has passed, and no echo has come back yet.
+        Time in s after the send pulse and before the first echo.
 
     Returns
     -------
     time, amplitude : array of shape (...)
-        The maximum, refined between the samples.
+        The maximum in s and in the envelope's unit, refined between the samples.
 
     Raises
     ------
@@ -56,7 +57,8 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
     n_before = int(np.searchsorted(time, before))
     if n_before < 3:
         raise ValueError(
-            f"before = {before:g} s leaves no send pulse in a record that starts at {time[0]:g} s"
+            f"before = {before:g} s leaves fewer than 3 samples of a record that starts at "
+            f"{time[0]:g} s; use a later time"
         )
     index = np.argmax(envelope[..., :n_before], axis=-1)
     return _refine(time, envelope, index)
@@ -70,7 +72,7 @@ def find_echoes(
     stop: ArrayLike = np.inf,
     prominence: float = 0.01,
 ) -> Echoes:
-    """Find the peaks of envelopes within a search window.
+    """Return the peaks of envelopes within a search window.
 
     Parameters
     ----------
@@ -79,10 +81,10 @@ def find_echoes(
     envelope : array of shape (..., time)
         The envelopes.
     start, stop : float or array of shape (...)
-        The window in s. The prominence is reckoned within it, so that the flank of a send pulse
-        that reaches into the window counts as ground, not as a peak.
+        The window in s. The prominence is computed within it, so that the flank of a send pulse
+        that reaches into the window is not a peak.
     prominence : float
-        The least prominence of an echo.
+        Least prominence of an echo, in the envelope's unit.
 
     Returns
     -------
@@ -116,14 +118,14 @@ def _peaks(time: Array, cycle: Array, window: slice, prominence: float) -> Array
 
 
 def _refine(time: Array, samples: Array, index: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return the vertex of the parabola through a maximum and its neighbours.
+    """Return time and height of the vertex of the parabola through a maximum and its neighbours.
 
     One maximum per cycle for ``samples`` of shape (..., time), or several of a single cycle.
     """
     middle = np.clip(index, 1, time.size - 2)
     left, centre, right = (_take(samples, middle + shift) for shift in (-1, 0, 1))
     slope, bend = (right - left) / 2, left - 2 * centre + right
-    # A maximum at the record's edge, or on a plateau, has no vertex near by: keep the sample.
+    # A maximum at the record's edge, or on a plateau, has no vertex nearby: keep the sample.
     vertex = (middle == index) & (bend < 0) & (centre >= left) & (centre >= right)
     offset = np.divide(-slope, bend, out=np.zeros_like(slope), where=vertex)
     height = np.where(vertex, centre + slope * offset / 2, _take(samples, index))
@@ -131,16 +133,26 @@ def _refine(time: Array, samples: Array, index: NDArray[np.intp]) -> tuple[Array
 
 
 def _take(samples: Array, index: NDArray[np.intp]) -> Array:
-    """Return one sample of each cycle, or several of a single cycle."""
+    """Return the sample at one index per cycle, or at several indices of a single cycle."""
     if samples.ndim == 1:
         return np.asarray(samples[index])
     return np.take_along_axis(samples, index[..., np.newaxis], axis=-1)[..., 0]
 
 
 def strongest_echo(echoes: Echoes) -> tuple[Array, Array, Array]:
-    """Return time, amplitude and prominence of each cycle's highest echo, nan where none is."""
+    """Return the echo of the highest amplitude of each cycle.
+
+    Parameters
+    ----------
+    echoes : Echoes
+
+    Returns
+    -------
+    time, amplitude, prominence : array of shape (...)
+        In s and in the envelope's unit; nan for a cycle without an echo.
+    """
     amplitudes = np.nan_to_num(echoes.amplitudes, nan=-np.inf)
-    # A column of nothing gives argmax something to find in a cycle without any echo.
+    # A last column of -inf gives argmax a result for a cycle without any echo.
     nothing = np.full((*amplitudes.shape[:-1], 1), -np.inf)
     index = np.argmax(np.concatenate([amplitudes, nothing], axis=-1), axis=-1)[..., np.newaxis]
     pad = np.full_like(nothing, np.nan)

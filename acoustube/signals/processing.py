@@ -1,4 +1,8 @@
-"""Settings of the processing from pressure to distance."""
+"""Settings of the processing from pressure to distance.
+
+The sleeve paper: "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing".
+"""
 
 from __future__ import annotations
 
@@ -17,28 +21,33 @@ from acoustube.signals.filters import (
 
 @dataclass(frozen=True, kw_only=True)
 class Processing:
-    """How recorded cycles become distances: the paper's steps with their numbers (section II-B).
+    """Settings from recorded cycles to distances; defaults of the sleeve paper (section II-B).
 
     Attributes
     ----------
     frequency : float
         Carrier in Hz.
     pulse_cycles : float
-        Carrier cycles that the transducer sends.
+        Carrier cycles of the send pulse.
     offset_cutoff : float or None
-        Frequency in Hz below which all is taken for the offset; None leaves it.
+        Cut-off frequency in Hz of the offset's removal; None for no removal.
     gain : TimeGain or None
-        From a calibration.
+        Attenuation model of the time gain, from a calibration; None for no time gain.
     template_cycles : float or None
-        Length of the matched filter in carrier cycles; None goes without.
+        Length of the matched filter in carrier cycles; None for no matched filter.
     cutoff : float
-        Of the envelope's low-pass in Hz.
+        Cut-off frequency in Hz of the envelope's low-pass.
     prominence : float
-        Least prominence of an echo, as a share of the send pulse.
+        Least prominence of an echo, relative to the send pulse.
     nearest, farthest : float
-        Of the search, in m.
+        Limits of the search window in m from the source end.
     send_shift : float
-        What a calibration adds to the time of the send pulse, in s.
+        Time in s that a calibration adds to the time of the send pulse.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or not positive where it must be.
     """
 
     frequency: float = 42e3
@@ -53,61 +62,73 @@ class Processing:
     send_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that process nothing."""
+        """Raise if a value is not finite, or not positive where it must be."""
         positive = ("frequency", "pulse_cycles", "cutoff", "prominence", "farthest")
         for name in (*positive, "offset_cutoff", "template_cycles", "nearest", "send_shift"):
             value = getattr(self, name)
             if value is None and name in ("offset_cutoff", "template_cycles"):
                 continue
             if isinstance(value, str) or not np.isfinite(value):
-                raise ValueError(f"{name} = {value!r} must be a finite number")
+                raise ValueError(f"{name} = {value!r} is not a finite number; use one")
             if not value > 0 and name not in ("nearest", "send_shift"):
-                raise ValueError(f"{name} = {value} must be positive")
+                raise ValueError(f"{name} = {value} must be positive; use more than 0")
 
 
-def without_aliased_template(how: Processing, sampling_rate: float) -> Processing:
-    """Return a processing that cycles of a sampling rate allow: undersampled ones unmatched.
+def without_aliased_template(settings: Processing, sampling_rate: float) -> Processing:
+    """Return settings without matched filter where the carrier is aliased at a sampling rate.
 
     Parameters
     ----------
-    how : Processing
+    settings : Processing
     sampling_rate : float
         Of the cycles, in Hz.
 
     Returns
     -------
     Processing
-        `how` where the carrier lies below half the sampling rate, else `how` without the matched
-        filter.
+        `settings` where the carrier lies below the Nyquist frequency, else `settings` without the
+        matched filter.
 
     Notes
     -----
-    EchoTube's board takes 80 000 samples a second of a 42 kHz carrier, which then appears at
-    80 - 42 = 38 kHz, so close to half the rate that the samples are a beat of 2 kHz with
-    alternating signs. Its phase is the carrier's, and changes once along every 4 mm of the tube.
-    A template at 38 kHz is such a beat too, of a phase of its own: it moves the peak by the
-    difference (on echoes of 11 cycles in 1750 mm of tube a deviation of 7 mm, at most 13 mm off).
-    Rectification and low-pass need no phase and stay. They do not come away unharmed: the rectified
-    carrier's overtone at 84 kHz appears at 4 kHz, below the usual cut-off, and what falls between
-    the samples is lost. Measured on those echoes: distances 0.3 mm too long, deviation 4 mm, at
-    most 9 mm off; amplitudes with a deviation of 31 %, where 200 kHz gives 0.2 mm and 2 %.
+    EchoTube's board samples a 42 kHz carrier at 80 kHz, which aliases it to 80 - 42 = 38 kHz, so
+    close to the Nyquist frequency that the samples are a beat of 2 kHz with alternating signs. The
+    beat's phase is the carrier's, and changes by 2 pi with every 4 mm of distance. A template at
+    38 kHz is such a beat too, of its own phase: it shifts the peak by the difference (on echoes of
+    11 cycles in 1750 mm of tube, a standard deviation of 7 mm, at most 13 mm).
+
+    Rectification and low-pass do not depend on the phase and remain. They lose accuracy: the
+    rectified carrier's overtone at 84 kHz is aliased to 4 kHz, below the usual cut-off. Measured on
+    those echoes: distances 0.3 mm too long, standard deviation 4 mm, at most 9 mm; amplitudes with
+    a standard deviation of 31 %, compared with 0.2 mm and 2 % at 200 kHz.
     """
-    if how.frequency < sampling_rate / 2:
-        return how
-    return replace(how, template_cycles=None)
+    if settings.frequency < sampling_rate / 2:
+        return settings
+    return replace(settings, template_cycles=None)
 
 
-def process_arguments(how: Processing, rate: float) -> dict[str, Any]:
-    """Return what :func:`process` takes for a processing at a sampling rate in Hz."""
-    cycles = how.template_cycles
+def process_arguments(settings: Processing, rate: float) -> dict[str, Any]:
+    """Return the keyword arguments of :func:`acoustube.signals.process` for settings.
+
+    Parameters
+    ----------
+    settings : Processing
+    rate : float
+        Sampling rate in Hz.
+
+    Returns
+    -------
+    dict
+    """
+    cycles = settings.template_cycles
     return {
-        "pulse_duration": how.pulse_cycles / how.frequency,
-        "offset_cutoff": how.offset_cutoff,
-        "gain": how.gain,
-        "template": None if cycles is None else template(rate, how.frequency, cycles),
-        "cutoff": how.cutoff,
-        "prominence": how.prominence,
-        "nearest": how.nearest,
-        "farthest": how.farthest,
-        "send_shift": how.send_shift,
+        "pulse_duration": settings.pulse_cycles / settings.frequency,
+        "offset_cutoff": settings.offset_cutoff,
+        "gain": settings.gain,
+        "template": None if cycles is None else template(rate, settings.frequency, cycles),
+        "cutoff": settings.cutoff,
+        "prominence": settings.prominence,
+        "nearest": settings.nearest,
+        "farthest": settings.farthest,
+        "send_shift": settings.send_shift,
     }

@@ -1,4 +1,4 @@
-"""The processing of one cycle after another, as a board sends them."""
+"""Processing of a stream of cycles, one after another."""
 
 from __future__ import annotations
 
@@ -16,58 +16,58 @@ class Tracker:
     ----------
     time : array of shape (time,)
         Sampling times of every cycle in s; the pulse starts to leave the source end at 0.
-    how : Processing, optional
+    settings : Processing, optional
         As :func:`locate`.
 
     Attributes
     ----------
     n_cycles, n_detections : int
-        Cycles so far, and how many of them held an echo.
+        Cycles so far, and those of them with an echo.
 
     Raises
     ------
     ValueError
-        As :func:`locate`, at once and not with the first cycle: a silent one is tried.
+        As :func:`locate`; raised at construction, where a silent cycle is processed.
 
     Notes
     -----
-    Nothing is remembered of a cycle, so that the results are those of :func:`locate` on all cycles
-    together, to rounding.
+    No state is kept between cycles: the results are those of :func:`locate` on all cycles together,
+    to rounding.
     """
 
-    def __init__(self, time: ArrayLike, how: Processing | None = None):
+    def __init__(self, time: ArrayLike, settings: Processing | None = None):
         self.time = np.asarray(time, dtype=float)
-        self.how = how or Processing()
+        self.settings = settings or Processing()
         self.n_cycles = self.n_detections = 0
-        locate(self.time, np.zeros(self.time.shape), self.how)
+        locate(self.time, np.zeros(self.time.shape), self.settings)
 
     def update(self, cycle: ArrayLike, temperature: float = 20.0) -> Ranging:
-        """Find the distance of a press in the next cycle.
+        """Return the distance of a press in the next cycle.
 
         Parameters
         ----------
         cycle : array of shape (time,)
-            In any unit, whole numbers or not, offset and all.
+            In any unit, integer or not, with its offset.
         temperature : float
             Of the air in degC.
 
         Returns
         -------
         Ranging
-            Its arrays without the axis of cycles.
+            Its arrays have no axis of cycles.
 
         Raises
         ------
         ValueError
-            If it is not one cycle of the tracker's time, or holds values that are not finite.
+            If the cycle does not have the shape of the time, or holds values that are not finite.
         """
         cycle = np.asarray(cycle)
         if cycle.shape != self.time.shape:
             raise ValueError(
                 f"cycle has shape {cycle.shape} and time {self.time.shape}; give one cycle at a "
-                "time, of as many samples as the time has"
+                "time, with the samples of the time axis"
             )
-        ranging = locate(self.time, cycle, self.how, temperature=temperature)
+        ranging = locate(self.time, cycle, self.settings, temperature=temperature)
         self.n_cycles += 1
         self.n_detections += int(ranging.detected)
         return ranging
