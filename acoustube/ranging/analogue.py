@@ -176,7 +176,7 @@ def response(
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
     n_cycle = next_fast_len(PERIOD_IN_RECORDS * n, real=True)
     damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
-    real = np.fft.rfftfreq(n_cycle, 1 / rate)[1:]
+    real = np.asarray(np.fft.rfftfreq(n_cycle, 1 / rate)[1:], float)
     frequency = real - 0.5j * damping / pi
     sent = _drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
     sent *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
