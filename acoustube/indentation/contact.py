@@ -112,7 +112,13 @@ def punch_gap(radius: Scalar, edge: Scalar, x: Scalar, z: Scalar, point: Array) 
 
 
 def floor_gap(point: Array) -> Array:
-    """Return the signed distance in m of a point (3,) to the horizontal plane at height zero."""
+    """Return the signed distance in m to the horizontal plane at height zero.
+
+    Parameters
+    ----------
+    point : array of shape (3,)
+        In m.
+    """
     return point[1]
 
 
@@ -202,7 +208,14 @@ def areas(corners: Array, slopes: Array, weights: Array) -> Array:
 
 
 def energy_density(point: Array, bodies: tuple[Body, ...]) -> Array:
-    """Return the contact energy per undeformed area in J/m2 at a deformed point (3,)."""
+    """Return the contact energy per undeformed area in J/m2 at a point of the wall.
+
+    Parameters
+    ----------
+    point : array of shape (3,)
+        Deformed position in m.
+    bodies : tuple of Body
+    """
     up = jnp.array([0.0, 1.0, 0.0])
     return sum(
         (body.law(body.gap(point - body.height * up)) for body in bodies), start=jnp.zeros(())
@@ -210,7 +223,18 @@ def energy_density(point: Array, bodies: tuple[Body, ...]) -> Array:
 
 
 def energy(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]) -> Array:
-    """Return the contact energy in J of one face with deformed nodes (n_local, 3) in m."""
+    """Return the contact energy in J of one face.
+
+    Parameters
+    ----------
+    position : array of shape (n_local, 3)
+        Deformed nodes in m.
+    area : array of shape (n_points,)
+        Undeformed area of the points in m2, from :func:`areas`.
+    shapes : array of shape (n_points, n_local)
+        Shape functions of the face at its points.
+    bodies : tuple of Body
+    """
     return area @ jax.vmap(energy_density, (0, None))(shapes @ position, bodies)
 
 

@@ -99,7 +99,19 @@ def deformation_gradients(displacement: Array, gradients: Array) -> Array:
 
 
 def project(volume_ratio: Array, rule: Quadrature) -> Array:
-    """Return the L2 projection of J onto the modes of one element, at its points (n_points,)."""
+    """Return the L2 projection of the volume ratio onto the modes of one element.
+
+    Parameters
+    ----------
+    volume_ratio : array of shape (n_points,)
+        J at the points.
+    rule : Quadrature
+        Of the one element: without the axis of elements.
+
+    Returns
+    -------
+    array of shape (n_points,)
+    """
     moments = rule.modes.T @ (rule.weights * volume_ratio)
     return rule.modes @ (rule.mass_inverse @ moments)
 

@@ -176,9 +176,14 @@ def section_order(points: Array, free: NDArray[np.bool_]) -> Index:
 
 
 def bandwidth(lower: sparse.csc_array, order: Index | None = None) -> int:
-    """Return the half bandwidth: the largest distance of an entry from the diagonal.
+    """Return the half bandwidth of a matrix: the largest distance of an entry from the diagonal.
 
-    Arguments as of :func:`factorise`.
+    Parameters
+    ----------
+    lower : sparse array of shape (n, n)
+        Its lower triangle.
+    order : array of int, shape (n,), optional
+        Another order of the unknowns.
     """
     rows, columns = _places(lower, order)
     return int(np.abs(rows - columns).max(initial=0))

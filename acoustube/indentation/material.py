@@ -119,14 +119,25 @@ def volumetric(volume_ratio: Array, bulk_modulus: Scalar) -> Array:
 
 
 def shear_modulus(material: Material) -> Array:
-    """Return the small-strain shear modulus in Pa: second derivative of the energy in shear."""
+    """Return the small-strain shear modulus in Pa: second derivative of the energy in shear.
+
+    Parameters
+    ----------
+    material : Material
+    """
     shear = jnp.zeros((3, 3)).at[0, 1].set(1.0)
     return jax.hessian(lambda strain: material.isochoric(jnp.eye(3) + strain * shear))(0.0)
 
 
 def determinant(f: Array) -> Array:
-    """Return the determinant of a matrix of shape (3, 3) as the triple product of its rows.
+    """Return the determinant of a matrix as the triple product of its rows.
 
+    Parameters
+    ----------
+    f : array of shape (3, 3)
+
+    Notes
+    -----
     Written out because ``jnp.linalg.det`` goes through an LU factorisation, which is slow in
     batches of small matrices and has no cheap second derivative.
     """

@@ -196,14 +196,24 @@ def first_touch(
 
 
 def neo_hookean_wall(tube: Tube) -> Material:
-    """Return the Neo-Hookean material with the moduli of a tube."""
+    """Return the Neo-Hookean material with the moduli of a tube.
+
+    Parameters
+    ----------
+    tube : Tube
+    """
     return Material(
         Partial(neo_hookean, np.float64(tube.shear_modulus)), np.float64(tube.bulk_modulus)
     )
 
 
 def press_model(indentation: Indentation) -> Model:
-    """Return the discretised tube of an indentation, at any of its increments."""
+    """Return the discretised tube of an indentation, the same at all increments.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    """
     mesh, tube = indentation.mesh, indentation.tube
     fixed = _fixed(mesh, indentation.support)
     lumen = self_contact(mesh, tube.shear_modulus, indentation.barrier_distance)
@@ -223,13 +233,17 @@ def _indenters(indenter: Indenter | Sequence[Indenter] | None) -> tuple[Indenter
 def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
     """Return the largest supported depth in m: the bore and half a wall thickness.
 
-    The thickness of a layer under the tube is added, because it is compressed as well.
+    Parameters
+    ----------
+    tube : Tube
+    layer : Layer, optional
+        Layer under the tube; its thickness is added, because it is compressed as well.
     """
     return tube.inner_diameter + tube.wall_thickness / 2 + (layer.thickness if layer else 0.0)
 
 
 def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
-    """Raise if depth, support or layer is outside the model's range."""
+    """Raise if the depths, the support or the layer are outside the model's range."""
     deepest = deepest_press(tube, layer)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)

@@ -105,21 +105,52 @@ class Reference:
 
 
 def lattice(highest: int, d: int) -> Powers:
-    """Return the grid {0, ..., highest}^d as points (n, d), the first coordinate fastest."""
+    """Return the points of the grid {0, ..., highest}^d, the first coordinate fastest.
+
+    Parameters
+    ----------
+    highest, d : int
+        Largest coordinate, and number of dimensions.
+
+    Returns
+    -------
+    array of int, shape ((highest + 1)**d, d)
+    """
     return np.array(list(product(range(highest + 1), repeat=d)))[:, ::-1]
 
 
 def gauss(n: int, d: int) -> tuple[Array, Array]:
-    """Return the Gauss-Legendre rule on [-1, 1]^d: points (n**d, d) and weights (n**d,)."""
+    """Return the Gauss-Legendre rule on [-1, 1]^d.
+
+    Parameters
+    ----------
+    n, d : int
+        Points in each direction, and number of dimensions.
+
+    Returns
+    -------
+    points : array of shape (n**d, d)
+    weights : array of shape (n**d,)
+    """
     x, w = np.polynomial.legendre.leggauss(n)
     index = lattice(n - 1, d)
     return x[index], np.prod(w[index], axis=1)
 
 
 def collapsed_gauss(n: int) -> tuple[Array, Array]:
-    """Return a rule of n**2 points on the triangle (0,0), (1,0), (0,1), exact to degree 2 n - 2.
+    """Return a quadrature rule on the triangle (0,0), (1,0), (0,1), exact to degree 2 n - 2.
 
     The Gauss-Legendre rule on the square with one side collapsed to a corner (Duffy [2]_).
+
+    Parameters
+    ----------
+    n : int
+        Points in each direction of the square.
+
+    Returns
+    -------
+    points : array of shape (n**2, 2)
+    weights : array of shape (n**2,)
     """
     points, weights = gauss(n, 2)
     a, b = (points.T + 1) / 2
@@ -150,7 +181,13 @@ def _simplex(d: int) -> tuple[Array, Powers]:
 
 
 def edges(d: int) -> list[tuple[int, int]]:
-    """Return the edges of a simplex as pairs of corners, in the order of its mid-edge nodes."""
+    """Return the edges of a simplex as pairs of corners, in the order of its mid-edge nodes.
+
+    Parameters
+    ----------
+    d : int
+        Number of dimensions.
+    """
     return [(i, j) for i in range(d + 1) for j in range(i + 1, d + 1)]
 
 

@@ -97,16 +97,39 @@ class Indentation:
         return {name: getattr(self, name) for name in RESULTS}
 
     def rows_at(self, depths: Sequence[float]) -> list[int]:
-        """Return the numbers of the increments at given depths in m."""
+        """Return the numbers of the increments at given depths.
+
+        Parameters
+        ----------
+        depths : sequence of float
+            In m; depths without an increment are left out.
+        """
         wanted = set(depths)
         return [i for i, depth in enumerate(self.depth) if depth in wanted]
 
     def position(self, increment: int = -1) -> Array:
-        """Return the deformed nodes, shape (n_nodes, 3), in m."""
+        """Return the deformed nodes of an increment.
+
+        Parameters
+        ----------
+        increment : int, optional
+            Number of the increment; the last by default.
+
+        Returns
+        -------
+        array of shape (n_nodes, 3)
+            In m.
+        """
         return self.mesh.points + self.displacement[increment]
 
     def bodies(self, increment: int = -1) -> tuple[Body, ...]:
-        """Return the indenters and, last, the ground as contact bodies at an increment."""
+        """Return the indenters and, last, the ground as contact bodies at an increment.
+
+        Parameters
+        ----------
+        increment : int, optional
+            Number of the increment; the last by default.
+        """
         return bodies_at(self, self.depth[increment])
 
 
