@@ -19,7 +19,7 @@ import xarray as xr
 from acoustube.base.errors import SimulationError
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep import workers as sweep_workers
-from acoustube.runs.sweep.workers import ATTEMPTS, Task, crew, process_pool, run_tasks
+from acoustube.runs.sweep.workers import ATTEMPTS, Task, process_pool, run_tasks, worker_pool
 
 
 def square(x):
@@ -76,7 +76,7 @@ def threads():
 
 @pytest.fixture
 def processes():
-    with crew(2) as workers:
+    with worker_pool(2) as workers:
         yield workers
 
 
@@ -290,7 +290,7 @@ def test_failures_are_recorded_with_their_reason_and_forgotten(tmp_path):
     store.record_failure(tmp_path, "b", "no", {})
     (tmp_path / store.FAILURES / "c.json").write_text("{")
     assert store.failures(tmp_path) == {"a": "did not converge", "b": "no"}
-    store.forget_failures(tmp_path, ["a", "c", "never"])
+    store.delete_failures(tmp_path, ["a", "c", "never"])
     assert store.failures(tmp_path) == {"b": "no"}
-    store.forget_failures(tmp_path, ["b"])
+    store.delete_failures(tmp_path, ["b"])
     assert store.failures(tmp_path) == {}

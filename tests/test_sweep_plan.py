@@ -15,7 +15,8 @@ from acoustube.cli._app import main
 from acoustube.runs.config import Config
 from acoustube.runs.sound import band_of
 from acoustube.runs.sweep.graph import Case, load_paths, only_cases, shard
-from acoustube.runs.sweep.plan import Interval, Plan, case_name, load_plan, parsed, to_toml
+from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
+from acoustube.runs.sweep.plan_text import Interval, parsed
 
 PAPER = {"indenter_mm": ["10", "25", "35"], "depth_mm": ["0.5:8:0.5"]}
 
@@ -174,7 +175,7 @@ def test_shares_are_disjoint_and_complete(count):
     [
         (["--depth", "8:0:1"], ["depth_mm = 8:0:1 has no values"]),
         (["--depth", "0:8:-1"], ["has no values", "step over 0"]),
-        (["--depth", "0:8:x"], ["depth_mm = 0:8:x is no range of numbers"]),
+        (["--depth", "0:8:x"], ["depth_mm = 0:8:x is not a range of numbers"]),
         (["--depth", "0:8:0"], ["has no values"]),
         (["--depth", "0:1e30000000:1"], ["depth_mm = 0:1e30000000:1"]),
         (["--depth", "1e-30000000:8:1"], ["depth_mm = 1e-30000000:8:1"]),
@@ -197,8 +198,8 @@ def test_shares_are_disjoint_and_complete(count):
         (["--random", "2", "--depth", "8:1"], ["depth_mm = 8:1 must rise"]),
         (["--seed", "-1"], ["seed = -1 is out of range"]),
         (["--workers", "0"], ["workers = 0 is out of range"]),
-        (["--shard", "3"], ["shard = 3 is no share", "3/40"]),
-        (["--shard", "5/4"], ["shard = 5/4 is no share"]),
+        (["--shard", "3"], ["shard = 3 is not a part", "3/40"]),
+        (["--shard", "5/4"], ["shard = 5/4 is not a part"]),
         (["--plan", "none.toml"], ["none.toml cannot be read"]),
         ([], ["out is missing"]),
     ],

@@ -83,7 +83,7 @@ CASES = {
     "dataset nothing --tubes 0 --out new": ["tubes = 0 is out of range", "from 1"],
     "dataset nothing --workers 1e9 --out new": ["workers = 1000000000", "1 to 1024"],
     "dataset nothing --rangefinder sensor.toml --out new": ["sensor.toml: noise = -1", "0 to"],
-    "show text.nc --out a.png": ["text.nc is no file of acoustube sweep or dataset"],
+    "show text.nc --out a.png": ["text.nc is not a file of acoustube sweep or dataset"],
     "export nothing --out full": ["out = full is not empty"],
     # Waves.
     "scatter none.stl --out s.nc": ["none.stl does not exist", "STL, PLY, OBJ or VTP"],

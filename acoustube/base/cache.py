@@ -1,7 +1,7 @@
-"""Results that need not be computed twice, in files named by the hash of what they depend on.
+"""Cache of results, in files named by the hash of all that a result depends on.
 
 An entry is a NumPy archive with the SHA-256 of its own content. One that cannot be read, or whose
-content is not what it was, counts as missing and is replaced. Beside the entries JAX keeps the
+content is not what it was, counts as missing and is replaced. Next to the entries JAX keeps the
 machine code that it compiled.
 """
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # the command line lists and clears without NumPy
 DIGEST = "digest"
 NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
 LIBRARIES = ("ipctk", "pytetwild")
-"""Packages whose version decides a result, beside acoustube's own code."""
+"""Packages on whose version results depend, in addition to acoustube's own code."""
 CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
     "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
@@ -85,7 +85,7 @@ class Entry(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What it is, in words; empty where it cannot be read."""
+        """Description; empty where it cannot be read."""
         try:
             with zipfile.ZipFile(self.path) as archive:
                 return archive.comment.decode(errors="replace")
@@ -222,7 +222,7 @@ def _tree_digest(tree: ast.AST) -> str:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Tell whether a statement is a docstring, of a definition or below a constant."""
+    """Return whether a statement is a docstring, of a definition or below a constant."""
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
@@ -231,7 +231,7 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def holds(name: str) -> bool:
-    """Tell whether there is an entry, which may still prove damaged."""
+    """Return whether there is an entry, which may still prove damaged."""
     return (folder() / f"{name}.npz").is_file()
 
 
@@ -249,7 +249,7 @@ def recall(name: str) -> dict[str, NDArray[Any]] | None:
 
 
 def store(name: str, arrays: Arrays, label: str = "") -> None:
-    """Write an entry in one step; where that is impossible it is only not remembered.
+    """Write an entry in one step; where that is impossible, nothing is cached.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
         From :func:`key`.
     arrays : mapping of str to array
     label : str
-        What it is, in words, for a list.
+        Description for a list.
     """
     import numpy as np
 
@@ -270,7 +270,7 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
 
 
 def _write_in_one_step(name: str, content: bytes) -> None:
-    """Write a file of the cache, whole or not at all; where that is impossible there is none."""
+    """Write a file of the cache in one step, if the folder can be written."""
     try:
         folder().mkdir(parents=True, exist_ok=True)
         part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
@@ -368,8 +368,8 @@ _IGNORED = tuple(f"ignore:{message}:UserWarning" for message in UNUSABLE)
 def _processor() -> str:
     """Return a name for processors that run the same machine code."""
     kind = os.uname().machine
-    with suppress(OSError):  # there is no such file but on Linux
+    with suppress(OSError):  # the file exists on Linux only
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        told = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
-        kind += " ".join(sorted(set(told)))
+        fields = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
+        kind += " ".join(sorted(set(fields)))
     return hashlib.sha256(kind.encode()).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""Files and folders: where a run may be written, and how it gets there in one piece."""
+"""Output files and folders: checks before a run, and writing in one step."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def check_out(path: str | Path) -> Path:
 
 
 def check_surface(path: str | Path) -> None:
-    """Refuse the file of a wall that is not there.
+    """Raise if the file of a surface does not exist.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def check_surface(path: str | Path) -> None:
 
 
 def check_netcdf_name(path: Path) -> None:
-    """Refuse a name that is not that of a netCDF file.
+    """Raise unless a name is that of a netCDF file.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def check_netcdf_name(path: Path) -> None:
 
 
 def check_new_file(path: Path, name: str = "out") -> None:
-    """Refuse a file that is there already, or in a folder that is not.
+    """Raise if a file exists, or its folder does not.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def fresh_folder(stem: str) -> Path:
 
 
 def _check_free(path: str | Path, folder: Path) -> None:
-    """Refuse a name that is taken."""
+    """Raise if a name is taken."""
     if folder.exists() or folder.is_symlink():
         if not folder.is_dir():
             raise ConfigError(f"out = {path} is a file; name a new folder")
@@ -129,7 +129,7 @@ def _check_free(path: str | Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def partial_folder(path: str | Path) -> Iterator[Path]:
-    """Make a temporary folder beside the one to be written, and leave nothing of it behind.
+    """Make a temporary folder next to the one to be written, and remove it in the end.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        A temporary folder beside it. If it is still there when the block ends, by an exception,
+        A temporary folder next to it. If it is still there when the block ends, by an exception,
         an interrupt included, it is removed with the parents that were made for it.
 
     Raises
@@ -198,7 +198,7 @@ def _numbered(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def partial_file(path: Path) -> Iterator[Path]:
-    """Yield a name beside a file, which takes the file's name when the block ends well."""
+    """Yield a temporary name, which becomes the file's if the block ends without error."""
     partial = path.with_name(f".acoustube-partial-{uuid.uuid4().hex[:8]}")
     try:
         yield partial

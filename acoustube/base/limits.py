@@ -1,4 +1,4 @@
-"""What the model holds for: limits that the settings and the solvers share, in any unit."""
+"""Range of the model: limits that the settings and the solvers share."""
 
 CLEARANCE = 0.5
 """Least distance, in outer diameters, from where a press ends to a probe or an end of the tube.
@@ -7,14 +7,14 @@ Pressing moves the modelled end outwards by up to a tenth of a millimetre, and l
 """
 
 LARGEST_CLOSING = 0.9
-"""Deepest press whose sound is right, as a share of the bore; soon after it the walls meet."""
+"""Deepest press whose sound is valid, in bores; the walls meet soon after."""
 
 SHALLOWEST_MM = 0.05
 """Depth of the shallowest press."""
 
 
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
-    """Return how far along the tube a press reaches, to each side.
+    """Return the length of tube that a press deforms, to each side.
 
     Four outer diameters beyond the indenter's edge. At the end of it the paper's tube, held and
     pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm but has its area to 0.1 %; modelling half

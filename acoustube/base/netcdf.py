@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
-
-if TYPE_CHECKING:  # the command line imports this module before it needs xarray
-    import xarray as xr
-
 
 Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 

@@ -46,7 +46,7 @@ def _polydata(path: Path) -> trimesh.Trimesh:
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    """Refuse a surface that is open, touches itself, of facets both ways, or of several bodies.
+    """Reject a surface that is open, touches itself, of facets both ways, or of several bodies.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
-    """Refuse a surface whose numbers seem to be metres.
+    """Raise if the coordinates of a surface seem to be in metres.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
-    """Refuse a surface that crosses itself; the library's tolerances want lengths near one.
+    """Reject a surface that crosses itself; the library's tolerances want lengths near one.
 
     Raises
     ------

@@ -89,7 +89,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     SimulationError
         If a study cannot be finished.
     """
-    from acoustube.runs.sweep.workers import crew
+    from acoustube.runs.sweep.workers import worker_pool
 
     started = time.perf_counter()
     folder = _prepared(out, scale)
@@ -99,7 +99,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
         f"{time_in_words(60 * minutes)} on two cores, less for cached results",
         soft_wrap=True,
     )
-    with crew(scale.workers) as workers:
+    with worker_pool(scale.workers) as workers:
         for number, name in enumerate(names, 1):
             console.rule(f"study {number} of {len(names)}: {name}")
             study = _performed(name, folder, replace(scale, workers=workers), console)

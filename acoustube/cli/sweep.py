@@ -13,7 +13,8 @@ from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output, Workers, axis, settings_of
 from acoustube.runs.config import section_of
-from acoustube.runs.sweep.plan import COUNT, SEED, Plan, load_plan, other_settings
+from acoustube.runs.sweep.plan import COUNT, SEED, Plan, load_plan
+from acoustube.runs.sweep.plan_text import other_settings
 
 if TYPE_CHECKING:
     from acoustube.base.report import Reporter

@@ -1,9 +1,9 @@
-"""From force to press: what a tool that is pushed, and not moved, does on a given substrate.
+"""Presses at given forces, interpolated on a load path that was solved by depth.
 
-A press is solved by depth, since a wall that snaps has several states at one force; as long as the
-force rises along the path, each force on it belongs to one depth. On soft ground the tool's travel
-says little: part of it is the ground's. What the sound meets is the lumen, so that its loss of
-height stands beside the travel.
+A press is solved by depth, since a wall that snaps through has several states at one force; as long
+as the force rises along the path, each force belongs to one depth. On soft ground part of the
+indentation depth is the settlement of the ground; the sound depends on the closure of the lumen,
+which is therefore given too.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from acoustube.base.types import Array
 from acoustube.indentation import Indentation
 from acoustube.lumen import inner_wall, measure
 
-FALLING = 1e-3
-"""Share of the greatest force by which it may fall between increments, as solvers do, not walls."""
+FORCE_DROP_TOLERANCE = 1e-3
+"""Fall of the force between increments, relative to its maximum, that counts as solver error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class ByForce:
     force : array
         In N.
     depth : array
-        The tool's travel from first touch in m.
+        Indentation depth from first touch in m.
     closing : array
-        By how much the lumen at the press is lower than the bore, in m.
+        Closure of the lumen: loss of its height at the press, in m.
     sinking : array
-        By how much the tube's bottom line at the press sinks into the ground, in m.
+        Settlement of the ground under the tube's bottom line at the press, in m.
     lumen_area : array
         At the press, in m2.
     """
@@ -49,14 +49,14 @@ class ByForce:
 
 
 def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
-    """Return the presses of a path at which a tool bears given forces.
+    """Interpolate a load path at given contact forces.
 
     Parameters
     ----------
     indentation : Indentation
         A path from first touch; see :func:`acoustube.indentation.indent`.
     force : array_like
-        On all its tools together, in N.
+        Total over all indenters, in N.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     ConfigError
         If a force is negative, or more than at the path's end.
     SimulationError
-        If the force falls on the way, so that it does not tell the press.
+        If the force falls along the path, so that the depth is not unique.
 
     Notes
     -----
@@ -75,11 +75,11 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     fall = np.maximum.accumulate(path) - path
-    if np.any(fall > FALLING * path.max()):
+    if np.any(fall > FORCE_DROP_TOLERANCE * path.max()):
         row = int(np.argmax(fall))
         raise SimulationError(
             f"the force falls to {path[row]:.3g} N at {1e3 * indentation.depth[row]:.3g} mm depth, "
-            "so that it does not tell the press; give a depth"
+            "so that the depth is not unique; give a depth"
         )
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:
@@ -94,7 +94,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 
 
 def _along(indentation: Indentation) -> tuple[Array, Array, Array, Array]:
-    """Return depth, closing, sinking and lumen area at each increment."""
+    """Return depth, closure, settlement and lumen area at each increment."""
     mesh, wall = indentation.mesh, inner_wall(indentation.mesh)
     middle = np.array([indentation.indenters[0].z])
     rows = range(len(indentation.depth))

@@ -16,9 +16,9 @@ ORDER = (
     "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
     "diameter", "carrier_frequency", "temperature", "true_distance", "depth", "press",
 )  # fmt: skip
-"""Labels that cases are sorted by, the last of them fastest."""
+"""Labels by which cases are sorted, the last of them fastest."""
 PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
-"""Files of a folder, by the dimension along which they are joined."""
+"""Result files of a folder, by the dimension along which they are joined."""
 
 
 def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
@@ -53,7 +53,7 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
     }
     if not kinds:
         raise ConfigError(
-            f"{where} is no file of acoustube sweep or dataset; name a folder that one of them "
+            f"{where} is not a file of acoustube sweep or dataset; name a folder that one of them "
             "wrote"
         )
     if len(kinds) != 1:
@@ -77,7 +77,7 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
 
 
 def _check_file(path: Path, dimension: str) -> None:
-    """Refuse a file that is damaged, or that another program wrote under a name of ours."""
+    """Reject a file that is damaged, or that another program wrote under such a name."""
     import h5py
 
     needed = ORDER if dimension == "press" else ("press", "signal")
@@ -91,7 +91,7 @@ def _check_file(path: Path, dimension: str) -> None:
         ) from error
     if missing:
         raise ConfigError(
-            f"{path} is no file of acoustube sweep or dataset (it has no {missing[0]}); move it "
+            f"{path} is not a file of acoustube sweep or dataset (it has no {missing[0]}); move it "
             "elsewhere"
         )
 

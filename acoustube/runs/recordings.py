@@ -57,12 +57,12 @@ def located(
     """
     cycles, time = data["signal"], data["time"].values
     how = signals.without_aliased_template(how, signals.sampling_rate(time))
-    warmth = data["temperature"].values
+    temperature = data["temperature"].values
     starts = range(0, cycles.sizes["cycle"], CHUNK)
 
     def piece(start: int) -> Ranging:
         part = slice(start, start + CHUNK)
-        return signals.locate(time, cycles.values[part], how, temperature=warmth[part])
+        return signals.locate(time, cycles.values[part], how, temperature=temperature[part])
 
     with ThreadPoolExecutor(THREADS) as pool:
         waiting: list[tuple[int, Future[Ranging]]] = []
@@ -100,7 +100,7 @@ def chosen(
     Raises
     ------
     ConfigError
-        If there is no such calibration.
+        If the calibration does not exist.
     """
     known = None if calibration is None else signals.load(calibration_path(calibration))
     how = Processing() if known is None else known.processing
@@ -202,7 +202,7 @@ def with_progress(
 
 
 def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
-    """Refuse a calibration of another sampling rate: its gain and template are of its own."""
+    """Reject a calibration of another sampling rate: its gain and template depend on it."""
     if known is not None and abs(rate / known.sampling_rate - 1) > 1e-3:
         raise ConfigError(
             f"{source} has {rate:g} samples per second and the calibration "

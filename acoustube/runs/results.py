@@ -23,14 +23,14 @@ from acoustube.signals import Ranging
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
 
 EVEN_POINTS = 401
-"""Points of the profile along the tube, besides those where the finite elements have rings."""
+"""Evenly spaced points of the profile along the tube, in addition to the mesh's rings."""
 
 MEASURED_PART = 0.95
-"""Share of the modelled length within which the deformed tube is measured.
+"""Fraction of the modelled length within which the deformed tube is measured.
 
 The end of a tube that tilts off the floor is slanted.
 """
-DEPTH = "how far the tool has come down from first touch"
+DEPTH = "indentation depth from first touch"
 
 
 def dataset(
@@ -46,7 +46,7 @@ def dataset(
     warnings: Sequence[str],
     device: str,
 ) -> xr.Dataset:
-    """Gather one press.
+    """Return the results of a simulation as a dataset.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ def dataset(
     recordings, rangings : mapping of str
         The recorded and the processed signal for each choice of the source end.
     budget : Budget
-        What the recordings can be trusted with.
+        Known errors of the recordings.
     seconds : mapping of str to float
-        How long each stage took.
+        Computing time of each stage.
     warnings : sequence of str
-        Where the run leaves the range in which the model holds.
+        Ways in which the run leaves the range of the model.
     device : str
-        What computed it.
+        Name of the computing device.
 
     Returns
     -------
@@ -88,7 +88,10 @@ def dataset(
         "depth": variable("depth", indentation.depth, "m", DEPTH),
         "stage": variable("stage", list(seconds), "1", "stage of the chain"),
         "source_end": variable(
-            "source_end", list(recordings), "1", "what the source end does after the pulse"
+            "source_end",
+            list(recordings),
+            "1",
+            "boundary condition after the pulse",
         ),
         "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
     }
@@ -107,7 +110,7 @@ def press_dataset(
     warnings: Sequence[str],
     device: str,
 ) -> xr.Dataset:
-    """Gather a press alone, at the depths that were asked for.
+    """Return the results of a press alone as a dataset, at the depths that were asked for.
 
     Parameters
     ----------
@@ -118,11 +121,11 @@ def press_dataset(
     depths : sequence of float
         In m.
     seconds : float
-        How long it took.
+        Computing time.
     warnings : sequence of str
-        Where the run leaves the range in which the model holds.
+        Ways in which the run leaves the range of the model.
     device : str
-        What computed it.
+        Name of the computing device.
 
     Returns
     -------
@@ -136,9 +139,7 @@ def press_dataset(
     converged = np.arange(len(depths)) < len(reached)
     found |= _mesh(indentation.mesh) | {
         "indentation_depth": variable("depth", depths, "m", DEPTH),
-        "converged": flag(
-            "depth", converged, "whether the press came to equilibrium at this depth"
-        ),
+        "converged": flag("depth", converged, "whether the press converged at this depth"),
         "elapsed_time": variable("", seconds, "s", "time that the press took"),
     }
     coordinates = {
@@ -151,7 +152,7 @@ def press_dataset(
         "precision": "float64",
         "closed": (
             "the lumen counts as closed where smallest_gap is under "
-            f"{MM * indentation.barrier_distance:.4g} mm, where its walls feel each other"
+            f"{MM * indentation.barrier_distance:.4g} mm, where self-contact sets in"
         ),
     }
     return xr.Dataset(found, coordinates, origin)
@@ -180,9 +181,10 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
 
     scalars = {
         "indentation_depth": (taken("depth"), "m", DEPTH),
-        "contact_force": (taken("contact_force"), "N", "force of the tool on the whole tube"),
+        "contact_force": (taken("contact_force"), "N", "force of the indenter on the whole tube"),
         "contact_area": (
-            taken("contact_area").sum(axis=1), "m2", "deformed outer wall that touches the tool",
+            taken("contact_area").sum(axis=1), "m2",
+            "deformed outer wall in contact with the indenter",
         ),
         "lumen_height": (at_press("height"), "m", "height of the lumen at the press"),
         "lumen_width": (at_press("width"), "m", "width of the lumen at the press"),
@@ -202,7 +204,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         for name, (values, units, text) in scalars.items()
     }
     return found | {
-        "closed": flag("depth", taken("closed"), "whether the lumen's walls feel each other"),
+        "closed": flag("depth", taken("closed"), "whether the lumen's walls are in contact"),
         "node_displacement": variable(
             "depth node xyz", taken("displacement"), "m", "displacement of the nodes"
         ),
@@ -290,7 +292,7 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[s
             "source_end time",
             np.stack([recording.pressure[0] for recording in recordings.values()]),
             "1",
-            "mean pressure on the probe plane, as a share of the pulse's peak",
+            "mean pressure on the probe plane, relative to the pulse's peak",
         ),
         "probe_position": variable("", first.probes[0], "m", "distance of the probe plane"),
         "pulse_duration": variable("", pulse.duration, "s", "duration of the pulse"),
@@ -304,10 +306,13 @@ def _trusted(budget: Budget) -> dict[str, Variable]:
     """Return the known errors of the sound."""
     table = {
         "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
-        "delay_bias": ("1", "what the grid adds to the group delay of the plane wave, relative"),
+        "delay_bias": ("1", "error of the plane wave's group delay on the grid, relative"),
         "section_error": ("1", "error of the bore's cross-section on the grid, relative"),
         "cut_on_error": ("1", "error of the cut-on of (1,1) on the grid, relative"),
-        "absorption": ("dB", "what an absorbing end returns of a mode 1 % over its cut-on"),
+        "absorption": (
+            "dB",
+            "reflection of an absorbing end for a mode 1 % above cut-on",
+        ),
         "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
     }
     return {
@@ -318,14 +323,14 @@ def _trusted(budget: Budget) -> dict[str, Variable]:
 
 
 def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
-    """Return what the processing made of it, for each choice of the source end."""
+    """Return envelope and estimate for each choice of the source end."""
     results = list(rangings.values())
     names = {
-        "envelope": ("source_end time", "1", "envelope, as a share of the send pulse"),
+        "envelope": ("source_end time", "1", "envelope, relative to the send pulse"),
         "send_time": ("source_end", "s", "maximum of the send pulse"),
         "return_time": ("source_end", "s", "maximum of the highest echo"),
-        "amplitude": ("source_end", "1", "highest echo, as a share of the send pulse"),
-        "distance": ("source_end", "m", "distance that the highest echo tells"),
+        "amplitude": ("source_end", "1", "highest echo, relative to the send pulse"),
+        "distance": ("source_end", "m", "distance of the highest echo"),
     }
     renamed = {"amplitude": "echo_amplitude", "distance": "estimated_distance"}
     found = {
@@ -360,7 +365,7 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
 
 
 def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
-    """Return where the data come from."""
+    """Return the origin of the data: version, settings, device, warnings."""
     settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
     return {
         "title": "One press of a soft acoustic waveguide",

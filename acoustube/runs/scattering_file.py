@@ -15,7 +15,7 @@ from acoustube.waves.scattering import Scattering
 
 
 def to_dataset(found: Scattering) -> xr.Dataset:
-    """Gather a scattering matrix with its coordinates and its origin.
+    """Return a scattering matrix with its coordinates and its origin as a dataset.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def to_dataset(found: Scattering) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Which :func:`from_dataset` makes a scattering of again.
+        See :func:`from_dataset`.
     """
     dims = "frequency port_out mode_out port_in mode_in"
     s = found.s
@@ -62,7 +62,7 @@ def to_dataset(found: Scattering) -> xr.Dataset:
 
 
 def read(path: str | Path) -> Scattering:
-    """Read what :func:`run_scatter` wrote.
+    """Read a scattering matrix that ``acoustube scatter`` wrote.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def read(path: str | Path) -> Scattering:
     Raises
     ------
     ConfigError
-        If it is no such file.
+        If it is not such a file.
     """
     if not Path(path).is_file():
         raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
@@ -91,7 +91,7 @@ def read(path: str | Path) -> Scattering:
 
 
 def from_dataset(data: xr.Dataset) -> Scattering:
-    """Return the scattering that :func:`to_dataset` made a dataset of.
+    """Return the scattering matrix in a dataset of :func:`to_dataset`.
 
     Raises
     ------

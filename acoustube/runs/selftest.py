@@ -1,7 +1,7 @@
-"""A few small computations with known results, to tell whether an installation computes right.
+"""Self-test of an installation: small computations with known results.
 
-Each stage does what it does in a run, on a grid or a mesh that is as coarse as it may be: the
-tolerances are those of these grids, not of the results of a run.
+Each stage computes as in a run, on the coarsest possible grid or mesh: the tolerances are those of
+these grids, not of the results of a run.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ RADIUS = 3.95e-3
 AIR = Air(sound_speed=343.2, density=1.204)
 COARSE = MeshSize(through_wall=1, around=8, along=6)
 FORCE = 0.113604
-"""In N, of the press below on that mesh; computed with acoustube 0.1.0 on Linux."""
+"""Contact force in N of the press below on that mesh; computed with acoustube 0.1.0 on Linux."""
 FREQUENCY, REFLECTED = 12e3, 0.64041
-"""In Hz, and the amplitude that a bore narrowed by 40 % over 16 mm reflects there.
+"""Frequency in Hz, and amplitude reflected there by a bore narrowed by 40 % over 16 mm.
 
 From a spectral method that has nothing in common with the grid: case E of
 ``tests/data/scattering.csv``.
@@ -43,7 +43,7 @@ From a spectral method that has nothing in common with the grid: case E of
 
 
 class Outcome(NamedTuple):
-    """What a test computed, and what it should have.
+    """Computed and expected value of a test.
 
     Attributes
     ----------
@@ -52,9 +52,9 @@ class Outcome(NamedTuple):
         In `unit`; the tolerance is absolute. Computed is nan where there is a problem.
     unit : str
     seconds : float
-        How long it took.
+        Computing time.
     problem : str
-        Why nothing was computed; empty otherwise.
+        Error message; empty if there was none.
     """
 
     name: str
@@ -67,12 +67,12 @@ class Outcome(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether what was computed is within the tolerance."""
+        """Whether the computed value is within the tolerance."""
         return bool(abs(self.computed - self.expected) <= self.tolerance)
 
 
 class Trial(NamedTuple):
-    """A test: its name, what computes a number, and what that should be."""
+    """A test: its name, a function that returns a number, and the expected value."""
 
     name: str
     compute: Callable[[], float]
@@ -82,7 +82,7 @@ class Trial(NamedTuple):
 
 
 def run_trials(trials: Sequence[Trial] | None = None) -> Iterator[Outcome]:
-    """Compute one test after the other.
+    """Run one test after the other.
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ def run_trials(trials: Sequence[Trial] | None = None) -> Iterator[Outcome]:
     Yields
     ------
     Outcome
-        Of each. A test that cannot be computed has failed, and says why.
+        Of each test; a test that raises counts as failed and holds the message.
     """
     for trial in all_trials() if trials is None else trials:
         started, problem = time.perf_counter(), ""
         try:
             computed = float(trial.compute())
-        # Whatever an incomplete installation raises is the finding that is asked for.
+        # An incomplete installation may raise anything; the message is the finding.
         except Exception as error:
             computed, problem = np.nan, f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - started
@@ -120,7 +120,7 @@ def all_trials() -> tuple[Trial, ...]:
 
 
 def _echo() -> float:
-    """Return the distance in cm of an echo that was put at 50 cm."""
+    """Return the estimated distance in cm of a synthetic echo at 50 cm."""
     pulse, time = Pulse(frequency=42e3), np.arange(6000) / 1e6
     delay = 2 * 0.5 / signals.speed_of_sound(20.0)
     pressure = np.asarray(pulse(time)) + 0.05 * np.asarray(pulse(time - delay))
@@ -153,7 +153,7 @@ def _scattered() -> NDArray[np.complex128]:
 
 
 def _bore(narrowing: Array, z: Array, resolution: int) -> CutCells:
-    """Return a round bore whose radius is less by a share at each z, on its grid."""
+    """Return a round bore narrowed by a fraction of its radius at each z, on its grid."""
     import trimesh
 
     angle = 2 * np.pi * np.arange(192) / 192

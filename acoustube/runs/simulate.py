@@ -1,4 +1,4 @@
-"""The whole chain for one press: tube, indentation, lumen, waves, signals."""
+"""Simulation of one press: indentation, lumen, waves, signals."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
 
 
 def warnings_for(settings: SISettings) -> list[str]:
-    """Return one sentence for each way in which the settings leave the model's range."""
+    """Return a warning for each way in which the settings leave the model's range."""
     air, pulse, radius = settings.air, settings.pulse, settings.radius
     found = [
         f"Mode ({mode.m},{mode.n}) cuts on at {KHZ * mode.cut_on:.2f} kHz, inside the pulse's "
@@ -138,7 +138,7 @@ def _silent(_stage: str, _fraction: float) -> None:
 def stage(
     name: str, seconds: dict[str, float], report: Report
 ) -> Iterator[Callable[[float], None]]:
-    """Report and time a stage; what it refuses in SI terms becomes a failure of that stage."""
+    """Report and time a stage; a ValueError becomes a failure of that stage."""
     start = time.perf_counter()
     report(name, 0.0)
     try:

@@ -1,4 +1,4 @@
-"""The whole chain for one press: tube, indentation, lumen, waves, signals."""
+"""Sound in a pressed tube: recordings at the probe, and the press located in them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from acoustube.waves import (
 )
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
-"""Both choices of the source end are computed: a real one lies between them."""
+"""Boundary conditions of the source end; both are computed, as a real end lies between them."""
 
 BAND_EDGE = -20.0
-"""Level in dB under the pulse's spectral peak down to which a mode's cut-on is warned of."""
+"""Level in dB relative to the pulse's spectral peak down to which cut-ons are warned of."""
 
-HEARD = -70.0
-"""Level in dB under the pulse's spectral peak down to which its sound is followed."""
-LOWEST = 0.1
-"""Lowest frequency that is followed of a short pulse, whose band reaches to zero, in carriers."""
+BAND_LEVEL = -70.0
+"""Level in dB relative to the pulse's spectral peak at which the computed band ends."""
+LOWEST_CARRIERS = 0.1
+"""Lowest computed frequency of a short pulse, whose band reaches to zero, in carriers."""
 FREQUENCY_STEP = 100.0
 """Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
 TIME_STEP = 1e-6
-"""Of the sound in s that is put together from scattering and straight tube."""
+"""Time step in s of recordings that are joined from scattering and straight tube."""
 
 
 def blind_time(settings: SISettings) -> float:
@@ -65,7 +65,7 @@ def listen(
     recordings : dict of Recording
         For each choice of the source end.
     budget : Budget
-        What they can be trusted with.
+        Known errors of the recordings.
     """
     air, probe = settings.air, settings.probe
     spacing = grid_spacing(settings.tube.inner_diameter, settings.resolution, probe)
@@ -92,7 +92,7 @@ def listen(
 def listen_by_parts(
     settings: SISettings, part: Lumen, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[SourceEnd, Recording], Budget]:
-    """Return what :func:`listen` does, from the scattering of the pressed part and straight tube.
+    """Return the recordings of :func:`listen` from the scattering of the pressed part.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def listen_by_parts(
     recordings : dict of Recording
         For each choice of the source end.
     budget : Budget
-        What they can be trusted with.
+        Known errors of the recordings.
     """
     matrix, cells = scattering_of(
         part, settings.air, band_of(settings.pulse), bore=settings.tube.inner_diameter,
@@ -127,7 +127,7 @@ def scattering_of(
     lossy: bool,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Scattering, CutCells]:
-    """Return the scattering of a press, by its own place.
+    """Return the scattering matrix of a press, referred to its own position.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def scattering_of(
 
 
 def joined(settings: SISettings, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd, Recording]:
-    """Return what the probe of a tube hears, from presses of known scattering.
+    """Return the recordings at the probe of a tube, from presses of known scattering.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _budget(
     time_step: float | None,
     recordings: Mapping[SourceEnd, Recording],
 ) -> Budget:
-    """Return what recordings can be trusted with."""
+    """Return the known errors of recordings."""
     return error_budget(
         cells,
         settings.air,
@@ -234,9 +234,9 @@ def _budget(
 
 
 def band_of(pulse: Pulse) -> tuple[float, float]:
-    """Return the band in Hz in which the sound of a pulse is followed."""
-    lowest, highest = pulse.band(HEARD)
-    return max(lowest, LOWEST * pulse.frequency), highest
+    """Return the band in Hz in which the sound of a pulse is computed."""
+    lowest, highest = pulse.band(BAND_LEVEL)
+    return max(lowest, LOWEST_CARRIERS * pulse.frequency), highest
 
 
 def _duration(settings: SISettings, air: Air) -> float:

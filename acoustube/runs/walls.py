@@ -1,4 +1,4 @@
-"""The deformed walls of a pressed tube, with fewer rings, for files and pictures."""
+"""Deformed walls of a pressed tube, with fewer points, for files and pictures."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.lumen.thinning import decimate_rings
 
 MANTISSA = 12
-"""Bits of a coordinate's mantissa that are kept: 1e-4 of it, which packs twice as small."""
+"""Bits of a coordinate's mantissa that are kept: a precision of 1e-4, at half the file size."""
 
 
 def walls(part: Lumen) -> xr.Dataset:
-    """Gather the walls of a pressed part and its lumen's area along the tube.
+    """Return the walls of a pressed part, and its lumen's area along the tube, as a dataset.
 
     Parameters
     ----------

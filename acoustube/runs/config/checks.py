@@ -19,7 +19,7 @@ CELLS_PER_WAVELENGTH = 8
 """Coarsest grid of the wave stage."""
 
 BAND_WIDTH = 3.83
-"""Half the pulse's band down to -70 dB, in carriers times cycles."""
+"""Half width of the pulse's band at -70 dB, times its cycles, in carrier frequencies."""
 MOST_CELLS = 50_000_000
 """Largest grid of the wave stage, which then takes some 15 GB of memory."""
 
@@ -33,7 +33,7 @@ def check_touched(config: Config | Mechanics) -> None:
     """
     if config.indentation.depth_mm == 0:
         raise ConfigError(
-            "is no press", setting="depth_mm", value=0,
+            "is not a press", setting="depth_mm", value=0,
             advice=f"use {SHALLOWEST_MM:g} or more (only a sweep may include the untouched tube)",
         )  # fmt: skip
 
@@ -66,7 +66,7 @@ def check_press(press: IndentationSettings) -> None:
         )  # fmt: skip
 
 
-def check_audible(config: Config) -> None:
+def check_round(config: Config) -> None:
     """Raise for an imported surface: the acoustics support round tubes only."""
     if config.tube.surface is not None:
         raise ConfigError(

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 from acoustube.base.errors import ConfigError
 from acoustube.runs.config.checks import (
-    check_audible,
     check_depth,
     check_lowpass,
     check_position,
@@ -16,6 +15,7 @@ from acoustube.runs.config.checks import (
     check_probe,
     check_pulse,
     check_resolution,
+    check_round,
     check_touched,
 )
 from acoustube.runs.config.settings import (
@@ -28,7 +28,7 @@ from acoustube.runs.config.settings import (
 
 @dataclass(frozen=True, kw_only=True)
 class Mechanics:
-    """The settings of a press alone, which may close the lumen.
+    """Settings of a press alone, which may close the lumen.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Mechanics:
     Raises
     ------
     ConfigError
-        If the press is deeper than the solver follows.
+        If the depth is outside the model's range.
     """
 
     tube: TubeSettings = dataclasses.field(default_factory=TubeSettings)
@@ -69,8 +69,8 @@ class Config:
     Raises
     ------
     ConfigError
-        If the sections contradict each other: a press deeper than the solver follows, too near an
-        end, or a grid that is too coarse for the sound or too large.
+        If the sections contradict each other: a depth outside the model's range, a press too
+        near an end, or a grid that is too coarse for the sound or too large.
 
     Notes
     -----
@@ -85,7 +85,7 @@ class Config:
     def __post_init__(self) -> None:
         _check_sections(self)
         check_press(self.indentation)
-        check_audible(self)
+        check_round(self)
         self._fill("indentation", "position_cm", self.position_cm)
         self._fill("signals", "lowpass_khz", self.lowpass_khz)
         check_depth(self.tube, self.indentation)
@@ -115,7 +115,7 @@ class Config:
 
 
 def _check_sections(config: Any) -> None:
-    """Refuse what is not a section where one belongs."""
+    """Raise if a section is not of its class."""
     for field in dataclasses.fields(config):
         value, section = getattr(config, field.name), SECTIONS[field.name]
         if not isinstance(value, section):

@@ -83,7 +83,7 @@ def configured(
 
 
 def is_whole(name: str) -> bool:
-    """Tell whether a setting is a whole number."""
+    """Return whether a setting is a whole number."""
     fields = dataclasses.fields(SECTIONS[section_of(name)])
     (rule,) = (field.metadata["rule"] for field in fields if field.name == name)
     return isinstance(rule, Number) and rule.whole
@@ -108,7 +108,7 @@ def read_document(path: Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If there is none, or it is not TOML.
+        If it cannot be read, or is not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
@@ -153,7 +153,7 @@ def _make_absolute(given: dict[str, dict[str, Any]], folder: Path) -> None:
 
 
 def _check_names(path: Path, section: str, values: Any) -> None:
-    """Refuse what is not a known section with known settings in it."""
+    """Raise unless this is a known section with known settings."""
     if section in SECTIONS and not isinstance(values, dict):
         raise ConfigError(
             f"{path}: {section} must be a section, written [{section}] above its settings"
@@ -174,7 +174,7 @@ def _check_names(path: Path, section: str, values: Any) -> None:
 
 
 def describe(name: str, default: Any = None) -> str:
-    """Return what a setting means, its default (or another) and what it may be, in words."""
+    """Describe a setting: its meaning, its default (or another), and its range."""
     section = _SECTION_OF[name]
     (field,) = (f for f in dataclasses.fields(SECTIONS[section]) if f.name == name)
     rule = field.metadata["rule"]
@@ -188,7 +188,7 @@ def describe(name: str, default: Any = None) -> str:
 
 
 def to_toml(config: Config | Mechanics) -> str:
-    """Return the settings as a TOML document that :func:`load_config` reads back as they are.
+    """Write the settings as a TOML document that :func:`load_config` reads back unchanged.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""User settings: what a person may ask for, in human units, checked before anything is computed.
+"""User settings in the units that people type, checked before anything is computed.
 
 Each section is a frozen dataclass whose fields carry their own rule (range or choice), so that one
 check serves them all; :class:`Config` adds the checks that need more than one section. This module
-imports nothing heavy: wrong settings are refused at once.
+imports nothing heavy: wrong settings are rejected at once.
 """
 
 from __future__ import annotations

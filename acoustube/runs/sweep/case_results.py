@@ -100,11 +100,11 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
     rangings = [ranging for _, ranging in rows.values()]
     found = {
         "pressure": ("press source_end time", padded, "1",
-                     "mean pressure on the probe plane, as a share of the pulse's peak"),
+                     "mean pressure on the probe plane, relative to the pulse's peak"),
         "estimated_distance": ("press source_end", _taken(rangings, "distance"), "m",
-                               "distance that the highest echo tells"),
+                               "distance of the highest echo"),
         "echo_amplitude": ("press source_end", _taken(rangings, "amplitude"), "1",
-                           "highest echo, as a share of the send pulse"),
+                           "highest echo, relative to the send pulse"),
         "send_time": ("press source_end", _taken(rangings, "send_time"), "s",
                       "maximum of the send pulse"),
         "return_time": ("press source_end", _taken(rangings, "return_time"), "s",
@@ -114,7 +114,7 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
     coordinates = {
         "press": variable("press", list(cases), "1", "name of the case"),
         "source_end": variable(
-            "source_end", list(sound.SOURCE_ENDS), "1", "what the source end does after the pulse"
+            "source_end", list(sound.SOURCE_ENDS), "1", "boundary condition after the pulse"
         ),
         "time": variable(
             "time", np.arange(longest) * sound.TIME_STEP, "s",
@@ -176,7 +176,7 @@ def _labels(configs: Sequence[Config]) -> dict[str, Any]:
 def _measured(pressed: Pressed, n: int) -> dict[str, Any]:
     """Return force and lumen of a press, for each of n cases."""
     table = {
-        "force": (pressed.force, "N", "force of the tool on the whole tube"),
+        "force": (pressed.force, "N", "force of the indenter on the whole tube"),
         "lumen_height": (pressed.height, "m", "height of the lumen at the press"),
         "lumen_width": (pressed.width, "m", "width of the lumen at the press"),
         "lumen_area": (pressed.area, "m2", "cross-section of the lumen at the press"),
@@ -185,5 +185,5 @@ def _measured(pressed: Pressed, n: int) -> dict[str, Any]:
         name: variable("press", np.full(n, value), units, text)
         for name, (value, units, text) in table.items()
     }
-    text = "whether the lumen's walls feel each other"
+    text = "whether the lumen's walls are in contact"
     return found | {"closed": flag("press", np.full(n, pressed.closed), text)}

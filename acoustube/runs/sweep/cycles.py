@@ -1,4 +1,4 @@
-"""Cycles of a rangefinder for each case of a sweep, labelled: a piece of a dataset."""
+"""Labelled cycles of a rangefinder for each case of a sweep."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from acoustube.runs.sweep.plan import digest, tube_name
 from acoustube.waves import Scattering
 
 LONGEST_SESSION = 72_000
-"""Cycles, an hour of them, over which a session's cases are spread."""
+"""Cycles of an hour, over which a session's cases are spread."""
 SIGNAL_CHUNK = 64
-"""Cycles that are read at once at the least."""
+"""Cycles per chunk of the file."""
 CARRIED = {
     "true_distance": "m", "depth": "m", "force": "N", "diameter": "m", "shape": "1",
     "lumen_area": "m2", "lumen_height": "m", "inner_diameter": "m", "wall_thickness": "m",
@@ -39,7 +39,7 @@ CARRIED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How cycles are recorded of each case.
+    """Settings of the recording of cycles.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Recipe:
         Of each specimen, each with a drift and an error of the temperature of its own.
     seed : int
     rangefinder : Rangefinder or None
-        With None that of the paper, at the case's carrier frequency.
+        With None the default one, at the case's carrier frequency.
     """
 
     n_cycles: int = 50
@@ -62,12 +62,12 @@ class Recipe:
 
     @property
     def per_case(self) -> int:
-        """How many cycles a case has in all."""
+        """Cycles of a case over all tubes and sessions."""
         return self.n_cycles * self.n_tubes * self.n_sessions
 
     @property
     def name(self) -> str:
-        """Hash of all that it says."""
+        """Hash of all settings."""
         own = None if self.rangefinder is None else self.rangefinder.to_json()
         return digest([self.n_cycles, self.n_tubes, self.n_sessions, self.seed, own, __version__])
 
@@ -79,7 +79,7 @@ class Recipe:
 
 
 def seed_of(*what: Any) -> int:
-    """Return a seed that belongs to what is named, and to nothing else."""
+    """Return a seed derived from the arguments by hashing."""
     return int(digest(what)[:15], 16)
 
 
@@ -116,14 +116,14 @@ def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If the rangefinder hears sound of which the press's scattering is not known.
+        If the rangefinder's band exceeds that of the press's scattering matrix.
     """
     return next(_recorded(name, path, dataclasses.replace(recipe, n_cycles=1)))
 
 
 @lru_cache(maxsize=64)
 def _opened(path: Path) -> tuple[xr.Dataset, Scattering | None]:
-    """Return what cycles are made of from a sweep's file; its cases come back one by one."""
+    """Return cases and scattering of a sweep's file; cached, as cases are asked for one by one."""
     data, matrix = store.read(path)
     return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)
 
@@ -158,7 +158,7 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
 
 
 def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
-    """Return a rangefinder whose temperature is off by what it may be, as drawn for a session."""
+    """Return a rangefinder with a temperature error drawn for a session."""
     most = rangefinder.temperature_bias
     bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
     return dataclasses.replace(rangefinder, temperature_bias=float(bias))

@@ -41,7 +41,7 @@ RANGES = {
     "shear_modulus": ("shear modulus", 1e-6, "MPa"), "tube_length": ("tube length", 1e2, "cm"),
     "carrier_frequency": ("carrier", 1e-3, "kHz"),
 }  # fmt: skip
-"""Labels whose range a dataset card tells, in human units."""
+"""Labels whose range stands on a dataset card: name, factor from SI, unit."""
 CARD_TEXT = """\
 # Cycles of a rangefinder on a soft acoustic waveguide
 
@@ -110,7 +110,7 @@ def run_dataset(
     Raises
     ------
     ConfigError
-        If there is no sweep, or the folder holds something else.
+        If a folder is not a sweep's, or `out` holds something else.
     SimulationError
         If a case cannot be recorded.
     """
@@ -241,7 +241,7 @@ def _task(
 
 
 def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
-    """Refuse a rangefinder that hears sound of which a press's scattering is not known."""
+    """Reject a rangefinder whose band exceeds that of a press's scattering matrix."""
     first = {path: name for cases in parts.values() for name, path in cases}
     for path, name in first.items():
         try:
@@ -254,7 +254,7 @@ def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe)
 
 
 def read_rangefinder(path: Path) -> Rangefinder:
-    """Return the rangefinder that a TOML file describes.
+    """Read the parameters of a rangefinder from a TOML file.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def read_rangefinder(path: Path) -> Rangefinder:
 
 
 def card(data: xr.Dataset, recipe: Recipe) -> str:
-    """Return what a dataset is, how it was made and what it covers, in Markdown.
+    """Return the dataset card in Markdown: content, origin and ranges.
 
     Parameters
     ----------

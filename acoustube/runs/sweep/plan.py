@@ -1,7 +1,7 @@
 """The plan of a sweep: which settings take which values, and the cases that follow.
 
-Nothing heavy is imported, and a case is made only when it is asked for, so that a plan of a million
-cases can be looked at in seconds.
+Nothing heavy is imported, and cases are made one by one, so that the size of a plan of a million
+cases is known in seconds.
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ import dataclasses
 import hashlib
 import json
 import math
-import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from acoustube.base.errors import ConfigError, short
-from acoustube.base.files import toml_array
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
 from acoustube.base.version import __version__
 from acoustube.runs.config import (
@@ -30,38 +27,27 @@ from acoustube.runs.config import (
     read_document,
     section_of,
 )
+from acoustube.runs.sweep.plan_text import (
+    MOST_CASES,
+    Interval,
+    Values,
+    axis_of,
+    parsed,
+    to_toml_value,
+)
 
 DEFAULTS: Given = {
     "waves": {"method": "scattering", "losses": "on", "resolution": 16},
 }
-"""Where a sweep departs from the settings' own defaults: each press is computed once, with losses,
-on a grid that gives reflections to 0.005."""
+"""Defaults of a sweep that differ from those of a single run: each press is computed once, with
+losses, on a grid that gives reflections to 0.005."""
 
-MOST_CASES = 10_000_000
 SAMPLERS = ("sobol", "latin")
 COUNT = Number(1, MOST_CASES, "", "cases of a random plan", whole=True)
 SEED = Number(0, 2**63 - 1, "", "seed of a random plan", whole=True)
 SAMPLER = Choice(SAMPLERS, "how a random plan fills the ranges")
 RANDOM: dict[str, Number | Choice] = {"count": COUNT, "sampler": SAMPLER, "seed": SEED}
 """Settings of a random plan, with their rules."""
-
-Values = tuple[Any, ...]
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A range of which a random plan takes values.
-
-    Attributes
-    ----------
-    low, high : float
-    """
-
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{short(self.low)}:{short(self.high)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +111,7 @@ class Plan:
         return {n: v for n, v in self.over.items() if not isinstance(v, Interval)}
 
     def columns(self) -> dict[str, Any]:
-        """Return what varies, a value for each case, by name of the setting."""
+        """Return the values of each varied setting, one for each case."""
         import numpy as np
 
         if self.cases:
@@ -143,12 +129,12 @@ class Plan:
         }
 
     def configs(self, numbers: Sequence[int] | None = None) -> Iterator[Config]:
-        """Yield the settings of each case, or of those of the given numbers.
+        """Yield the settings of each case, or of the cases with given numbers.
 
         Raises
         ------
         ConfigError
-            If a case cannot be; it is named by what varies.
+            If a case is not valid; the message names its varied settings.
         """
         columns = self.columns()
         for i in range(len(self)) if numbers is None else numbers:
@@ -179,7 +165,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
 
 
 def _sampled(plan: Plan) -> dict[str, Any]:
-    """Return the values of a random plan; those of a list are taken equally often."""
+    """Draw the values of a random plan; those of a list are taken equally often."""
     import warnings
 
     import numpy as np
@@ -188,7 +174,7 @@ def _sampled(plan: Plan) -> dict[str, Any]:
     engine = {"sobol": qmc.Sobol, "latin": qmc.LatinHypercube}[plan.sampler]
     drawn = engine(len(plan.over) or 1, seed=np.random.default_rng(plan.seed))
     with warnings.catch_warnings():
-        # That a number of cases other than a power of two is less even is for the user to choose.
+        # The user may choose a number of cases that is no power of two, and so less even.
         warnings.simplefilter("ignore", UserWarning)
         points = drawn.random(plan.count)
     found = {}
@@ -205,96 +191,6 @@ def _sampled(plan: Plan) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """Return a number or a word of NumPy as Python's own."""
     return value.item() if hasattr(value, "item") else value
-
-
-def parsed(name: str, words: Sequence[str]) -> Values | Interval:
-    """Return the values of a setting as they are written on the command line.
-
-    Parameters
-    ----------
-    name : str
-        Of the setting.
-    words : sequence of str
-        Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
-
-    Returns
-    -------
-    tuple or Interval
-
-    Raises
-    ------
-    ConfigError
-        If a range is none.
-    """
-    if len(words) == 1 and words[0].count(":") == 1:
-        low, high = (_number(name, words[0], part) for part in words[0].split(":"))
-        return Interval(float(low), float(high))
-    values: list[Any] = []
-    for word in words:
-        if ":" in word:
-            values += _range(name, word)
-        else:
-            values.append(_literal(word))
-    return tuple(values)
-
-
-def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[str, list[str]]:
-    """Return settings written as name=value,value, by name, unless they are taken already.
-
-    Raises
-    ------
-    ConfigError
-        If one is not written so, is not a setting, or is given twice.
-    """
-    found: dict[str, list[str]] = {}
-    for word in words:
-        name, equals, values = word.partition("=")
-        if not equals:
-            raise ConfigError(f"vary = {word} gives no values; write NAME=VALUE,VALUE")
-        section_of(name)
-        if name in found or name in taken:
-            raise ConfigError(f"{name} is given twice; give it once")
-        found[name] = values.split(",")
-    return found
-
-
-def _range(name: str, word: str) -> list[float]:
-    """Return the values of first:last:step, computed exactly from the digits that are written."""
-    parts = word.split(":")
-    if len(parts) != 3:
-        raise ConfigError(f"{name} = {word} is no range; write first:last:step")
-    first, last, step = (_number(name, word, part) for part in parts)
-    if step <= 0 or last < first:
-        raise ConfigError(f"{name} = {word} has no values; let it rise, with a step over 0")
-    if (last - first) / step > MOST_CASES:
-        raise ConfigError(f"{name} = {word} has over {MOST_CASES:.0e} values; use a larger step")
-    return [float(first + i * step) for i in range(int((last - first) / step) + 1)]
-
-
-def _number(name: str, word: str, part: str) -> Fraction:
-    """Return a number exactly, if it is within the range of a float."""
-    try:
-        if re.search(r"e[+-]?\d{4}", part, re.IGNORECASE):  # as a fraction it may fill the memory
-            raise OverflowError
-        number = Fraction(part.strip())
-        float(number)
-        return number
-    except (ValueError, ZeroDivisionError, OverflowError) as error:
-        raise ConfigError(
-            f"{name} = {word} is no range of numbers; write first:last:step, such as 0:8:0.5"
-        ) from error
-
-
-def _literal(word: str) -> Any:
-    """Return a number where the word is one."""
-    try:
-        return int(word)
-    except ValueError:
-        pass
-    try:
-        return float(word)
-    except ValueError:
-        return word
 
 
 def load_plan(
@@ -329,7 +225,7 @@ def load_plan(
     sweep = _checked_section(path, document.pop("sweep", {}))
     document.pop("acoustube_version", None)
     shared = given_in(Path(path), document) if path is not None else {}
-    axes = {name: _axis(path, name, values) for name, values in sweep.get("over", {}).items()}
+    axes = {name: axis_of(path, name, values) for name, values in sweep.get("over", {}).items()}
     cases = tuple(sweep.get("case", ()))
     if "case" in sweep and not cases:
         raise ConfigError(f"{path}: [[sweep.case]] is empty and so the plan has no cases; add some")
@@ -361,7 +257,7 @@ def load_plan(
 
 
 def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
-    """Return the section [sweep] of a file, once it is what a plan has."""
+    """Validate the section [sweep] of a file, and return it."""
     known = ("over", "case", *RANDOM)
     if not isinstance(sweep, dict):
         raise ConfigError(f"{path}: sweep must be a section, written [sweep] or [sweep.over]")
@@ -377,18 +273,6 @@ def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
     return sweep
 
 
-def _axis(path: Any, name: str, values: Any) -> Values | Interval:
-    """Return the values of a setting as a file gives them: a list, one value, or a range."""
-    if isinstance(values, str):
-        return parsed(name, [values])
-    if isinstance(values, dict):
-        raise ConfigError(f"{path}: [sweep.over] {name} must be a list or a range, such as [1, 2]")
-    found: list[Any] = []
-    for value in values if isinstance(values, list) else [values]:
-        found += _range(name, value) if isinstance(value, str) and ":" in value else [value]
-    return tuple(found)
-
-
 def to_toml(plan: Plan) -> str:
     """Return a plan as a TOML document that :func:`load_plan` reads back as it is."""
     import tomlkit
@@ -398,24 +282,17 @@ def to_toml(plan: Plan) -> str:
     document.add(tomlkit.nl())
     for section, values in plan.given.items():
         if values:
-            document.add(section, tomlkit.item({n: _toml(v) for n, v in values.items()}))
+            document.add(section, tomlkit.item({n: to_toml_value(v) for n, v in values.items()}))
             document.add(tomlkit.nl())
     sweep: dict[str, Any] = {}
     if plan.count:
         sweep |= {"count": plan.count, "sampler": plan.sampler, "seed": plan.seed}
     if plan.over:
-        sweep["over"] = {name: _toml(values) for name, values in plan.over.items()}
+        sweep["over"] = {name: to_toml_value(values) for name, values in plan.over.items()}
     if plan.cases:
-        sweep["case"] = [{n: _toml(v) for n, v in case.items()} for case in plan.cases]
+        sweep["case"] = [{n: to_toml_value(v) for n, v in case.items()} for case in plan.cases]
     document.add("sweep", tomlkit.item(sweep))
     return tomlkit.dumps(document)
-
-
-def _toml(value: Any) -> Any:
-    """Return a value, or the values of an axis, for a TOML document."""
-    if isinstance(value, Interval):
-        return str(value)
-    return toml_array(value) if isinstance(value, tuple) else value
 
 
 def case_name(config: Config) -> str:

@@ -29,7 +29,7 @@ from acoustube.runs.sweep.graph import Case, LoadPath, load_paths, only_cases, s
 from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.runs.sweep.progress import Board, totals_of
 from acoustube.runs.sweep.runner import Runner
-from acoustube.runs.sweep.workers import Task, Workers, count_of, crew, run_tasks
+from acoustube.runs.sweep.workers import Task, Workers, count_of, run_tasks, worker_pool
 
 LISTED = 10
 """Failed cases that are printed."""
@@ -106,7 +106,7 @@ def run_sweep(
     _note_contents(folder, found, report)
     work = work_of(cases, folder, found, share, retry)
     _note_other_plan(plan, folder, found, {case.name for case in cases}, report)
-    store.forget_failures(folder, found.finished.keys() & store.failures(folder).keys())
+    store.delete_failures(folder, found.finished.keys() & store.failures(folder).keys())
     with partial_file(folder / store.PLAN) as part:
         part.write_text(to_toml(plan), encoding="utf-8")
     at_once: int = width or getattr(executor, "_max_workers", None) or count_of(workers)
@@ -158,7 +158,7 @@ def run_in_sight(
     SimulationError
         See :func:`acoustube.runs.sweep.workers.run_tasks`.
     """
-    with crew(workers) as processes:
+    with worker_pool(workers) as processes:
         run_tasks(tasks, executor or processes, width or processes.count, board.tick)
 
 

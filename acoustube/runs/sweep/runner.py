@@ -112,7 +112,7 @@ class Runner:
             if data is not None:
                 sound = None if matrix is None else to_dataset(matrix)
                 store.write(self.folder, data, sound, pressed.walls)
-                store.forget_failures(self.folder, configs.keys() - reasons)
+                store.delete_failures(self.folder, configs.keys() - reasons)
             for name, reason in reasons.items():
                 self._fail([Case(name, configs[name])], reason, None)
             self.done["case"] += len(configs) - len(reasons)

@@ -36,13 +36,13 @@ WALLS = "walls"
 """Group of a file with the walls of its pressed tube; earlier files have none."""
 PARTIAL = ".acoustube-partial-"
 ABANDONED = 3600.0
-"""Seconds after which a file that is half written is nobody's."""
+"""Age in s at which a partial file counts as left behind by a killed run."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What a full disk, or a used-up share of it, is reported as."""
+"""Error numbers of a full disk, or of a used-up quota."""
 
 
 class Contents(NamedTuple):
-    """What there is in a sweep's folder.
+    """Contents of a sweep's folder.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ def prepared(path: str | Path) -> Path:
 
 
 def _begun(folder: Path) -> bool:
-    """Tell whether a folder is a sweep's: it has a plan, or nothing but what will be one."""
+    """Return whether a folder is a sweep's: it has a plan, or only one that is being written."""
     if not folder.is_dir() or (folder / PLAN).is_file():
         return folder.is_dir()
     names = [path.name for path in folder.iterdir()]
@@ -95,7 +95,7 @@ def _begun(folder: Path) -> bool:
 
 
 def _sweep_up(folder: Path) -> None:
-    """Remove what a killed run has left half written, once nobody can be writing it."""
+    """Delete old partial files, which killed runs have left behind."""
     for path in folder.glob(f"{PARTIAL}*"):
         with contextlib.suppress(OSError):
             if path.is_file() and time.time() - path.stat().st_mtime > ABANDONED:
@@ -103,7 +103,7 @@ def _sweep_up(folder: Path) -> None:
 
 
 def contents(folder: Path) -> Contents:
-    """Return what there is in a sweep's folder, once its results have been checked."""
+    """Return the contents of a sweep's folder, after a check of its results."""
     finished: dict[str, Path] = {}
     damaged: list[Path] = []
     foreign: list[Path] = []
@@ -118,13 +118,13 @@ def contents(folder: Path) -> Contents:
 
 
 def _names(path: Path) -> list[str] | None:
-    """Return the cases of a file of results, or None if it is not what was written."""
+    """Return the cases of a file of results, or None if it is damaged."""
     data = intact(path)
     return None if data is None else [str(name) for name in data["press"].values]
 
 
 def intact(path: Path) -> xr.Dataset | None:
-    """Return what is in a file, or None if that is not what was written."""
+    """Return the dataset of a file, or None if the file is damaged."""
     try:
         data, matrix = read(path)
         return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
@@ -226,7 +226,7 @@ def write_file(
 
 
 def unwritable(folder: Path, error: OSError) -> SimulationError:
-    """Return what is to be raised where a file cannot be written."""
+    """Return the error to raise for a file that cannot be written."""
     if error.errno in FULL:
         return SimulationError(
             f"{folder} cannot hold more: the disk is full; everything in it is intact, so make "
@@ -292,7 +292,7 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
         raise unwritable(folder, error) from error
 
 
-def forget_failures(folder: Path, names: Iterable[str]) -> None:
+def delete_failures(folder: Path, names: Iterable[str]) -> None:
     """Remove the records of failed cases."""
     for name in names:
         (folder / FAILURES / f"{name}.json").unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Tasks on many workers: whatever happens to one of them, the others go on."""
+"""Tasks on many worker processes; a task or a worker that fails stops no other."""
 
 from __future__ import annotations
 
@@ -55,35 +55,35 @@ def dask_executor(address: str) -> tuple[Executor, int]:
 
 
 def _reach(address: str) -> None:
-    """Connect to a scheduler for a moment: a client that cannot tells so twice, and late."""
+    """Connect to a scheduler briefly: the client itself reports a failure twice, and late."""
     place = urlsplit(address if "//" in address else f"//{address}")
     if place.scheme in ("", "tcp", "tls"):
         socket.create_connection((place.hostname, place.port or 8786), timeout=10).close()
 
 
 ATTEMPTS = 3
-"""How often a task may lose its worker before it is given up."""
-GLANCE = 0.2
-"""Seconds between two looks at the workers."""
+"""Lost workers after which a task is given up."""
+POLL_INTERVAL = 0.2
+"""Seconds between polls of the workers."""
 GONE = "the workers or their scheduler are gone; start them and run the same command again"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A piece of work.
+    """A task, and the callbacks for its result.
 
     Attributes
     ----------
     stage : str
-        What kind it is.
+        Kind of task.
     work : callable
         A function of a module, which a worker can import.
     arguments : tuple
     then : callable
-        Called here with what `work` returned; it returns the tasks that can follow.
+        Called in this process with the result of `work`; returns the tasks that can follow.
     failed : callable
-        Called here with why it failed.
+        Called in this process with the reason of a failure.
     cost : float
         Seconds that it is expected to take.
     """
@@ -144,7 +144,7 @@ class Workers:
 
 
 @contextmanager
-def crew(workers: int | Workers | None) -> Iterator[Workers]:
+def worker_pool(workers: int | Workers | None) -> Iterator[Workers]:
     """Yield the workers that are given, or new ones, which are ended afterwards.
 
     Parameters
@@ -163,7 +163,7 @@ def crew(workers: int | Workers | None) -> Iterator[Workers]:
 
 
 def count_of(workers: int | Workers | None) -> int:
-    """Return how many workers :func:`crew` yields."""
+    """Return how many workers :func:`worker_pool` yields."""
     return workers.count if isinstance(workers, Workers) else workers or cores()
 
 
@@ -200,7 +200,7 @@ def run_tasks(
     try:
         while waiting or running:
             broken = not _hand_over(pool, waiting, running, width, lost)
-            finished, _ = wait(running, timeout=GLANCE, return_when=FIRST_COMPLETED)
+            finished, _ = wait(running, timeout=POLL_INTERVAL, return_when=FIRST_COMPLETED)
             tick()
             for future in finished:
                 broken |= _settle(future, running.pop(future), waiting, lost)
@@ -221,7 +221,7 @@ def run_tasks(
 
 
 def _settle(future: Future[Any], task: Task, waiting: deque[Task], lost: Counter[Task]) -> bool:
-    """Do what follows from a finished task; return whether its worker was lost."""
+    """Handle the result of a finished task; return whether its worker was lost."""
     try:
         result = future.result()
     except CancelledError as error:
@@ -262,13 +262,13 @@ def _hand_over(
 
 
 def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
-    """Let a task wait once more that has lost its worker, unless it always does."""
+    """Queue a task again that has lost its worker, up to ATTEMPTS times."""
     lost[task] += 1
     if lost[task] < ATTEMPTS:
         waiting.appendleft(task)
     else:
         task.failed(
-            f"its worker was killed {ATTEMPTS} times, as for want of memory; use fewer --workers"
+            f"its worker process died {ATTEMPTS} times (often: out of memory); use fewer --workers"
         )
 
 

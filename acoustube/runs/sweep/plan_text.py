@@ -1,0 +1,143 @@
+"""Values of a plan as text: on the command line, and in the axes of a TOML file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from acoustube.base.errors import ConfigError, short
+from acoustube.base.files import toml_array
+from acoustube.runs.config import section_of
+
+MOST_CASES = 10_000_000
+"""Most cases of a plan, and values of a range."""
+
+Values = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Range of a setting from which a random plan draws.
+
+    Attributes
+    ----------
+    low, high : float
+    """
+
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{short(self.low)}:{short(self.high)}"
+
+
+def parsed(name: str, words: Sequence[str]) -> Values | Interval:
+    """Parse the values of a setting from the command line.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting.
+    words : sequence of str
+        Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
+
+    Returns
+    -------
+    tuple or Interval
+
+    Raises
+    ------
+    ConfigError
+        If a range is not valid.
+    """
+    if len(words) == 1 and words[0].count(":") == 1:
+        low, high = (_number(name, words[0], part) for part in words[0].split(":"))
+        return Interval(float(low), float(high))
+    values: list[Any] = []
+    for word in words:
+        if ":" in word:
+            values += _range(name, word)
+        else:
+            values.append(_literal(word))
+    return tuple(values)
+
+
+def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[str, list[str]]:
+    """Parse settings written as name=value,value.
+
+    Raises
+    ------
+    ConfigError
+        If one is not written so, is not a setting, or is given twice or in `taken`.
+    """
+    found: dict[str, list[str]] = {}
+    for word in words:
+        name, equals, values = word.partition("=")
+        if not equals:
+            raise ConfigError(f"vary = {word} gives no values; write NAME=VALUE,VALUE")
+        section_of(name)
+        if name in found or name in taken:
+            raise ConfigError(f"{name} is given twice; give it once")
+        found[name] = values.split(",")
+    return found
+
+
+def _range(name: str, word: str) -> list[float]:
+    """Return the values of first:last:step, computed exactly from the digits that are written."""
+    parts = word.split(":")
+    if len(parts) != 3:
+        raise ConfigError(f"{name} = {word} is not a range; write first:last:step")
+    first, last, step = (_number(name, word, part) for part in parts)
+    if step <= 0 or last < first:
+        raise ConfigError(f"{name} = {word} has no values; it must rise, with a step over 0")
+    if (last - first) / step > MOST_CASES:
+        raise ConfigError(f"{name} = {word} has over {MOST_CASES:.0e} values; use a larger step")
+    return [float(first + i * step) for i in range(int((last - first) / step) + 1)]
+
+
+def _number(name: str, word: str, part: str) -> Fraction:
+    """Return a number exactly, within the range of a float."""
+    try:
+        if re.search(r"e[+-]?\d{4}", part, re.IGNORECASE):  # as a fraction it may fill the memory
+            raise OverflowError
+        number = Fraction(part.strip())
+        float(number)
+        return number
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        raise ConfigError(
+            f"{name} = {word} is not a range of numbers; write first:last:step, such as 0:8:0.5"
+        ) from error
+
+
+def _literal(word: str) -> Any:
+    """Return a number where the word is one."""
+    try:
+        return int(word)
+    except ValueError:
+        pass
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def axis_of(path: Any, name: str, values: Any) -> Values | Interval:
+    """Return the values of a setting as a file gives them: a list, one value, or a range."""
+    if isinstance(values, str):
+        return parsed(name, [values])
+    if isinstance(values, dict):
+        raise ConfigError(f"{path}: [sweep.over] {name} must be a list or a range, such as [1, 2]")
+    found: list[Any] = []
+    for value in values if isinstance(values, list) else [values]:
+        found += _range(name, value) if isinstance(value, str) and ":" in value else [value]
+    return tuple(found)
+
+
+def to_toml_value(value: Any) -> Any:
+    """Return a value, or the values of an axis, for a TOML document."""
+    if isinstance(value, Interval):
+        return str(value)
+    return toml_array(value) if isinstance(value, tuple) else value
