@@ -7,7 +7,7 @@ from acoustube import signals
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.signals import Processing
-from acoustube.sleeve import ContactTracker, Following, Helix, contacts_of_their_own, nearest
+from acoustube.sleeve import ContactTracker, Following, Helix, nearest, remove_ghost_echoes
 from acoustube.waves import Pulse
 
 CYCLE = 0.05
@@ -135,7 +135,7 @@ def test_swipe_along_the_arm_is_followed_across_loops():
 def test_echoes_that_another_one_explains_are_no_contacts(echoes, own):
     places, heights = np.array(list(echoes)), np.array(list(echoes.values()))
     for order in (slice(None), slice(None, None, -1)):
-        np.testing.assert_allclose(contacts_of_their_own(places[order], heights[order]), own)
+        np.testing.assert_allclose(remove_ghost_echoes(places[order], heights[order]), own)
 
 
 def test_what_cannot_be_followed_is_refused():

@@ -1,4 +1,7 @@
-"""Which echoes of a cycle are contacts of their own, and which come with another's."""
+"""Removal of ghost echoes: filter side lobes, trapped sound and multiple reflections.
+
+The thresholds were set on the simulated presses of ``acoustube reproduce human``.
+"""
 
 from __future__ import annotations
 
@@ -7,64 +10,66 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.types import Array
 
-LOBE = 0.12
-"""Height of a low-pass's lobe beside an echo, as a share of it, at most."""
-LOBE_REACH = 0.10
-"""How far from its echo a lobe is, in m."""
-TRAPPED = 0.18
-"""How far behind a press the sound that it traps is told, in m."""
-LOUDER = 2.0
-"""By what an echo must stand over one that is nearer by less than that, to be another press's."""
-BETWEEN = 0.04
-"""How exactly sound that went to and fro between two presses is told, in m."""
+SIDE_LOBE_RATIO = 0.12
+"""Largest amplitude of a side lobe of the low-pass filter, relative to its echo."""
+SIDE_LOBE_DISTANCE = 0.10
+"""Largest distance between a side lobe and its echo, in m."""
+TRAPPED_SOUND_DISTANCE = 0.18
+"""Largest distance behind a press at which trapped sound appears, in m."""
+SECOND_PRESS_RATIO = 2.0
+"""Least amplitude of another press within that distance, relative to the nearer one."""
+MULTIPLE_REFLECTION_TOLERANCE = 0.04
+"""Tolerance of the distance of a multiple reflection between two presses, in m."""
 
 
-def contacts_of_their_own(places: ArrayLike, heights: ArrayLike) -> Array:
-    """Return the echoes that no other one of the cycle explains.
+def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
+    """Remove the echoes of a cycle that are caused by another contact of the cycle.
 
     Parameters
     ----------
     places, heights : array_like of shape (n,)
-        Of the candidate echoes of one sensor, distances in m and heights in any unit; nan is none.
+        Distances in m and amplitudes in any unit of the candidate echoes of one sensor; nan where
+        there is no echo.
 
     Returns
     -------
-    ndarray
-        Their places, from near to far.
+    ndarray of shape (m,)
+        Distances of the remaining echoes in m, in increasing order.
 
     Notes
     -----
-    From near to far, an echo is left out if it is
+    In the order of distance, an echo is removed if it is
 
-    1. a lobe: under 12 % of an echo less than 10 cm away, which is what the low-pass of the
-       processing leaves beside it;
-    2. trapped sound: less than 18 cm behind a press and not twice as high, since deep presses send
-       back what they trapped beside them as much as 1 ms late;
-    3. sound that went from a press b back to a nearer press a and to b again, told at 2 b - a, and
-       lower than that of b.
+    1. a side lobe of the low-pass filter: under 12 % of an echo less than 10 cm away;
+    2. trapped sound: less than 18 cm behind a press and not twice as high, since sound trapped
+       near a deep press leaks out as much as 1 ms late;
+    3. a multiple reflection: from a press b to a nearer press a and to b again, which arrives from
+       the distance 2 b - a, and is lower than the echo of b.
 
-    Two presses nearer to each other than 18 cm are told as one, unless the farther is heard twice
-    as high. What is trapped for longer than 1 ms is not told from a press that a harder one in
-    front of it hides.
+    Two presses less than 18 cm apart are one contact, unless the farther echo is twice as high.
+    Sound that is trapped for longer than 1 ms cannot be distinguished from another press behind a
+    harder one.
     """
     place, height = (np.asarray(values, float).ravel() for values in (places, heights))
     order = np.argsort(place)[: np.count_nonzero(np.isfinite(place))]  # nan goes to the end
     place, height = place[order], height[order]
-    near = np.abs(place[:, None] - place) < LOBE_REACH
-    lobe = np.any(near & (height[:, None] < LOBE * height), axis=1)
+    near = np.abs(place[:, None] - place) < SIDE_LOBE_DISTANCE
+    lobe = np.any(near & (height[:, None] < SIDE_LOBE_RATIO * height), axis=1)
     kept: list[int] = []
     for i in np.flatnonzero(~lobe).tolist():
-        if not kept or not _comes_with(i, np.array(kept), place, height):
+        if not kept or not _is_ghost(i, np.array(kept), place, height):
             kept.append(i)
     return place[kept]
 
 
-def _comes_with(i: int, kept: NDArray[np.int64], places: Array, heights: Array) -> bool:
-    """Tell whether an echo comes with those of nearer presses."""
+def _is_ghost(i: int, kept: NDArray[np.int64], places: Array, heights: Array) -> bool:
+    """Return whether an echo is trapped sound or a multiple reflection of nearer presses."""
     last = kept[-1]
-    if places[i] - places[last] < TRAPPED and heights[i] < LOUDER * heights[last]:
+    close = places[i] - places[last] < TRAPPED_SOUND_DISTANCE
+    if close and heights[i] < SECOND_PRESS_RATIO * heights[last]:
         return True
-    again = 2 * places[kept][:, None] - places[kept]
+    multiple = 2 * places[kept][:, None] - places[kept]
     nearer = places[kept][:, None] > places[kept]
     lower = heights[i] < heights[kept][:, None]
-    return bool(np.any(nearer & lower & (np.abs(places[i] - again) < BETWEEN)))
+    near = np.abs(places[i] - multiple) < MULTIPLE_REFLECTION_TOLERANCE
+    return bool(np.any(nearer & lower & near))

@@ -136,8 +136,8 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
         ranging = known.update(cycle["signal"].values[0], warmth)
         loud = ranging.echoes.amplitudes >= LEAST * ranging.amplitude
         found = signals.distance(ranging.echoes.times[loud] - ranging.send_time, warmth)
-        presses_heard = sleeve.contacts_of_their_own(found, ranging.echoes.amplitudes[loud])
-        contacts.append(following.update(float(at), presses_heard))
+        presses_found = sleeve.remove_ghost_echoes(found, ranging.echoes.amplitudes[loud])
+        contacts.append(following.update(float(at), presses_found))
         seconds.append(time.thread_time() - begun)
         candidates.append(found[np.isfinite(found)])
     return Track(times, true, candidates, contacts, np.array(seconds))
