@@ -85,7 +85,7 @@ class Machine:
     packages : dict of str
         Versions; empty where a package is missing.
     device, precision : str
-        What JAX computes on.
+        Device and precision that JAX computes with.
     cores, threads : int
         That this process may use; threads of the compiled kernels.
     memory_gb, memory_free_gb : float or None
@@ -93,7 +93,7 @@ class Machine:
     cache_folder : str
     cache_writable : bool
     disk_free_gb : float
-        Where the cache is.
+        On the disk of the cache.
     extras : tuple of Extra
     """
 

@@ -11,7 +11,8 @@ from zipfile import is_zipfile
 
 from acoustube.base.errors import ConfigError
 from acoustube.cli._options import FLAG
-from acoustube.cli.references import TOPICS, Reference, references
+from acoustube.cli._reference import Reference
+from acoustube.cli.references import TOPICS, references
 
 CREASING = 0.72
 """Share of the bore beyond which the inner surface of the folds may crease."""

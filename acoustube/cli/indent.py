@@ -74,7 +74,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     Raises
     ------
     ConfigError
-        If the folder cannot be made, or an imported surface is no tube.
+        If the folder cannot be made, or an imported surface is not a tube.
     PressError
         If the press stopped before the last depth; the folder then holds what had converged.
     """

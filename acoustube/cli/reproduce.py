@@ -1,4 +1,4 @@
-"""The command ``acoustube reproduce``: the paper's studies, one after another, and their report."""
+"""The command ``acoustube reproduce``: published studies, one after another, and their report."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def _write_index(folder: Path) -> None:
     )
     (folder / "index.html").write_text(
         '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>acoustube: studies'
-        f"</title>\n<h1>The paper's studies</h1>\n<ul>\n{links}\n</ul>\n<p>acoustube "
+        f"</title>\n<h1>Published studies</h1>\n<ul>\n{links}\n</ul>\n<p>acoustube "
         f'{__version__}; all numbers: <a href="table.csv">table.csv</a></p>\n',
         encoding="utf-8",
     )

@@ -36,12 +36,12 @@ LISTED = 10
 
 
 class Work(NamedTuple):
-    """What a plan asks for, and what of it is there.
+    """Cases of a plan: finished, failed and remaining.
 
     Attributes
     ----------
     todo : list of LoadPath
-        What remains.
+        Load paths of the remaining cases.
     finished : int
         Cases.
     failed : dict of str
@@ -226,7 +226,7 @@ def _note_other_plan(
 
 
 def _names_of(path: Path) -> set[str]:
-    """Return the names of the cases of a plan in a file; none if it is no plan."""
+    """Return the names of the cases of a plan in a file; none if it is not a plan."""
     try:
         return {case_name(config) for config in load_plan(path).configs()}
     except ConfigError:
