@@ -16,14 +16,10 @@ from pathlib import Path
 import numpy as np
 
 import acoustube
-from acoustube import estimation
+from acoustube import Recipe, estimation, load_plan, run_dataset, run_sweep
 from acoustube.estimation import FeatureSettings
 from acoustube.estimation.model import TARGETS
 from acoustube.reports.studies.flat import processing_of
-from acoustube.runs.sweep.cycles import Recipe
-from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
 from acoustube.runs.training import DISPLAY_UNITS
 
 OVER = {

@@ -13,10 +13,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from acoustube import Mechanics, load_config, pressed
 from acoustube.indentation import Indentation
 from acoustube.lumen import measure
-from acoustube.runs.config import Mechanics, load_config
-from acoustube.runs.presses import pressed
 
 TOOLS = (("rod", 10), ("rod", 25), ("rod", 35), ("punch", 10), ("sphere", 20))
 DEPTHS_MM = np.arange(0.5, 8.01, 0.5)

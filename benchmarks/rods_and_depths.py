@@ -11,10 +11,9 @@ import sys
 
 import numpy as np
 
-from acoustube import load_config
+from acoustube import load_config, pressed
 from acoustube.lumen import lumen, measure
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.presses import pressed
 from acoustube.runs.sound import listen, locate
 
 RODS_MM, DEPTHS_MM = (10.0, 25.0, 35.0), (2.0, 4.0, 6.0)

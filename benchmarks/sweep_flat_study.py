@@ -17,15 +17,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 import acoustube
+from acoustube import Recipe, load_plan, run_dataset, run_sweep
 from acoustube.lumen import whole_tube
 from acoustube.runs import sound
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.sweep import tasks as sweep_tasks
-from acoustube.runs.sweep.cycles import Recipe
-from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
 from acoustube.runs.sweep.workers import cores
 from acoustube.waves import cut_cells, grid_spacing, propagate
 

@@ -13,10 +13,9 @@ from time import perf_counter
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from acoustube import load_config
+from acoustube import load_config, pressed
 from acoustube.lumen import lumen, pressed_part
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.presses import pressed
 from acoustube.runs.sound import listen, listen_by_parts
 
 

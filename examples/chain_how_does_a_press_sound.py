@@ -2,17 +2,17 @@
 How does a press sound?
 =======================
 
-A soft tube is pressed by a rod. A pulse of ultrasound is sent into it, and comes back from the
-place where the lumen narrows. This is the whole chain in one call: the silicone, the air inside
-it, the sound, and the distance that the echo tells.
+A soft tube is pressed by a rod. A pulse of ultrasound is launched into it, and is reflected
+where the lumen narrows. This is the whole chain in one call: the silicone, the air inside
+it, the sound field, and the distance estimated from the echo.
 """
 
 # %%
-# Press and listen
-# ----------------
-# The settings that are not given are the paper's: a tube of 40 cm with a bore of 7.9 mm, pressed
+# Press and sound field
+# ---------------------
+# The default settings are the sleeve paper's: a tube of 40 cm with a bore of 7.9 mm, pressed
 # in its middle. The finite elements and the grid are coarser than usual here, to be quick. The
-# source end absorbs what comes back to it, so that the echo is heard once.
+# source end absorbs the returning wave, so that there is one echo.
 import matplotlib.pyplot as plt
 import numpy as np
 import pyvista
@@ -32,7 +32,7 @@ print(f"the echo says {100 * distance:.1f} cm, the press is at {100 * truth:.1f}
 # %%
 # The tube
 # --------
-# ``half_walls`` gives the deformed tube cut open along its length. The rod stands on it.
+# ``half_walls`` gives the deformed tube cut open along its length. The rod is above it.
 plotter = pyvista.Plotter(window_size=(1200, 560))
 for part, colour in (("outer", "tan"), ("inner", "steelblue"), ("cut", "wheat")):
     points, faces = half_walls(run)[part]
@@ -57,16 +57,19 @@ plotter.show()
 # The echo
 # --------
 # The send pulse passes the probe, 2 cm into the tube, at full height. The echo is 2 % of it: the
-# lower panel is drawn 20 times as high. What follows was trapped beside the rod for a while.
+# lower panel is drawn 20 times as high. Later peaks are sound that was trapped near the rod.
 time = 1e3 * run["time"].values
-heard = run.sel(source_end="absorbing")
+recorded = run.sel(source_end="absorbing")
 figure, panels = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained")
 for axes, limit in zip(panels, (1.05, 0.05), strict=True):
-    axes.plot(time, heard["pressure"], color="0.7", lw=0.7, label="pressure")
-    axes.plot(time, heard["envelope"], label="envelope")
+    axes.plot(time, recorded["pressure"], color="0.7", lw=0.7, label="pressure")
+    axes.plot(time, recorded["envelope"], label="envelope")
     axes.set(ylim=(-limit, limit), ylabel="share of the pulse")
 panels[1].plot(
-    1e3 * heard["return_time"], heard["echo_amplitude"], "o", label=f"echo: {100 * distance:.1f} cm"
+    1e3 * recorded["return_time"],
+    recorded["echo_amplitude"],
+    "o",
+    label=f"echo: {100 * distance:.1f} cm",
 )
 panels[1].set_xlabel("time (ms)")
 panels[1].legend(loc="upper right")

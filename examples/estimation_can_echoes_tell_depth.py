@@ -2,14 +2,14 @@
 Can echoes tell depth?
 ======================
 
-An estimator learns place, depth and force from labelled cycles of a simulated sensor, and says
-how sure it is. It is asked about presses that it has not met.
+An estimator of position, depth and force is trained on labelled cycles of a simulated sensor. Its
+errors and prediction intervals are evaluated on other presses.
 """
 
 # %%
 # Cycles of 160 presses
 # ---------------------
-# Places at random along a tube of 1.5 m, four depths of a 10 mm rod, three cycles of each. The
+# Random positions along a tube of 1.5 m, four depths of a 10 mm rod, three cycles of each. The
 # carrier of 20 kHz, at which the echo of this rod rises with depth, and the coarse grid keep it
 # short.
 import tempfile
@@ -20,11 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
-from acoustube import estimation
-from acoustube.runs.sweep.cycles import Recipe
-from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
+from acoustube import Recipe, estimation, load_plan, run_dataset, run_sweep
 from acoustube.signals import Processing
 
 plan = load_plan(
@@ -56,10 +52,10 @@ learned, asked = estimation.split(press, share=0.25)
 model = estimation.train(table.isel(cycle=learned), "echo", feature_settings, epochs=100)
 
 # %%
-# Ask about the others
-# --------------------
-# Beside each median error stands that of always saying the middle of the truths. The intervals
-# hold more of the truths than the 90 % that they state: presses in a tube that is known are easy.
+# Evaluate on the others
+# ----------------------
+# Each median error is printed with that of a constant estimate, the median of the true values. The
+# coverage of the intervals is above the nominal 90 %: presses in a known tube are easy.
 truth = table.isel(cycle=asked)
 estimates = estimation.estimate(model, truth)
 errors, constant = {}, {}
@@ -79,7 +75,7 @@ for name, label, unit, scale in targets:
 # %%
 # Estimates and their intervals
 # -----------------------------
-# Each point is a cycle, with the interval that is stated to hold the truth in 90 % of all cases.
+# Each point is a cycle, with its prediction interval of nominally 90 %.
 figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
 for axes, (name, label, unit, scale) in zip(panels, targets, strict=True):
     values = scale * truth[label].values

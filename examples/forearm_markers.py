@@ -2,7 +2,7 @@
 
 A forearm of 25 cm, 17 cm around at the wrist and 26 cm at the elbow, lies askew in the room. Eight
 markers each on its two sides, placed and seen to half a millimetre; one has slipped by 3 cm, one
-was not seen. Run it from anywhere; it writes the table beside itself.
+was not seen. Run it from anywhere; it writes the table to its own folder.
 """
 
 # %%

@@ -3,7 +3,7 @@ How does a D-shaped bore close?
 ===============================
 
 A tube need not be round. One whose bore is flat below, read as the surface of its wall from an
-STL file, is pressed here beside the paper's round one, which has the same outside.
+STL file, is compared here with the sleeve paper's round one of the same outer diameter.
 """
 
 # %%
@@ -44,9 +44,10 @@ presses = {
 }
 
 # %%
-# What is left of the lumen
-# -------------------------
-# The D holds less air, is lower, and its wall is thick below: the same depth closes more of it.
+# Remaining lumen area
+# --------------------
+# The D-shaped lumen is smaller and lower, with a thick wall below: the same depth closes more of
+# it.
 areas = {
     name: np.array([measure(press, i, np.zeros(1)).area[0] for i in range(len(press.depth))])
     for name, press in presses.items()
@@ -62,8 +63,8 @@ for name, press in presses.items():
 # In three dimensions
 # -------------------
 # A quarter is computed, since wall and rod are symmetric. Written as a VTU file, as for ParaView,
-# and read by PyVista, it is reflected once and leaves the tube cut open. Colours tell how far the
-# silicone has moved.
+# and read by PyVista, it is reflected once and leaves the tube cut open. Colours are the
+# displacement of the silicone.
 d_press = presses["D-shaped"]
 with tempfile.TemporaryDirectory() as folder:
     vtu.write(d_press.mesh, d_press.depth[-1:], d_press.displacement[-1:], Path(folder))

@@ -2,14 +2,14 @@
 How much does the support matter?
 =================================
 
-A tube on a plain floor tilts off it beside the press; one whose bottom line is held down does
-not. The section under the rod hardly notices, the force does.
+A tube on a plain floor tilts off it on both sides of the press; one whose bottom line is fixed
+does not. The section under the rod hardly depends on the support, the force does.
 """
 
 # %%
-# Press the paper's tube both ways
-# --------------------------------
-# The mesh is coarser than usual, which the comparison does not notice.
+# Press the sleeve paper's tube both ways
+# ---------------------------------------
+# The mesh is coarser than usual, which does not affect the comparison.
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -2,16 +2,16 @@
 What does a sensor record?
 ==========================
 
-A rangefinder hears the tube through its own resonance, with noise, and counts in whole steps.
-Here a recording of a press is made, written to a file as a real one might be, read back and
-processed, next to the same cycle from a rangefinder without any of that.
+A rangefinder records the echo filtered by its own resonance, with noise, and quantised.
+Here a recording of a press is simulated, written to a file like that of a real sensor, read back
+and processed, and compared with the same cycle of an ideal rangefinder.
 """
 
 # %%
 # A press
 # -------
-# Its scattering is computed once, and then stands 40 cm into a tube of 1.2 m. The band holds all
-# that the rangefinder's burst of 42 kHz contains.
+# Its scattering matrix is computed once, and placed 40 cm into a tube of 1.2 m. The band covers
+# the spectrum of the rangefinder's burst of 42 kHz.
 import dataclasses
 import tempfile
 from pathlib import Path
@@ -20,10 +20,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
-from acoustube import ranging, recordings, signals
+from acoustube import pressed, ranging, recordings, signals
 from acoustube.air import air_at
 from acoustube.lumen import pressed_part
-from acoustube.runs.presses import pressed
 from acoustube.runs.sound import scattering_of
 from acoustube.waves import PlacedScatterer
 
@@ -36,9 +35,9 @@ press = PlacedScatterer(matrix, TRUE_DISTANCE)
 # %%
 # The recording, and the clean cycle
 # ----------------------------------
-# ``rangefinder.to_json()`` lists what a rangefinder has; each part can be switched off. Fifty
-# cycles are written with what a sensor's software would note: the sampling rate, the temperature
-# that the board reports, and the truth for later.
+# ``rangefinder.to_json()`` lists the parameters of a rangefinder; each effect can be switched off.
+# Fifty cycles are written with the metadata of a sensor's software: the sampling rate, the
+# temperature that the board reports, and the true distance as a label.
 rangefinder = ranging.Rangefinder()
 clean = dataclasses.replace(
     rangefinder, noise=0.0, clutter=0.0, drift=0.0, bits=16, temperature_bias=0.0
@@ -60,32 +59,32 @@ with tempfile.TemporaryDirectory() as folder:
 print(recording)
 
 # %%
-# Processed alike
-# ---------------
+# The same processing
+# -------------------
 # ``acoustube process press.npz`` does the same to every cycle of a file.
 how = signals.Processing(prominence=0.002)
 time = recording["time"].values
-heard = signals.locate(
+located = signals.locate(
     time, recording["signal"].values, how, temperature=recording["temperature"].values
 )
 simulated = signals.locate(time, ideal["signal"].values[0], how, temperature=20.0)
-spread = float(np.std(heard.distance))
-difference = float(np.median(heard.distance) - simulated.distance)
-print(f"recording: {100 * np.median(heard.distance):.2f} cm, +- {1e3 * spread:.2f} mm from noise")
+spread = float(np.std(located.distance))
+difference = float(np.median(located.distance) - simulated.distance)
+print(f"recording: {100 * np.median(located.distance):.2f} cm, +- {1e3 * spread:.2f} mm from noise")
 print(f"simulated without noise: {100 * float(simulated.distance):.2f} cm")
 
 # %%
-# Both are 4 cm too far, as their common baseline is not calibrated: the send pulse overdrives the
-# ADC, and its middle is not what it seems. ``acoustube calibrate`` takes that away. What noise,
-# rounding and the tube's irregularities add is small here.
-place = 100 * signals.distance(time - np.median(heard.send_time), 20.0)
+# Both are 4 cm too far, as their common offset is not calibrated: the send pulse overdrives the
+# ADC, which shifts its apparent middle. ``acoustube calibrate`` corrects it. The contributions of
+# noise, quantisation and the tube's irregularities are small here.
+place = 100 * signals.distance(time - np.median(located.send_time), 20.0)
 seen = (place > 25) & (place < 110)
 figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), layout="constrained")
 counts = recording["signal"].values[0]
 above.plot(1e3 * time, counts, lw=0.6)
 above.set(xlabel="time (ms)", ylabel="counts", xlim=(0, 8), title="one cycle of the recording")
-below.plot(place[seen], 100 * heard.envelope[:, seen].T, color="0.8", lw=0.5)
-below.plot(place[seen], 100 * heard.envelope[0, seen], color="C0", label="recording")
+below.plot(place[seen], 100 * located.envelope[:, seen].T, color="0.8", lw=0.5)
+below.plot(place[seen], 100 * located.envelope[0, seen], color="C0", label="recording")
 below.plot(place[seen], 100 * simulated.envelope[seen], "--", color="C1", label="without noise")
 below.axvline(100 * TRUE_DISTANCE, color="0.5", ls=":", label="the press")
 below.set(xlabel="distance (cm)", ylabel="envelope (% of the send pulse)")

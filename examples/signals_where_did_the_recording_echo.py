@@ -2,9 +2,9 @@
 Where did the recording echo?
 =============================
 
-The processing does not care where a signal comes from. Here a made-up recording, 200 kHz and
-12 bit, with noise, goes through it: a send pulse, and one echo from 75 cm that a lossy tube has
-brought down to 5 %.
+The processing is the same for simulated and recorded signals. Here it is applied to a synthetic
+recording, 200 kHz and 12 bit, with noise: a send pulse, and one echo from 75 cm that a lossy tube
+has attenuated to 5 %.
 """
 
 # %%

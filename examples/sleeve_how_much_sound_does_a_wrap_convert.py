@@ -3,13 +3,13 @@ How much sound does a wrap convert?
 ===================================
 
 A plane wave enters a tube that is wrapped around an arm. Curvature couples it to the mode (1,1),
-which at 42 kHz travels too: its power swings to and fro, over a beat of a few centimetres.
+which propagates at 42 kHz: power is exchanged between the two, with a beat of a few centimetres.
 """
 
 # %%
 # The wrap
 # --------
-# The paper's bore, wound around a radius of 4 cm with a pitch of 3.5 cm.
+# The sleeve paper's bore, wound around a radius of 4 cm with a pitch of 3.5 cm.
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -3,12 +3,12 @@ Will it fit my arm?
 ===================
 
 Two tubes are wound around a forearm of given length and girths. How long must they be, how much
-skin do they cover, and where on the arm is a press that is heard at 1.1 m?
+skin do they cover, and where on the arm is a press at a distance of 1.1 m?
 """
 
 # %%
-# From the sizes of an arm to tubes
-# ---------------------------------
+# From the dimensions of an arm to tubes
+# --------------------------------------
 # Lengths are in m: a sleeve of 25 cm, 17 cm around at the wrist and 26 cm below the elbow. The
 # first 15 cm of each tube lead to its sensor.
 import tempfile
@@ -29,8 +29,8 @@ print("\n".join(in_words(tubes, found)))
 # %%
 # A press at 1.1 m
 # ----------------
-# A distance is known to some 5 cm along the tube. A loop is longer than that on this arm, so the
-# place is a patch, and no ring around the arm.
+# A distance has a standard deviation of about 5 cm along the tube. A loop is longer than that on
+# this arm, so the position is a patch, not a ring around the arm.
 DISTANCE = 1.1
 x, y, z = tubes[0].place(DISTANCE)
 angle = np.degrees(np.arctan2(y, x)) % 360
@@ -39,8 +39,8 @@ print(f"{100 * DISTANCE:g} cm: {100 * z:.1f} cm along the arm, {angle:.0f} degre
 # %%
 # In three dimensions
 # -------------------
-# The picture of ``acoustube sleeve``: what hears in colours, what does not in grey, the press in
-# red with the uncertainty of its place.
+# The picture of ``acoustube sleeve``: tubes in colours within their range and grey outside of it,
+# the press in red with the uncertainty of its position.
 picture = Picture(
     tubes=tuple(tubes), heard=found.heard, outer_diameter=11.1e-3, contacts=((0, DISTANCE),),
     deviation=found.deviation, markers=np.empty((0, 3)),

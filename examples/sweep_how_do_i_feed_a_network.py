@@ -2,17 +2,17 @@
 How do I feed a network?
 ========================
 
-A small sweep, cycles of a rangefinder for each of its cases, and batches of these, shuffled, as
-any training loop wants them: with NumPy, and as a PyTorch data set where PyTorch is installed.
+A small sweep, cycles of a rangefinder for each of its cases, and shuffled batches of these for a
+training loop: with NumPy, and as a PyTorch data set where PyTorch is installed.
 """
 
 # %%
 # A sweep and a dataset
 # ---------------------
-# Four depths and none, at three places. The carrier of 20 kHz and the coarse grid are chosen to
-# be quick. The workers are threads here; without ``executor`` they are processes, and a script
-# must then do this under ``if __name__ == "__main__":``. Leave the temporary folder out to keep
-# the files.
+# Four depths and the untouched tube, at three positions. The carrier of 20 kHz and the coarse grid
+# are chosen to be quick. The workers are threads here; without ``executor`` they are processes, and
+# a script must then do this under ``if __name__ == "__main__":``. Write to another folder than a
+# temporary one to keep the files.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
@@ -21,11 +21,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-import acoustube
-from acoustube.runs.sweep.cycles import Recipe
-from acoustube.runs.sweep.dataset import run_dataset
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
+from acoustube import Recipe, load_plan, open_dataset, run_dataset, run_sweep
 
 plan = load_plan(
     None,
@@ -39,7 +35,7 @@ folder = tempfile.TemporaryDirectory()
 sweep, cycles_folder = Path(folder.name) / "sweep", Path(folder.name) / "cycles"
 run_sweep(plan, sweep, executor=workers)
 run_dataset([sweep], cycles_folder, Recipe(n_cycles=16), executor=workers)
-cycles = acoustube.open_dataset(cycles_folder)  # nothing is read yet
+cycles = open_dataset(cycles_folder)  # nothing is read yet
 print(cycles)
 
 
@@ -67,7 +63,7 @@ print(f"{len(means)} batches, {len(labels)} cycles")
 # %%
 # The same for PyTorch
 # --------------------
-# PyTorch asks for no more than these two methods.
+# PyTorch needs only these two methods.
 class Cycles:
     """A map-style data set of signals and depths."""
 
@@ -91,8 +87,8 @@ if find_spec("torch"):
 # %%
 # One cycle of each depth
 # -----------------------
-# All are of the nearest place, 40 cm. First is the transducer's own ringing, which overdrives the
-# ADC; the echo comes on its tail. Cycles are drawn one below the other.
+# All are of the nearest position, 40 cm. First is the transducer's ring-down, which overdrives the
+# ADC; the echo follows on its tail. Cycles are drawn one below the other.
 figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 time = 1e3 * cycles["time"].values
 depths, places = np.unique(labels), cycles["true_distance"].values

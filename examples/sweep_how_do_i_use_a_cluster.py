@@ -10,7 +10,7 @@ It needs ``pip install 'acoustube[dask]'``.
 # %%
 # A plan of 24 cases
 # ------------------
-# Two depths and twelve places share one press, which goes through both depths, and two scattering
+# Two depths and twelve positions share one load path through both depths, and two scattering
 # matrices. The carrier of 20 kHz and the coarse grid are chosen to be quick.
 import tempfile
 from pathlib import Path
@@ -19,9 +19,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from distributed import Client, get_task_stream
 
-import acoustube
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
+from acoustube import load_plan, open_dataset, run_sweep
 
 plan = load_plan(
     None,
@@ -34,7 +32,7 @@ plan = load_plan(
 # %%
 # On the cluster
 # --------------
-# The task stream tells what ran where.
+# The task stream records which worker ran each task, and when.
 cluster = {"processes": False, "n_workers": 1, "threads_per_worker": 2, "dashboard_address": None}
 with (
     tempfile.TemporaryDirectory() as folder,
@@ -42,16 +40,16 @@ with (
     get_task_stream(client) as stream,
 ):
     complete = run_sweep(plan, Path(folder) / "sweep", executor=client.get_executor(), width=4)
-    cases = acoustube.open_dataset(Path(folder) / "sweep").load()
+    cases = open_dataset(Path(folder) / "sweep").load()
 failed = len(plan) - cases.sizes["press"]
 print(f"{cases.sizes['press']} cases in {len(stream.data)} tasks, {failed} failed")
 
 # %%
-# When each task ran, and what came of it
-# ---------------------------------------
-# The press comes first, then both matrices side by side, then what is heard. In a second run
-# press and matrices are remembered, and their bars are short. On the right, losses in the tube
-# lower the echo by 19 dB for each metre that the press is farther away.
+# The tasks over time, and their result
+# -------------------------------------
+# The press comes first, then both matrices in parallel, then the recordings. In a second run
+# press and matrices are cached, and their bars are short. On the right, losses in the tube
+# attenuate the echo by 19 dB per metre of distance.
 colours = {"press": "C0", "scattering": "C1", "hear": "C2"}
 threads = sorted({task["thread"] for task in stream.data})
 began = min(task["startstops"][0]["start"] for task in stream.data)

@@ -2,10 +2,10 @@
 Where is sound trapped?
 =======================
 
-The (2,1) mode cuts on at 42.24 kHz in the round bore, a hair above the carrier. Beside a deep
-press the lumen is wider, and a mode of its kind travels at 38 kHz already; under the rod, where
-the lumen is flat, it needs 62 kHz. In between it is locked in, on either side of the rod, and
-rings on after the pulse has gone: the late echoes of deep presses.
+The (2,1) mode cuts on at 42.24 kHz in the round bore, just above the carrier. On both sides of a
+deep press the lumen is wider, and the corresponding mode propagates from 38 kHz on; under the rod,
+where the lumen is flat, from 62 kHz on. Between these sections it is trapped, and rings after the
+pulse: the late echoes of deep presses.
 """
 
 # %%
@@ -15,8 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import pressed
 from acoustube.lumen import lumen
-from acoustube.runs.presses import pressed
 from acoustube.waves import cut_cells, grid_spacing, section_cut_ons
 
 config = acoustube.load_config(indenter_mm=10, depth_mm=6, mesh="coarse")

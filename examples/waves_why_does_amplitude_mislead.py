@@ -3,8 +3,8 @@ Why does amplitude mislead?
 ===========================
 
 The harder the press, the narrower the lumen: should the echo not grow? At 42 kHz it does not,
-since most of what a press sends back is no plane wave. Lower carriers, at which only the plane
-wave travels, do better.
+since most of the reflected power is in higher modes. At lower carriers only the plane wave
+propagates, and the echo grows with depth.
 """
 
 # %%
@@ -22,9 +22,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import load_plan, run_sweep
 from acoustube.reports.studies.presses import matrices
-from acoustube.runs.sweep.plan import load_plan
-from acoustube.runs.sweep.run import run_sweep
 
 plan = load_plan(
     None,
@@ -54,11 +53,11 @@ for khz in (10, 20, 42):
 # %%
 # Where the power goes
 # --------------------
-# What a press of 4 mm sends back of a plane wave, mode by mode. From 25.4 kHz on (1,1) travels
-# too, and takes ten times as much or more; a piston does not hear that mode. What is left to the
-# plane wave falls as the wavelength nears the length of the press, since what its two flanks
-# return cancels. For this short rod that happens above 20 kHz. With rods of 25 and 35 mm it
-# happens at 20 kHz, which then misleads as well, and only 10 kHz is left.
+# Reflected power of a press of 4 mm for an incident plane wave, by mode. From 25.4 kHz on (1,1)
+# propagates too, with ten times the power or more; a piston is not sensitive to that mode. The
+# plane wave's part falls as the wavelength approaches the length of the press, since the
+# reflections of its two flanks cancel. For this short rod that happens above 20 kHz, for rods of 25
+# and 35 mm at 20 kHz, so that only 10 kHz remains.
 matrix = scattering[4e-3]
 plane = matrix.modes.index("00")
 reflected = np.abs(matrix.s[:, 0, :, 0, plane]) ** 2

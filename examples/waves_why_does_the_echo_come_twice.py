@@ -2,10 +2,10 @@
 Why does the echo come twice?
 =============================
 
-A pressure-driven source end reflects what returns to it, upside down. At a probe 2 cm away the
-echo is therefore followed, 0.12 ms later, by its own negative; the pulse lasts 0.26 ms, so the
-two overlap. Here the recording with a pressure-release end is rebuilt from the one with an
-absorbing end, by the plane wave's delay alone.
+A pressure-driven source end reflects a returning wave with inverted sign (R = -1). At a probe 2 cm
+away the echo is therefore followed, 0.12 ms later, by its own negative; the pulse lasts 0.26 ms, so
+the two overlap. Here the recording with a pressure-release end is reconstructed from the one with
+an absorbing end, by the plane wave's delay alone.
 """
 
 # %%
@@ -20,8 +20,8 @@ config = acoustube.load_config(indenter_mm=25, depth_mm=5, mesh="coarse", resolu
 run = acoustube.simulate(config)
 
 # %%
-# Rebuild one from the other
-# --------------------------
+# Reconstruct one from the other
+# ------------------------------
 # The absorbing end's echo, minus itself one round trip from the probe to the end later.
 time, probe, speed = run["time"].values, float(run["probe_position"]), float(run["sound_speed"])
 absorbing = run["pressure"].sel(source_end="absorbing").values

@@ -1,10 +1,10 @@
 """
-Estimation: do the intervals hold what they state?
-==================================================
+Estimation: coverage of the intervals
+=====================================
 
-An estimator is trained on synthetic rows whose noise grows with one of the features, and asked
-for intervals around its estimates of new rows. An interval of 90 % should hold 90 % of the
-truths, up to what chance allows (a binomial share).
+An estimator is trained on synthetic rows whose noise grows with one of the features, and gives
+prediction intervals for new rows. An interval of 90 % should cover 90 % of the true values, within
+the binomial deviation.
 """
 
 # %%

@@ -2,22 +2,22 @@
 Indentation: force and height under a rod
 =========================================
 
-The paper's tube under a 25 mm rod, on a coarse mesh (one element through the wall), against a
-solution of CalculiX with 1056 elements of another kind (`tests/data/indentation_rod25.csv`).
+The sleeve paper's tube under a 25 mm rod, on a coarse mesh (one element through the wall), compared
+with a solution of CalculiX with 1056 elements of another kind (`tests/data/indentation_rod25.csv`).
 """
 
 # %%
 # Press, and read the reference
 # -----------------------------
-# A press is remembered: the other pages that need it do not compute it again.
+# Presses are cached: the other pages that need this one do not compute it again.
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import pressed
 from acoustube.lumen import measure
-from acoustube.runs.presses import pressed
 
 DEPTHS = np.arange(1.0, 7.0)
 config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")
@@ -32,8 +32,8 @@ expected_height = np.interp(DEPTHS, reference["depth_mm"], reference["lumen_heig
 # %%
 # Compare
 # -------
-# One element through the wall is a little stiff; with the usual two the force is within 0.3 % up
-# to 4 mm and 1.2 % at 6 mm (see the page of the stage).
+# One element through the wall is slightly too stiff; with the default two the force is within
+# 0.3 % up to 4 mm and 1.2 % at 6 mm (see the page of the stage).
 force = press.contact_force[rows]
 height = np.array([1e3 * measure(press, row, np.zeros(1)).height[0] for row in rows])
 force_error = force / expected - 1

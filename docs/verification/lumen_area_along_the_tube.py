@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import pressed
 from acoustube.lumen import measure
-from acoustube.runs.presses import pressed
 
 config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")
 depths = 1e-3 * np.arange(1.0, 7.0)

@@ -1,9 +1,9 @@
 """
-Physics: what the echo is made of
-=================================
+Physics: modes of the echo
+==========================
 
-A plane wave meets a press. What comes back is partly a plane wave and partly other modes, which a
-transducer that moves as a whole does not hear.
+A plane wave is incident on a press. The reflected wave is partly a plane wave and partly other
+modes, which a piston transducer does not receive.
 """
 
 # %%
@@ -11,9 +11,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import pressed
 from acoustube.air import air_at
 from acoustube.lumen import pressed_part
-from acoustube.runs.presses import pressed
 from acoustube.runs.sound import scattering_of
 
 config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")

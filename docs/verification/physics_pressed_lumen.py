@@ -11,8 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import acoustube
+from acoustube import pressed
 from acoustube.lumen import pressed_part
-from acoustube.runs.presses import pressed
 from acoustube.waves import cut_cells, section_cut_ons
 
 config = acoustube.load_config(indenter_mm=25, depth_mm=6, support="free", mesh="coarse")

@@ -1,9 +1,9 @@
 """
-Physics: what the transducer hears
-==================================
+Physics: the recorded signal
+============================
 
-Cycles of the default rangefinder on 2.5 m of the paper's tube: its own ring-down first, then what
-weak irregularities of the tube send back all along, and the echo of a closure among it.
+Cycles of the default rangefinder on 2.5 m of the sleeve paper's tube: its ring-down first, then
+reflections of weak irregularities all along the tube, with the echo of a closure among them.
 """
 
 # %%

@@ -2,8 +2,8 @@
 Ranging: the echo of a closed tube
 ==================================
 
-A rangefinder hears a tube that is closed at one place after another. What the way there and back
-takes is known in closed form where the boundary layers are thin against the bore (Kirchhoff's
+A rangefinder records a tube that is closed at one position after another. The attenuation over the
+round trip is known in closed form where the boundary layers are thin against the bore (Kirchhoff's
 wide tube).
 """
 

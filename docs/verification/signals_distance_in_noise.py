@@ -57,8 +57,8 @@ for name, rows in table.items():
     print(f"{name}: spread over stated deviation {ratio:.2f}, bias up to {bias:.2f} mm")
 
 # %%
-# The stated deviation is the spread. The noise is read where nothing is heard, and rectified there,
-# which leaves sqrt(1 - 2 / pi) of what it is on top of an echo; the processing allows for that. The
+# The estimated deviation equals the spread. The noise is measured where there is no echo; rectified
+# there, its deviation is sqrt(1 - 2 / pi) of that with an echo, which the processing corrects. The
 # floor of 0.1 to 0.2 mm is that of the sampled absolute value.
 figure, panels = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True, layout="constrained")
 share = 100 * noise_levels / HEIGHT
