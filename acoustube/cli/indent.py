@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.files import check_surface, partial_folder, publish
+from acoustube.base.units import MM, MM2
 from acoustube.base.version import __version__
 from acoustube.cli._header import print_wall
 from acoustube.cli._options import Output, Run, Tool, setting, settings_of
@@ -162,11 +163,11 @@ def _print_press(dataset: xr.Dataset, console: Console) -> None:
     for i in sorted({round(k) for k in np.linspace(0, n - 1, min(n, TABLE_ROWS))}):
         row = dataset.isel(depth=i)
         numbers = [
-            f"{1e3 * float(row['indentation_depth']):.3f}",
+            f"{MM * float(row['indentation_depth']):.3f}",
             f"{float(row['contact_force']):.3f}",
-            f"{1e3 * float(row['lumen_height']):.3f}",
-            f"{1e3 * float(row['lumen_width']):.3f}",
-            f"{1e6 * float(row['lumen_area']):.2f}",
+            f"{MM * float(row['lumen_height']):.3f}",
+            f"{MM * float(row['lumen_width']):.3f}",
+            f"{MM2 * float(row['lumen_area']):.2f}",
         ]
         state = "closed" if row["closed"] else ""
         table.add_row(*numbers, state if row["converged"] else "not reached")

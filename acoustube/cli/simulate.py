@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter, note, watched_interrupts
 from acoustube.base.files import partial_folder, publish
+from acoustube.base.units import CM, MM, MM2, PERCENT
 from acoustube.base.version import __version__
 from acoustube.cli._header import print_wall
 from acoustube.cli._options import Output, Run, Tool, setting, settings_of
@@ -141,9 +142,9 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
     last = dataset.isel(depth=-1)
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_row("force", f"{float(last['contact_force']):.3f} N")
-    table.add_row("lumen height at the press", f"{1e3 * float(last['lumen_height']):.3f} mm")
-    table.add_row("lumen area at the press", f"{1e6 * float(last['lumen_area']):.2f} mm2")
-    table.add_row("true distance", f"{100 * float(dataset['true_distance']):.2f} cm")
+    table.add_row("lumen height at the press", f"{MM * float(last['lumen_height']):.3f} mm")
+    table.add_row("lumen area at the press", f"{MM2 * float(last['lumen_area']):.2f} mm2")
+    table.add_row("true distance", f"{CM * float(dataset['true_distance']):.2f} cm")
     chosen = dataset["distance"].attrs["source_end"]
     for end in sorted(dataset["source_end"].values, key=lambda end: end != chosen):
         style = "bold" if end == chosen else ""
@@ -164,8 +165,8 @@ def _estimate(case: xr.Dataset, prominence: float) -> str:
     """Return the estimate with one choice of the source end, in words."""
     distance, true = float(case["estimated_distance"]), float(case["true_distance"])
     if not math.isfinite(distance):
-        return f"no echo over {100 * prominence:g} % of the send pulse"
+        return f"no echo over {PERCENT * prominence:g} % of the send pulse"
     return (
-        f"{100 * distance:.2f} cm (error {100 * (distance - true):+.2f} cm), "
-        f"echo {100 * float(case['echo_amplitude']):.2f} % of the send pulse"
+        f"{CM * distance:.2f} cm (error {CM * (distance - true):+.2f} cm), "
+        f"echo {PERCENT * float(case['echo_amplitude']):.2f} % of the send pulse"
     )

@@ -16,6 +16,7 @@ from scipy.interpolate import PchipInterpolator
 
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.types import Array
+from acoustube.base.units import MM
 from acoustube.indentation import Indentation
 from acoustube.lumen import inner_wall, measure
 
@@ -78,14 +79,14 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     if np.any(fall > FORCE_DROP_TOLERANCE * path.max()):
         row = int(np.argmax(fall))
         raise SimulationError(
-            f"the force falls to {path[row]:.3g} N at {1e3 * indentation.depth[row]:.3g} mm depth, "
+            f"the force falls to {path[row]:.3g} N at {MM * indentation.depth[row]:.3g} mm depth, "
             "so that the depth is not unique; give a depth"
         )
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:
         raise ConfigError(
             f"force = {outside[0]:.4g} N is not between 0 and {path[-1]:.4g} N, which the path "
-            f"reaches at {1e3 * indentation.depth[-1]:.4g} mm; press deeper"
+            f"reaches at {MM * indentation.depth[-1]:.4g} mm; press deeper"
         )
     rising = np.concatenate([[True], path[1:] > np.maximum.accumulate(path)[:-1]])
     table = np.stack(_along(indentation), axis=1)[rising]

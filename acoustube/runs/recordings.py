@@ -18,6 +18,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_file
 from acoustube.base.report import Reporter
+from acoustube.base.units import CM, MS
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
@@ -215,8 +216,8 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
 
     The ranging is one of several cycles or of a single one.
     """
-    flight = 1e3 * (ranging.return_time - ranging.send_time)
-    columns = (flight, 100 * ranging.distance, ranging.amplitude, ranging.prominence)
+    flight = MS * (ranging.return_time - ranging.send_time)
+    columns = (flight, CM * ranging.distance, ranging.amplitude, ranging.prominence)
     numbers = np.atleast_2d(np.stack(columns, axis=-1))
     peaks = np.atleast_1d(np.sum(np.isfinite(ranging.echoes.times), axis=-1))
     for i, seen in enumerate(np.atleast_1d(ranging.detected)):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from acoustube import signals
 from acoustube.air import Air
 from acoustube.base.types import Array
+from acoustube.base.units import CM, KHZ
 from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.lumen import ring_faces
 from acoustube.tube import Tube
@@ -109,7 +110,7 @@ def run_trials(trials: Sequence[Trial] | None = None) -> Iterator[Outcome]:
 
 def all_trials() -> tuple[Trial, ...]:
     """Return the tests, the quick ones first."""
-    cut_on = 1e-3 * cut_on_frequency(1, 1, RADIUS, AIR.sound_speed)
+    cut_on = KHZ * cut_on_frequency(1, 1, RADIUS, AIR.sound_speed)
     return (
         Trial("distance of a synthetic echo", _echo, 50.0, 0.1, "cm"),
         Trial("cut-on of mode (1,1), Bessel's zero", _cut_on, cut_on, 0.005 * cut_on, "kHz"),
@@ -125,13 +126,13 @@ def _echo() -> float:
     delay = 2 * 0.5 / signals.speed_of_sound(20.0)
     pressure = np.asarray(pulse(time)) + 0.05 * np.asarray(pulse(time - delay))
     found = signals.process(time, pressure, pulse_duration=pulse.duration, temperature=20.0)
-    return 100 * float(found.distance)
+    return CM * float(found.distance)
 
 
 def _cut_on() -> float:
     """Return the cut-on of mode (1,1) in kHz on a grid of 16 cells across."""
     cells = _bore(np.zeros(2), np.array([0.0, 1.5 * 2 * RADIUS / 16]), 16)
-    return 1e-3 * float(section_cut_ons(cells, 1, AIR.sound_speed)[1])
+    return KHZ * float(section_cut_ons(cells, 1, AIR.sound_speed)[1])
 
 
 def _reflection() -> float:

@@ -13,6 +13,7 @@ import xarray as xr
 
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.types import Array, Index
+from acoustube.base.units import MM, MM2
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
 from acoustube.lumen import pressed_part, ring_faces
@@ -75,8 +76,8 @@ def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]
     surfaces, what = lumens(run)
     for file, surface in zip(files, surfaces, strict=True):
         _save(surface, folder / file)
-    table = {"file": files, "depth_mm": 1e3 * run["indentation_depth"].values[rows]}
-    table["lumen_area_mm2"] = 1e6 * run["lumen_area"].values[rows]
+    table = {"file": files, "depth_mm": MM * run["indentation_depth"].values[rows]}
+    table["lumen_area_mm2"] = MM2 * run["lumen_area"].values[rows]
     pd.DataFrame(table).to_csv(folder / "lumens.csv", index=False)
     return len(rows), what
 
@@ -117,8 +118,8 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
             {
                 "press": name,
                 "file": file,
-                "depth_mm": 1e3 * case["depth"],
-                "lumen_area_mm2": 1e6 * case["lumen_area"],
+                "depth_mm": MM * case["depth"],
+                "lumen_area_mm2": MM2 * case["lumen_area"],
             }
             for name, case in known.iterrows()
         ]
@@ -238,7 +239,7 @@ def _surface(points: Array, faces: Index) -> trimesh.Trimesh:
 
 def _save(surface: trimesh.Trimesh, path: Path) -> None:
     """Write a surface in mm, as surfaces are read."""
-    points = 1e3 * surface.vertices
+    points = MM * surface.vertices
     if path.suffix == ".stl":
         trimesh.Trimesh(points, surface.faces, process=False).export(path)
         return

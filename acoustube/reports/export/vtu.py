@@ -9,6 +9,7 @@ import pyvista
 from numpy.typing import NDArray
 
 from acoustube.base.types import Array
+from acoustube.base.units import MM
 from acoustube.indentation import Mesh
 from acoustube.indentation.reference_element import HEX20, Reference
 
@@ -48,7 +49,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
         name = f"press-{number:04d}.vtu"
         grid.point_data["displacement"] = displacement
         grid.save(folder / name)
-        entries.append(f'<DataSet timestep="{1e3 * depth:.6g}" file="{name}"/>')
+        entries.append(f'<DataSet timestep="{MM * depth:.6g}" file="{name}"/>')
     collection = folder / "press.pvd"
     collection.write_text(
         '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'

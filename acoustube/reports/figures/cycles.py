@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from acoustube.base.sampling import sampling_rate
-from acoustube.reports.figures.run import CM, ENVELOPE, PRESS, RETURN, SEND, SIGNAL
+from acoustube.base.units import CM, MM
+from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL
 from acoustube.signals import Calibration, Processing, Ranging, distance, rectify, remove_offset
 
 MOST_ROWS = 1000
@@ -102,7 +103,7 @@ def draw_line(axes: Axes, calibration: Calibration) -> Axes:
     ends = np.array([0.0, places.max()])
     axes.plot(
         CM * ends, CM * slope * ends, color=ENVELOPE,
-        label=f"slope {slope:.4f} ± {deviation:.4f}, RMSE {1e3 * calibration.distance_rmse:.3g} mm",
+        label=f"slope {slope:.4f} ± {deviation:.4f}, RMSE {MM * calibration.distance_rmse:.3g} mm",
     )  # fmt: skip
     axes.plot(CM * ends, CM * ends, color=PRESS, lw=0.8, ls=":", label="identity")
     axes.set_xlabel("true distance (cm)")

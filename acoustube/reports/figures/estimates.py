@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from acoustube.base.units import CM, MM
 from acoustube.estimation import bins
-from acoustube.reports.figures.run import CM, ENVELOPE, PRESS, RETURN
+from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 
-MM = 1e3
 MOST_POINTS = 5000
 """Points of a panel; of more cycles, evenly chosen ones are drawn."""
 PANELS = {

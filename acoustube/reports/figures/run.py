@@ -13,12 +13,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from acoustube.base.units import CM, MM, MM2, PERCENT
 from acoustube.reports.scenes.tube import STRIP_MAGNIFICATION, STRIP_PIXELS, Image
 
 AREA, SIGNAL, ENVELOPE, SEND, RETURN, PRESS = (
     "#4f8fc0", "#b8bec6", "#22405c", "#3a7d44", "#c1443c", "#777777",
 )  # fmt: skip
-CM = 100.0
 NO_DRAWING = "VTK cannot draw on this machine: see 'The figure' in the README"
 
 
@@ -58,11 +58,11 @@ def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] |
     axes.set_axis_off()
     last = dataset.isel(depth=-1)
     axes.set_title(
-        f"bore {1e3 * float(dataset['width_profile'][0]):.1f} mm, "
-        f"pressed {1e3 * float(last['indentation_depth']):.2f} mm deep: "
+        f"bore {MM * float(dataset['width_profile'][0]):.1f} mm, "
+        f"pressed {MM * float(last['indentation_depth']):.2f} mm deep: "
         f"force {float(last['contact_force']):.2f} N, "
-        f"lumen {1e3 * float(last['lumen_height']):.2f} mm high, "
-        f"{1e6 * float(last['lumen_area']):.1f} mm² open"
+        f"lumen {MM * float(last['lumen_height']):.2f} mm high, "
+        f"{MM2 * float(last['lumen_area']):.1f} mm² open"
     )
     if images:
         axes.imshow(images["close_up"])
@@ -85,7 +85,7 @@ def draw_strip(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | No
 
 def draw_area(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot the lumen's cross-section along the tube."""
-    z, area = CM * dataset["z"].values, 1e6 * dataset["area_profile"].values
+    z, area = CM * dataset["z"].values, MM2 * dataset["area_profile"].values
     axes.fill_between(z, area, color=AREA, alpha=0.35, lw=0)
     axes.plot(z, area, color=AREA)
     axes.set_ylim(0, 1.15 * area.max())
@@ -148,7 +148,7 @@ def _mark_pulses(axes: Axes, case: xr.Dataset, limit: float) -> None:
     axes.plot(estimate, height, "o", color=RETURN)
     axes.annotate(
         f"return pulse: {estimate:.2f} cm ({error:+.2f} cm), "
-        f"{100 * height:.2f} % of the send pulse",
+        f"{PERCENT * height:.2f} % of the send pulse",
         (estimate, height),
         xytext=(0, 12),
         textcoords="offset points",
@@ -181,7 +181,7 @@ def press_figure(dataset: xr.Dataset) -> Figure:
 
 def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot the force against the depth, and mark where the lumen is closed."""
-    depth, force = 1e3 * dataset["indentation_depth"].values, dataset["contact_force"].values
+    depth, force = MM * dataset["indentation_depth"].values, dataset["contact_force"].values
     axes.plot(np.insert(depth, 0, 0), np.insert(force, 0, 0), "-", color=ENVELOPE)
     closed = dataset["closed"].values.astype(bool)
     axes.plot(depth[~closed], force[~closed], "o", color=ENVELOPE, ms=4, label="lumen open")
@@ -197,9 +197,9 @@ def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot height, width and area of the lumen at the press against the depth."""
-    depth = 1e3 * dataset["indentation_depth"].values
-    height, width = (1e3 * dataset[f"lumen_{name}"].values for name in ("height", "width"))
-    section = 1e6 * dataset["lumen_area"].values
+    depth = MM * dataset["indentation_depth"].values
+    height, width = (MM * dataset[f"lumen_{name}"].values for name in ("height", "width"))
+    section = MM2 * dataset["lumen_area"].values
     axes.plot(depth, height, color=ENVELOPE, label="height (mm)")
     axes.plot(depth, width, color=SEND, label="width (mm)")
     axes.set_xlabel("depth (mm)")
@@ -216,8 +216,8 @@ def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
     """Plot the lumen's area along the tube at every depth, in its colour."""
-    z, area = 1e3 * dataset["z"].values, 1e6 * dataset["lumen_area_profile"].values
-    depth = 1e3 * dataset["depth"].values
+    z, area = MM * dataset["z"].values, MM2 * dataset["lumen_area_profile"].values
+    depth = MM * dataset["depth"].values
     shades = ScalarMappable(Normalize(0, depth[-1]), "viridis_r")
     for row, colour in zip(area, shades.to_rgba(depth), strict=True):
         axes.plot(z, row, color=colour, lw=1)

@@ -11,10 +11,9 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from acoustube.reports.figures.run import CM
+from acoustube.base.units import CM, MM
 from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 
-MM = 1e3
 MOST_TOOLS = 4
 """Tools whose echoes are drawn."""
 FAINTEST = 1e-3

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from acoustube.base.types import Array
+from acoustube.base.units import CM
 from acoustube.reports.scenes.tube import TIME_LIMIT
 from acoustube.sleeve.helix import Helix
 
@@ -109,7 +110,7 @@ def render(picture: Picture) -> Any:
         plotter.add_mesh(
             pyvista.Sphere(radius=1.7 * thick, center=place), color=CONTACT, ambient=0.3
         )
-        label = [f"{100 * distance:g} cm"]
+        label = [f"{CM * distance:g} cm"]
         plotter.add_point_labels(
             [place + 4.5 * thick * np.cross(side, [0, 0, 1])], label,
             font_size=26, text_color=CONTACT, shape_color="white", shape_opacity=0.8,
@@ -125,7 +126,7 @@ def render(picture: Picture) -> Any:
     if picture.estimates:
         legend.append(["estimate", ESTIMATE])
     if picture.contacts and picture.deviation > 0:
-        spread = f"± {100 * picture.deviation:g} cm of a distance"
+        spread = f"± {CM * picture.deviation:g} cm of a distance"
         legend.append([spread, SPREAD])
     seen = picture.markers[np.all(np.isfinite(picture.markers), axis=-1)]
     if len(seen):

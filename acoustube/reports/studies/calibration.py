@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from acoustube import signals
 from acoustube.base.errors import SimulationError
 from acoustube.base.report import Reporter
+from acoustube.base.units import CM
 from acoustube.ranging import Rangefinder, blockage, record
-from acoustube.reports.figures.run import CM, ENVELOPE, RETURN, SEND
+from acoustube.reports.figures.run import ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.report import Row, Scale, Study
 from acoustube.signals import Calibration
 from acoustube.waves import PlacedScatterer

@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 from acoustube import signals
 from acoustube.air import air_at
 from acoustube.base.report import Reporter
+from acoustube.base.units import CM
 from acoustube.ranging import Rangefinder, blockage, record
-from acoustube.reports.figures.run import CM, ENVELOPE, RETURN, SEND
+from acoustube.reports.figures.run import ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.calibration import BAND
 from acoustube.reports.studies.flat import DEPTHS, FEW_DEPTHS
 from acoustube.reports.studies.presses import matrices, swept

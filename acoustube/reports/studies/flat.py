@@ -12,8 +12,8 @@ import xarray as xr
 from acoustube import estimation
 from acoustube.base.console import watched_interrupts
 from acoustube.base.report import Reporter
+from acoustube.base.units import CM, MM
 from acoustube.estimation import FeatureSettings, Model
-from acoustube.reports.figures.run import CM
 from acoustube.reports.studies import flat_figures, ranged, whole_echo
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.reports.studies.presses import swept
@@ -27,7 +27,6 @@ from acoustube.runs.sweep.plan import tube_name
 from acoustube.runs.training import table_of
 from acoustube.signals import Processing
 
-MM = 1e3
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
 """In mm: those of the simulations, which share their presses. The study itself begins at 1 mm."""

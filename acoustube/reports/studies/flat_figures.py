@@ -14,10 +14,9 @@ from scipy.ndimage import gaussian_filter
 
 from acoustube import estimation
 from acoustube.base.types import Array
-from acoustube.reports.figures.run import CM
+from acoustube.base.units import CM, MM
 from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, told
 
-MM = 1e3
 BIN = 0.05
 """Of the maps, in m: the paper's 38 over the tube."""
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
-from acoustube.reports.figures.run import CM, PRESS
+from acoustube.base.units import CM, MM
+from acoustube.reports.figures.run import PRESS
 from acoustube.reports.scenes import sleeve as sleeve_scene
 from acoustube.reports.studies import ranged
 from acoustube.reports.studies.arm import (
@@ -36,7 +37,6 @@ from acoustube.runs.config import Config, configured
 from acoustube.sleeve import layout
 from acoustube.waves import Scattering
 
-MM = 1e3
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
 """Forces in N."""
 STATES = np.array([1, 3, 5]) / 6

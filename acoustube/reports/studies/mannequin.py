@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from acoustube import estimation
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
 from acoustube.estimation import Model
-from acoustube.reports.figures.run import CM
 from acoustube.reports.studies import flat, flat_figures, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
@@ -31,7 +31,6 @@ from acoustube.reports.studies.presses import swept
 from acoustube.reports.studies.report import Level, Row, Scale, Study
 from acoustube.sleeve import Helix
 
-MM = 1e3
 DEPTHS, FEW_DEPTHS = "1:8:0.5", "2:8:3"
 CYCLES, FEWER_CYCLES = 50, 5
 TUBE = 0

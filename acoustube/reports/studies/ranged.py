@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from acoustube import estimation
 from acoustube.base.types import Array
+from acoustube.base.units import CM
 from acoustube.estimation import Errors
-from acoustube.reports.figures.run import CM
 from acoustube.reports.studies.report import Row
 
 FALSE_POSITIVE_ERROR = 0.25

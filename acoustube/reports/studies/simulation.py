@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from acoustube import signals
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
 from acoustube.lumen import deformed_wall
 from acoustube.reports.figures import sweep as sweep_figure
-from acoustube.reports.figures.run import CM
 from acoustube.reports.studies.presses import matrices, swept
 from acoustube.reports.studies.report import Level, Row, Scale, Study
 from acoustube.runs import presses as press_runs
-from acoustube.runs.config import Config, WaveSettings, configured
+from acoustube.runs.config import Config, configured
+from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.sweep import select
-from acoustube.waves import Pulse, Scattering
+from acoustube.waves import Scattering
 
-MM = 1e3
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
 """Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
@@ -39,9 +39,9 @@ its reflection by the source end comes 0.12 ms later."""
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
 """With losses, lower carriers too. Their pulses of 11 cycles, 38 cm long at 10 kHz, need the longer
 tube; one scattering matrix serves all."""
-USUAL = WaveSettings()
+DEFAULT = settings_in_si(Config())
 """Of the sweeps, but for what they vary."""
-CARRIER, PROBE = 1e3 * USUAL.frequency_khz, USUAL.probe_cm / CM
+CARRIER, PROBE = DEFAULT.pulse.frequency, DEFAULT.probe
 """In Hz, and the place of the plane that sound is heard at in m."""
 DRAWN = (2e-3, 4e-3, 6e-3, 8e-3)
 """Depths in m whose sections are drawn."""
@@ -241,9 +241,9 @@ def late_share(cases: xr.Dataset, end: str = "absorbing") -> Array:
     signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
     time = cases["time"].values
     way = 2 * cases["true_distance"].values - PROBE
-    middle = USUAL.cycles / CARRIER / 2 + way / signals.speed_of_sound(cases["temperature"].values)
+    middle = DEFAULT.pulse.duration / 2 + way / signals.speed_of_sound(cases["temperature"].values)
     after = time[None] - middle[:, None]
-    echo = after > -USUAL.cycles / CARRIER / 2
+    echo = after > -DEFAULT.pulse.duration / 2
     return np.asarray(
         (signal * (after > TRAPPED_AFTER)).sum(axis=1)
         / np.maximum((signal * echo).sum(axis=1), 1e-30)
@@ -280,7 +280,7 @@ def _shares(matrix: Scattering) -> dict[str, Array]:
 
 def _spectrum(frequency: NDArray[Any]) -> Any:
     """Return the pulse's spectrum, up to a factor, at frequencies in Hz."""
-    pulse = Pulse(frequency=CARRIER, cycles=USUAL.cycles)
+    pulse = DEFAULT.pulse
     time = np.arange(0.0, pulse.duration, 1e-6)
     return np.exp(-2j * np.pi * np.outer(frequency, time)) @ np.asarray(pulse(time))
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from acoustube import signals, sleeve
 from acoustube.base.types import Array
+from acoustube.base.units import CM
 from acoustube.ranging import Rangefinder, record
-from acoustube.reports.figures.run import CM, PRESS
+from acoustube.reports.figures.run import PRESS
 from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.reports.studies.report import Row

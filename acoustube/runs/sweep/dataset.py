@@ -18,6 +18,7 @@ from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, partial_file
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import nearest
+from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import read_document
@@ -305,7 +306,7 @@ def card(data: xr.Dataset, recipe: Recipe) -> str:
     rangefinder: dict[str, Any] = json.loads(data.attrs.get("rangefinder", "{}"))
     return CARD_TEXT.format(
         n_cycles=data.sizes["cycle"], n_samples=data.sizes["time"],
-        rate=1e-3 * data.attrs["sampling_rate"], shapes=", ".join(np.unique(data["shape"].values)),
+        rate=KHZ * data.attrs["sampling_rate"], shapes=", ".join(np.unique(data["shape"].values)),
         n_presses=n_presses, n_tubes=n_tubes, n_sessions=n_sessions,
         n_untouched=int((data["depth"].values == 0).sum()), version=__version__, seed=recipe.seed,
         ranges="\n".join(_range_row(data, name) for name in RANGES),
