@@ -364,7 +364,9 @@ def test_displacement_converges_with_order_two_to_three_and_force_with_order_fou
 
 def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
     """One in twenty has four corners in one plane, whose volume of zero turns forces into NaN."""
-    judge, flat = tetrahedra.qualities, [True]
+    judge, flat, shape = tetrahedra.qualities, [True], boundary_nodes.quadratic
+    # Nodes off a plane, in one draw of twenty, are another test's: here the shapes alone decide.
+    monkeypatch.setattr(tetrahedra, "quadratic", lambda *piece: (shape(*piece)[0], 0.0))
 
     def judged(points, elements):
         found = judge(points, elements)
