@@ -127,7 +127,7 @@ CASES = {
     "train nothing --estimator network --out new": ["nothing holds no recordings", ".npz"],
     "evaluate none.model good.npz": ["none.model does not exist", "train writes one"],
     "evaluate nothing good.npz": ["nothing is a folder", "train writes one"],
-    "evaluate text.txt good.npz": ["text.txt is not a model (no NumPy archive)"],
+    "evaluate text.txt good.npz": ["text.txt is not a model (not a NumPy archive)"],
     "evaluate good.npz good.npz": ["good.npz is not a model", "train writes one"],
     "evaluate good.npz": ["evaluate needs a file or a folder"],
     # Sleeves.
@@ -179,7 +179,7 @@ def test_file_that_is_no_sweeps_is_named_with_what_to_do(kind, command, tmp_path
     [
         ("none.npz", "none.npz does not exist; name a recording"),
         ("text.txt", "text.txt is not of a kind that can be read; use .npz"),
-        ("empty.csv", "empty.csv cannot be read as CSV (nothing is in it)"),
+        ("empty.csv", "empty.csv cannot be read as CSV (it is empty)"),
         ("nothing", "nothing holds no recordings; name a folder"),
         ("bare.npz", "does not state its sampling rate; give rate in Hz"),
         ("bare.npz --rate 200000", "does not state the temperature; give temperature in degC"),
