@@ -3,11 +3,6 @@
 Mid-edge nodes are added, and the nodes of both walls moved to the closest points of the surface,
 those of symmetry planes and ends into their plane. Nodes whose element would be distorted too much
 stay off the surface.
-
-References
-----------
-.. [1] E. Cuthill, J. McKee, "Reducing the bandwidth of sparse symmetric matrices", Proc. 24th
-   National Conference of the ACM, 157-172 (1969).
 """
 
 from __future__ import annotations
@@ -260,7 +255,13 @@ def jacobians(points: Array, elements: Index) -> Array:
 
 
 def _bandwidth_order(elements: Index, points: Array) -> Index:
-    """Return the reverse Cuthill-McKee order of the nodes [1]_, for a narrow band."""
+    """Return the reverse Cuthill-McKee order of the nodes [1]_, for a narrow band.
+
+    References
+    ----------
+    .. [1] E. Cuthill, J. McKee, "Reducing the bandwidth of sparse symmetric matrices", Proc. 24th
+       National Conference of the ACM, 157-172 (1969).
+    """
     n = elements.shape[1]
     rows, columns = np.repeat(elements, n, axis=1).ravel(), np.tile(elements, n).ravel()
     graph = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(points),) * 2)

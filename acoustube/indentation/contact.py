@@ -7,8 +7,6 @@ contact would need tensile forces in the corners of quadratic faces.
 References
 ----------
 .. [1] P. Wriggers, "Computational Contact Mechanics", 2nd ed., Springer (2006).
-.. [2] K. L. Johnson, "Contact Mechanics", Cambridge University Press (1985), section 4.3 on elastic
-   foundations.
 """
 
 from __future__ import annotations
@@ -175,10 +173,15 @@ def foundation_energy(modulus: Scalar, thickness: Scalar, smoothing: Scalar, gap
 
     Notes
     -----
-    A Winkler foundation [2]_: independent columns in uniaxial stress, here with logarithmic strain.
+    A Winkler foundation [1]_: independent columns in uniaxial stress, here with logarithmic strain.
     Compressed by the fraction s of its thickness h, the pressure is ``-E ln(1 - s)``, which is E s
     for small s and infinite at the base; the energy is ``E h ((1 - s) ln(1 - s) + s)``. With
     smoothing d the compression sets in as ``(d - g)^2 / (4 d)`` between the gaps d and -d.
+
+    References
+    ----------
+    .. [1] K. L. Johnson, "Contact Mechanics", Cambridge University Press (1985), section 4.3 on
+       elastic foundations.
     """
     d = smoothing
     compression = jnp.clip(d - gap, 0, 2 * d) ** 2 / (4 * d) - jnp.minimum(gap + d, 0)

@@ -1,13 +1,4 @@
-"""Sparse stiffness matrix: assembly from element matrices, and direct factorisation.
-
-References
-----------
-.. [1] J. J. Sylvester, "A demonstration of the theorem that every homogeneous quadratic polynomial
-   is reducible by real orthogonal substitutions to the form of a sum of positive and negative
-   squares", Philosophical Magazine 4, 138-142 (1852).
-.. [2] G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th ed., Johns Hopkins University Press
-   (2013), sections 4.3 (banded Cholesky) and 8.1 (law of inertia).
-"""
+"""Sparse stiffness matrix: assembly from element matrices, and direct factorisation."""
 
 from __future__ import annotations
 
@@ -141,10 +132,15 @@ def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
 
     Notes
     -----
-    Banded Cholesky runs at the processor's peak rate, with n b^2 operations for a bandwidth b; it
-    is the fastest up to about 5e10, which only a whole tube or a fine section exceeds. Above that
+    Banded Cholesky [1]_ runs at the processor's peak rate, with n b^2 operations for a bandwidth b;
+    it is the fastest up to about 5e10, which only a whole tube or a fine section exceeds. Above,
     PARDISO is, if pypardiso is installed. SuperLU took 4 to 10 times as long as banded Cholesky on
     swept tubes: it is for a band too large to store.
+
+    References
+    ----------
+    .. [1] G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th ed., Johns Hopkins University
+       Press (2013), section 4.3.
     """
     n = lower.shape[0]
     if order is not None and bandwidth(lower, order) >= bandwidth(lower):
@@ -220,6 +216,12 @@ def superlu(lower: sparse.csc_array) -> Solve:
     factors are L D L^T with D the diagonal of U. By Sylvester's law of inertia [1]_ D has as many
     negative entries as the matrix has negative eigenvalues. At a zero pivot the library swaps rows,
     which its permutations show, or fails.
+
+    References
+    ----------
+    .. [1] J. J. Sylvester, "A demonstration of the theorem that every homogeneous quadratic
+       polynomial is reducible by real orthogonal substitutions to the form of a sum of positive and
+       negative squares", Philosophical Magazine 4, 138-142 (1852).
     """
     matrix = (lower + sparse.tril(lower, -1).T).tocsc()
     options = {"SymmetricMode": True}

@@ -8,8 +8,6 @@ References
 ----------
 .. [1] O. C. Zienkiewicz, R. L. Taylor, J. Z. Zhu, "The Finite Element Method: Its Basis and
    Fundamentals", 6th ed., Elsevier (2005).
-.. [2] M. G. Duffy, "Quadrature over a pyramid or cube of integrands with a singularity at a
-   vertex", SIAM J. Numer. Anal. 19, 1260-1262 (1982).
 """
 
 from __future__ import annotations
@@ -140,7 +138,7 @@ def gauss(n: int, d: int) -> tuple[Array, Array]:
 def collapsed_gauss(n: int) -> tuple[Array, Array]:
     """Return a quadrature rule on the triangle (0,0), (1,0), (0,1), exact to degree 2 n - 2.
 
-    The Gauss-Legendre rule on the square with one side collapsed to a corner (Duffy [2]_).
+    The Gauss-Legendre rule on the square with one side collapsed to a corner (Duffy [1]_).
 
     Parameters
     ----------
@@ -151,6 +149,11 @@ def collapsed_gauss(n: int) -> tuple[Array, Array]:
     -------
     points : array of shape (n**2, 2)
     weights : array of shape (n**2,)
+
+    References
+    ----------
+    .. [1] M. G. Duffy, "Quadrature over a pyramid or cube of integrands with a singularity at a
+       vertex", SIAM J. Numer. Anal. 19, 1260-1262 (1982).
     """
     points, weights = gauss(n, 2)
     a, b = (points.T + 1) / 2
