@@ -20,13 +20,12 @@ from numpy.typing import ArrayLike
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.signals.localise import NORMAL_MEDIAN
 
 LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 """Coverages at which the quantiles are stored."""
 ONE_DEVIATION = 0.6827
 """Coverage of one standard deviation of a normal variable."""
-NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal numbers over the median of their absolute values."""
 MAX_BINS, ROWS_PER_BIN = 20, 30
 
 
