@@ -41,7 +41,7 @@ def dataset(finished):
 
 
 def test_coarse_mesh_is_stiffer_by_what_is_documented(monkeypatch, tmp_path):
-    """1 x 12 x 10 elements are 3 to 4 % too stiff (docs/findings.md); and are remembered apart."""
+    """1 x 12 x 10 elements are 3 to 4 % too stiff (docs/findings.md); and are cached apart."""
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path))
     force = {}
     for mesh in ("coarse", "usual"):
@@ -137,7 +137,7 @@ def test_second_run_is_recalled_and_the_same(finished, tmp_path):
         assert np.array_equal(first["node_displacement"], second["node_displacement"])
 
 
-def test_remembered_press_that_was_cut_short_is_computed_again_and_said(tmp_path, monkeypatch):
+def test_cached_press_that_was_cut_short_is_computed_again_and_said(tmp_path, monkeypatch):
     """The note stands on the screen and in the file; the numbers are those of the first time.
 
     The third time nothing is computed.

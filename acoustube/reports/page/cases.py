@@ -151,7 +151,7 @@ def _thinned(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], li
         raise ConfigError(
             f"the sweep has {count} cases, {left} of them at one place, and a page holds "
             f"{MOST_CASES}; sweep fewer into a folder of their own (presses and scattering are "
-            "remembered)"
+            "cached)"
         )
     note = f"The page holds {left} of the sweep's {count} cases: {most} of {len(places)} places."
     return kept, [note]

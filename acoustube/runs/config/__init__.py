@@ -1,6 +1,6 @@
-"""Settings in human units, checked before anything is computed.
+"""Settings in the units that people type, checked before anything is computed; then in SI units.
 
-Read `settings`, then `checks`, `config` and `document`.
+Read `settings`, then `checks`, `config`, `document`, and `si`, which converts them.
 """
 
 from acoustube.runs.config.checks import CELLS_PER_WAVELENGTH, check_touched, grid_cells
