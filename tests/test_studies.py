@@ -15,7 +15,14 @@ from rich.console import Console
 from acoustube.base.errors import ConfigError
 from acoustube.cli._app import app, main
 from acoustube.cli.reproduce import STUDIES, run_reproduce
-from acoustube.reports.studies import calibration, echotube, flat_figures, ranged, simulation
+from acoustube.reports.studies import (
+    calibration,
+    echotube,
+    flat_figures,
+    ranged,
+    simulation,
+    simulation_cases,
+)
 from acoustube.reports.studies.report import COLUMNS, Row, Scale, Study, page, write
 from acoustube.signals import Echoes, Ranging
 
@@ -134,7 +141,7 @@ def test_late_share_of_a_pulse_and_its_weaker_repetition():
         },
         {"source_end": ["absorbing"], "time": time},
     )
-    assert simulation.late_share(cases) == pytest.approx([0.2], rel=1e-6)
+    assert simulation_cases.late_fraction(cases) == pytest.approx([0.2], rel=1e-6)
 
 
 def test_reach_is_where_the_loss_there_and_back_is_the_dynamic_range():

@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -155,18 +154,12 @@ def _write_index(folder: Path) -> None:
     """Write a page that links to those of all finished studies, and the table of all."""
     import pandas as pd
 
+    from acoustube.reports.studies.report import index_page
+
     there = [name for name in STUDIES if (folder / name / "index.html").is_file()]
     tables = [pd.read_csv(folder / name / "table.csv", dtype=str) for name in there]
     pd.concat(tables).to_csv(folder / "table.csv", index=False, lineterminator="\n")
-    links = "\n".join(
-        f'<li><a href="{escape(name)}/index.html">{escape(name)}</a></li>' for name in there
-    )
-    (folder / "index.html").write_text(
-        '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>acoustube: studies'
-        f"</title>\n<h1>Published studies</h1>\n<ul>\n{links}\n</ul>\n<p>acoustube "
-        f'{__version__}; all numbers: <a href="table.csv">table.csv</a></p>\n',
-        encoding="utf-8",
-    )
+    (folder / "index.html").write_text(index_page(there), encoding="utf-8")
 
 
 def _print(study: Study, console: Console) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import html
-import re
 from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file, partial_file
@@ -17,11 +17,10 @@ from acoustube.reports.page.runs import RUN, read_run
 from acoustube.runs.sweep.store import PLAN
 
 PARTS = {"style": "page.css", "charts": "charts.js", "script": "page.js"}
-SLOT = re.compile(r"\{\{ (\w+) \}\}")
 
 
 def read(where: str | Path) -> Content:
-    """Read what a page is to show.
+    """Read the content of a page from a run or a sweep.
 
     Parameters
     ----------
@@ -113,4 +112,4 @@ def assembled(content: Content, library: str) -> str:
         "content": encoded(content),
     }
     template = folder.joinpath("page.html").read_text("utf-8")
-    return SLOT.sub(lambda slot: parts[slot[1]], template)
+    return Template(template).substitute(parts)

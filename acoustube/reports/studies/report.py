@@ -1,4 +1,4 @@
-"""What a study gives: numbers beside published ones, figures, and a page that shows both."""
+"""Report of a study: computed and published numbers, figures, and a page of both."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from acoustube.base.version import __version__
 from acoustube.runs.sweep.workers import Workers
 
-FAR = 1 / 3
-"""Difference from a published number, as a share of it, from which a row is marked."""
+MARKED_DIFFERENCE = 1 / 3
+"""Relative difference from a published number from which a row is marked."""
 COLUMNS = (
     "study", "quantity", "unit", "published", "ours", "difference_percent", "coarser",
     "change_percent", "why",
@@ -29,14 +29,14 @@ DPI = 110
 
 
 class Level(NamedTuple):
-    """How finely a study is computed.
+    """Discretisation of a study.
 
     Attributes
     ----------
     resolution : int
         Cells across the bore.
     mesh : str
-        Of the wall, as the setting of that name.
+        Mesh of the wall, a value of the setting of that name.
     """
 
     resolution: int
@@ -48,12 +48,12 @@ USUAL, COARSE = Level(16, "usual"), Level(12, "coarse")
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """How much of a study is done.
+    """Extent of a study, and its workers.
 
     Attributes
     ----------
     quick : bool
-        A few presses on the coarse level alone, to see that all works; its numbers mean little.
+        A few presses on the coarse level alone, as a test; its numbers are not accurate.
     workers : int, Workers or None
         Processes; as many as there are cores with None. Or those of the study before.
     """
@@ -68,7 +68,7 @@ class Scale:
 
     @property
     def coarser(self) -> Level | None:
-        """The level beside it, to see what refinement changes; a quick study has none."""
+        """Coarser level, for the effect of refinement; None for a quick study."""
         return None if self.quick else COARSE
 
 
@@ -98,18 +98,18 @@ class Row:
 
     @property
     def difference(self) -> float:
-        """Ours less published, as a share of that; nan where one is missing."""
+        """Relative difference from the published number; nan where one is missing."""
         return _relative(self.ours, self.published)
 
     @property
     def change(self) -> float:
-        """Ours less that on the coarser level, as a share of ours; nan where one is missing."""
+        """Relative change from the coarser level; nan where one is missing."""
         return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What a study found.
+    """Text, numbers and figures of a study.
 
     Attributes
     ----------
@@ -168,6 +168,13 @@ def write_table(studies: Mapping[str, Study], path: Path) -> None:
                 writer.writerow([name, row.quantity, row.unit, *words, row.why])
 
 
+def index_page(names: Sequence[str]) -> str:
+    """Return a page of links to the pages of studies."""
+    template = files("acoustube.reports.studies").joinpath("index.html").read_text("utf-8")
+    links = [f'<li><a href="{escape(n)}/index.html">{escape(n)}</a></li>' for n in names]
+    return Template(template).substitute(links="\n".join(links), version=__version__)
+
+
 def page(study: Study, pictures: Mapping[str, bytes]) -> str:
     """Return a page that needs nothing else: text, table, and figures as PNG by caption."""
     figures = "\n".join(
@@ -187,7 +194,7 @@ def page(study: Study, pictures: Mapping[str, bytes]) -> str:
 
 
 def _html_row(row: Row) -> str:
-    far = bool(abs(row.difference) > FAR)
+    far = bool(abs(row.difference) > MARKED_DIFFERENCE)
     cells = (
         _plain(row.published), _plain(row.ours), _percent(row.difference), _plain(row.coarser),
         _percent(row.change),
@@ -203,5 +210,5 @@ def _plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
     return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
 
 
-def _percent(share: float) -> str:
-    return "-" if not np.isfinite(share) else f"{100 * share:+.0f} %"
+def _percent(fraction: float) -> str:
+    return "-" if not np.isfinite(fraction) else f"{100 * fraction:+.0f} %"

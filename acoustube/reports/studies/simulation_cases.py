@@ -1,0 +1,90 @@
+"""Selection of the cases of the simulation study, and their late and modal energy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from acoustube import signals
+from acoustube.base.types import Array
+from acoustube.base.units import MM
+from acoustube.reports.studies.presses import matrices
+from acoustube.runs.config import Config
+from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.sweep import select
+from acoustube.waves import Scattering
+
+RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
+"""Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
+TRAPPED_AFTER_S = 0.4e-3
+"""Time in s after the direct echo's middle from which sound was trapped: the pulse lasts 0.26 ms,
+its reflection by the source end comes 0.12 ms later."""
+DEFAULT = settings_in_si(Config())
+"""Settings of the sweeps, but for those that vary."""
+CARRIER, PROBE = DEFAULT.pulse.frequency, DEFAULT.probe
+"""Carrier in Hz, and position of the probe in m."""
+
+
+def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:
+    """Return cases with amplitude, distance and its error at one source end."""
+    return select.chosen(cases.assign(chosen_source_end=("press", [end] * cases.press.size)))
+
+
+def of_rod(cases: xr.Dataset, rod: str) -> xr.Dataset:
+    """Return the cases of a rod, given its diameter in mm, by depth."""
+    return only(cases, "diameter", 1e-3 * float(rod)).sortby("depth")
+
+
+def only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
+    """Return the cases with one value of a label."""
+    return cases.isel(press=np.flatnonzero(np.isclose(cases[label].values, value)))
+
+
+def late_fraction(cases: xr.Dataset, end: str = "absorbing") -> Array:
+    """Return the fraction of the echo's energy later than :data:`TRAPPED_AFTER_S`."""
+    signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
+    time = cases["time"].values
+    path = 2 * cases["true_distance"].values - PROBE
+    middle = DEFAULT.pulse.duration / 2 + path / signals.speed_of_sound(cases["temperature"].values)
+    after = time[None] - middle[:, None]
+    echo = after > -DEFAULT.pulse.duration / 2
+    return np.asarray(
+        (signal * (after > TRAPPED_AFTER_S)).sum(axis=1)
+        / np.maximum((signal * echo).sum(axis=1), 1e-30)
+    )
+
+
+def carried_power(folder: Path) -> dict[tuple[str, float], dict[str, Array]]:
+    """Return reflected and transmitted power by mode, averaged over the pulse's spectrum.
+
+    Returns
+    -------
+    dict
+        By diameter in mm and depth in m; then by mode: reflected and transmitted fractions of the
+        power of an incident plane wave.
+    """
+    found = {}
+    for cases, matrix in matrices(folder):
+        rod = f"{MM * float(cases['diameter'].values[0]):g}"
+        found[rod, float(cases["depth"].values[0])] = _fractions(matrix)
+    return found
+
+
+def _fractions(matrix: Scattering) -> dict[str, Array]:
+    """Return the fractions of power in each mode, (reflected, transmitted)."""
+    weight = np.abs(_spectrum(matrix.frequency)) ** 2
+    plane = matrix.modes.index("00")
+    power = np.abs(matrix.s[:, :, :, 0, plane]) ** 2
+    mean = np.einsum("f,fpm->pm", weight / weight.sum(), power)
+    return {mode: mean[:, i] for i, mode in enumerate(matrix.modes)}
+
+
+def _spectrum(frequency: NDArray[Any]) -> Any:
+    """Return the pulse's spectrum, up to a factor, at frequencies in Hz."""
+    pulse = DEFAULT.pulse
+    time = np.arange(0.0, pulse.duration, 1e-6)
+    return np.exp(-2j * np.pi * np.outer(frequency, time)) @ np.asarray(pulse(time))
