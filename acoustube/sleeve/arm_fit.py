@@ -34,7 +34,7 @@ MOST_PAIRS = 3000
 OUTLYING = 4.5
 """Deviations from its column's line beyond which a marker counts as wrong; chance: 1 in 25 000."""
 SMALLEST_DEVIATION = 0.2e-3
-"""What markers are placed or seen to in m at best: nothing nearer to its line is called wrong."""
+"""Least deviation of markers in m; none nearer to its line is an outlier."""
 RADII = 0.01, 0.3
 """Radii in m between which an arm's may lie."""
 LENGTHS = 0.03, 1.5
@@ -73,7 +73,7 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
-    """What two columns of markers tell of an arm.
+    """Cone fitted to two columns of markers on an arm.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
 
 
 def _check_units(columns: list[Array]) -> None:
-    """Refuse columns of the size of no arm."""
+    """Raise if the columns do not have the size of an arm."""
     for points in columns:
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if steps.max() > max(300 * np.median(steps), 2 * LENGTHS[1]):
@@ -333,7 +333,7 @@ def _check_units(columns: list[Array]) -> None:
 
 
 def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Kept]]) -> None:
-    """Refuse columns with markers that lie on the other column's line."""
+    """Raise if markers of a column lie on the other column's line."""
     (p, u, _, _), (q, v, _, _) = lines
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
     if between < 2 * RADII[0] and abs(u @ v) > 0.95:
@@ -355,7 +355,7 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
 
 
 def _check_along(own: list[Array], length: float) -> None:
-    """Refuse columns that do not run along the axis, or beside different parts of it."""
+    """Raise if columns are not along the axis, or along different parts of it."""
     for points, name in zip(own, ("first", "second"), strict=True):
         if np.ptp(points[:, 2]) < 0.5 * length:
             raise ConfigError(
@@ -366,7 +366,7 @@ def _check_along(own: list[Array], length: float) -> None:
 
 
 def _check_radii(lines: tuple[Line, ...], length: float) -> None:
-    """Refuse the radius of no arm."""
+    """Raise if the radius is not that of an arm."""
     ends = [line.radius + line.taper * z for line in lines for z in (0.0, length)]
     if not (RADII[0] <= min(ends) and max(ends) <= RADII[1]):
         raise ConfigError(

@@ -34,7 +34,7 @@ HANDS = {"right": 1, "left": -1}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """Where an arm is: the coordinates of its axis in those of the markers.
+    """Coordinate frame of an arm: its axis in the coordinates of the markers.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ class Helix:
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Which tubes lie nearest to places on the skin.
+    """Nearest tubes of positions on the skin.
 
     Attributes
     ----------

@@ -1,4 +1,8 @@
-"""A sleeve's layout: its tubes, what of the skin they cover, and how finely they tell places."""
+"""Layout of a sleeve: its tubes, their coverage of the skin, and their resolution.
+
+"The sleeve paper" is Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +18,9 @@ from acoustube.sleeve.arm_fit import Arm
 from acoustube.sleeve.helix import Helix, nearest
 
 DEAD_ZONE = 0.15
-"""Distance in m within which the send pulse drowns every echo: the start of the paper's window."""
+"""Distance in m within which the send pulse masks every echo: start of the paper's window."""
 REACH = 2.5
-"""Farthest distance in m from which a press is heard: the paper's tube, and EchoTube's of 8 mm."""
+"""Largest distance in m of a detected press: the paper's tube, and EchoTube's of 8 mm."""
 LEAD = 0.15
 """Tube outside the sleeve in m, as in the paper: as long as the dead zone."""
 OUTER_DIAMETER = 11.1e-3
@@ -27,13 +31,13 @@ WITHIN = 0.01
 DEVIATION = 0.05
 """Standard deviation of a distance in m: 5.23 cm is the paper's median error on the flat tube."""
 SKIN_PLACES = 16_000
-"""Places at which the skin is looked at."""
+"""Sampling points of the skin."""
 GOLDEN = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
-    """What a sleeve covers, and how finely.
+    """Coverage and resolution of a sleeve.
 
     Attributes
     ----------
@@ -199,7 +203,7 @@ def design(
 
 
 def check_reach(tubes: Sequence[Helix], reach: float) -> None:
-    """Refuse tubes that are longer than the sensor hears.
+    """Raise if a tube is longer than the sensor's reach.
 
     Raises
     ------
@@ -216,7 +220,7 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
 
 
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
-    """Refuse tubes that would lie on each other.
+    """Raise if tubes overlap.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How much a tube flattens when it is wrapped, and what that does to its cut-ons.
+"""Flattening of a wrapped tube (Brazier), and its effect on the cut-ons.
 
 References
 ----------
@@ -17,7 +17,7 @@ COLLAPSE = 2 / 9
 
 
 def ovality(tube: Tube, curvature: float) -> float:
-    """Return by which share the bore's radius shrinks in the plane of a bend.
+    """Return the relative decrease of the bore's radius in the plane of a bend.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def ovality(tube: Tube, curvature: float) -> float:
 
 
 def cut_on_shift(m: int, n: int, ovality: float) -> float:
-    """Return by which share the cut-on of a mode (m, n) changes in a flattened bore.
+    """Return the relative change of the cut-on of a mode (m, n) in a flattened bore.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from acoustube.base.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Following:
-    """How contacts are followed.
+    """Settings of the contact tracker.
 
     Parameters
     ----------
