@@ -1,0 +1,94 @@
+"""The storeys of the package: commands, reports, runs, the stages in data order, the ground."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import acoustube
+
+PACKAGE = Path(acoustube.__file__).parent
+STAGES = (
+    "tube", "air", "indentation", "lumen", "waves", "ranging", "recordings", "signals",
+    "estimation", "sleeve",
+)  # fmt: skip
+STOREYS = ("base", *STAGES, "runs", "reports", "cli")
+"""From the ground up: a room imports rooms that stand before it."""
+AT_TOP = {"__init__", "__main__", "py"}
+PRINTING = {"rich", "cyclopts", "argparse"}
+FILE_FORMATS = {"h5py", "h5netcdf", "tomlkit", "tomllib"}
+LEAVES = ("signals/calibration_file.py", "estimation/model_file.py", "recordings/")
+"""Where stages keep their own file formats."""
+LONGEST_MODULE, LONGEST_FUNCTION = 400, 60
+
+
+def modules():
+    return sorted(path for path in PACKAGE.rglob("*.py"))
+
+
+def room(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(tree):
+    """Yield every module that is imported at any place, by its full name."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{name.name}" for name in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+
+
+def test_top_level_holds_the_storeys_alone():
+    found = {path.stem for path in PACKAGE.iterdir() if path.name != "__pycache__"}
+    assert found - AT_TOP == set(STOREYS)
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_module_imports_only_what_stands_below(path):
+    here = room(path)
+    if here in AT_TOP:
+        return
+    names = set(imports(ast.parse(path.read_text(encoding="utf-8"))))
+    inner = {name.split(".")[1] for name in names if name.startswith("acoustube.")} & set(STOREYS)
+    above = {name for name in inner if STOREYS.index(name) > STOREYS.index(here)}
+    assert not above
+    outer = {name.split(".")[0] for name in names}
+    if here != "cli" and path.name != "console.py":
+        assert not outer & PRINTING
+    if here in STAGES:
+        assert not outer & FILE_FORMATS or str(path.relative_to(PACKAGE)).startswith(LEAVES)
+
+
+def test_signals_know_nothing_of_simulated_sound():
+    """A recording from a sensor passes through exactly the code that a simulated one does."""
+    names = {
+        name
+        for path in (PACKAGE / "signals").rglob("*.py")
+        for name in imports(ast.parse(path.read_text(encoding="utf-8")))
+    }
+    assert not {n for n in names if n.startswith(("acoustube.waves", "acoustube.ranging"))}
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_module_and_its_functions_can_be_read_at_once(path):
+    """400 lines a module, 60 a function without its docstring."""
+    text = path.read_text(encoding="utf-8")
+    assert text.count("\n") <= LONGEST_MODULE
+    long = {}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef):
+            words = ast.get_docstring(node, clean=False) or ""
+            length = node.end_lineno - node.lineno + 1 - (words.count("\n") + bool(words))
+            if length > LONGEST_FUNCTION:
+                long[node.name] = length
+    assert not long
+
+
+def test_nothing_prints_but_commands():
+    for path in modules():
+        if room(path) in ("cli", "__main__") or path.name == "console.py":
+            continue
+        calls = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        names = {getattr(node.func, "id", "") for node in calls if isinstance(node, ast.Call)}
+        assert "print" not in names, path
