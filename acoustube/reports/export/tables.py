@@ -85,7 +85,7 @@ def _described(stem: str, name: str, variable: xr.DataArray) -> dict[str, Any]:
 
 
 def check_parquet(what: str) -> None:
-    """Refuse what needs Parquet where its package is missing.
+    """Raise if Parquet is needed where its package is missing.
 
     Raises
     ------

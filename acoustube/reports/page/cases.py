@@ -1,4 +1,4 @@
-"""What a page shows of a sweep."""
+"""Content of the page of a sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page shows: states of a press, one per depth, in groups of one tool at one place."""
+"""Content of a page: states of a press, one per depth, in groups of one tool at one place."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Along:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """What the probe hears of a press; distances from the source end in m.
+    """Signal of a press at the probe; distances from the source end in m.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Signal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spectrum:
-    """How a press reflects the plane wave.
+    """Plane-wave reflection coefficient of a press.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a page shows of a run of ``acoustube simulate`` or ``acoustube indent``."""
+"""Content of the page of a run of ``acoustube simulate`` or ``acoustube indent``."""
 
 from __future__ import annotations
 

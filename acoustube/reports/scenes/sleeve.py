@@ -30,7 +30,7 @@ POINTS_PER_LOOP = 90
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """What is drawn.
+    """Geometry of the picture.
 
     Attributes
     ----------

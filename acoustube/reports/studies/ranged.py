@@ -1,4 +1,4 @@
-"""What the processing tells of cycles: their distance, and whether it is right."""
+"""Distances estimated from cycles, and their errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def found_distance(table: xr.Dataset) -> Array:
 
 
 def told(table: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which cycles tell the distance to 25 cm."""
+    """Return which cycles have a distance error below 25 cm."""
     return np.asarray(
         np.abs(found_distance(table) - table["true_distance"].values) < FALSE_POSITIVE_ERROR
     )

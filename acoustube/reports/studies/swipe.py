@@ -43,7 +43,7 @@ HOW = Following(deviation=0.015)
 
 
 class Track(NamedTuple):
-    """What was followed.
+    """Contacts tracked over time.
 
     Attributes
     ----------
