@@ -57,3 +57,19 @@ def double_precision():
 
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         yield
+
+
+@pytest.fixture
+def compilations():
+    """Return a list that grows by an entry whenever JAX compiles a function, or loads one."""
+    from jax import monitoring
+
+    found = []
+
+    def note(event, _duration, **_details):
+        if event == "/jax/core/compile/backend_compile_duration":
+            found.append(event)
+
+    monitoring.register_event_duration_secs_listener(note)
+    yield found
+    monitoring.unregister_event_duration_listener(note)

@@ -92,10 +92,15 @@ def test_force_and_section_follow_the_stages(dataset):
 
 
 def test_absorbing_end_places_the_press_within_its_own_length(dataset):
-    """The echo comes from the 2.4 cm over which the lumen is narrower by more than a tenth."""
+    """The rod flattens 2.4 cm of the tube, and the echo's middle lies behind the rod's by 3 mm.
+
+    Found at 18.31 cm with 0.01359 of the pulse on this grid, and by scattering matrices, which have
+    no delay of the grid, at 18.28 cm with 0.01363. Coarse as it is: 5 % for another processor's
+    sums and mesh.
+    """
     case = dataset.sel(source_end="absorbing")
-    assert float(case["estimated_distance"]) == pytest.approx(0.18, abs=0.012)
-    assert 0.005 < float(case["echo_amplitude"]) < 0.05
+    assert float(case["estimated_distance"]) == pytest.approx(0.1830, abs=1e-3)
+    assert float(case["echo_amplitude"]) == pytest.approx(0.0136, rel=0.05)
 
 
 def test_probe_sees_the_pulse_before_any_echo_alike_at_both_ends(dataset):
@@ -197,9 +202,13 @@ def test_scattering_and_straight_tube_give_the_recording_of_the_whole_tube(datas
         full = dataset["pressure"].sel(source_end=end).values
         parts = CubicSpline(found["time"], found["pressure"].sel(source_end=end))(time)
         assert np.linalg.norm(parts - full) < 0.025 * np.linalg.norm(full)
-        case = found.sel(source_end=end)
+        case, whole = found.sel(source_end=end), dataset.sel(source_end=end)
+        # Measured 0.5 and 0.3 %, and 0.48 and 0.31 mm.
         assert float(case["echo_amplitude"]) == pytest.approx(
-            float(dataset["echo_amplitude"].sel(source_end=end)), rel=0.05
+            float(whole["echo_amplitude"]), rel=0.015
+        )
+        assert float(case["estimated_distance"]) == pytest.approx(
+            float(whole["estimated_distance"]), abs=1e-3
         )
     assert float(found["delay_bias"]) == 0.0 < abs(float(dataset["delay_bias"]))
     assert "the grid moves the echo" in dataset.attrs["accuracy"]

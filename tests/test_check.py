@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acoustube.cli import check as check_command
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.runs import selftest
 from acoustube.runs.selftest import Outcome, Trial, all_trials, run_trials
 

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 
 import acoustube
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.cli.cite import topics_of
 from acoustube.cli.references import REFERENCES, TOPICS, references
 

@@ -13,7 +13,7 @@ from scipy.io import wavfile
 import acoustube
 from acoustube import recordings, signals
 from acoustube.base.errors import ConfigError
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.ranging import Burst, Rangefinder, digitiser, record
 from acoustube.runs.config import Config, configured
 from acoustube.runs.config.si import settings_in_si

@@ -140,11 +140,19 @@ def test_folds_are_weighted_by_inverse_validation_loss():
     assert found == pytest.approx(np.array([4, 2, 1]) / 7)
 
 
-def test_any_number_of_folds_compiles_one_step():
+def test_any_number_of_folds_compiles_one_step(compilations):
+    """Eight folds compile as often as two, and another seed of either compiles nothing."""
     x, y = forces(200)
-    before = network._epoch._cache_size()
-    network.train(x, y[:, None], folds(np.arange(200), 8), epochs=3, batch_size=17)
-    assert network._epoch._cache_size() == before + 1
+
+    def compiled(n_folds, seed):
+        before = len(compilations)
+        fold = folds(np.arange(200), n_folds)
+        network.train(x, y[:, None], fold, epochs=3, batch_size=17, seed=seed)
+        return len(compilations) - before
+
+    compiled(2, 0)  # what is compiled once for all
+    assert compiled(8, 0) == compiled(5, 0) > 0
+    assert compiled(8, 1) == 0
 
 
 def test_same_seed_trains_the_same_network_and_another_another():

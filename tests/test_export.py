@@ -18,7 +18,7 @@ import xarray as xr
 from acoustube.base.limits import pressed_reach
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.surfaces import read_lumen
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.indentation.mesh import sweep
 from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.reports.export import lerobot

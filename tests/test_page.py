@@ -14,7 +14,7 @@ from rich.console import Console
 
 import acoustube
 from acoustube.base.errors import ConfigError
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.cli.indent import run_press
 from acoustube.cli.simulate import run_simulation
 from acoustube.indentation import Indenter, MeshSize

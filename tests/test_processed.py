@@ -10,7 +10,7 @@ from test_calibration import PLACES, blocked, untouched
 from test_pipeline import RATE, TIME, cycles_at
 
 from acoustube import signals
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.runs import recordings
 
 DISTANCES = np.linspace(0.3, 1.9, 7)

@@ -20,7 +20,7 @@ import acoustube
 from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.base.errors import ConfigError
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.lumen import pressed_part
 from acoustube.runs import sound
 from acoustube.runs.config import configured

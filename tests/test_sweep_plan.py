@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
-from acoustube.cli._app import main
+from acoustube.cli import main
 from acoustube.runs.config import Config
 from acoustube.runs.sound import band_of
 from acoustube.runs.sweep.graph import Case, load_paths, only_cases, shard

@@ -130,16 +130,19 @@ def test_sound_loses_fifteen_decibels_per_metre():
 
 @pytest.mark.slow
 def test_little_of_what_comes_back_is_a_plane_wave():
-    """Power is conserved; at 5 mm the findings have 4 % of it in the plane mode, held and finer."""
+    """Power is conserved, measured to 3e-4; 2.9 % of it in the plane mode on this coarse grid.
+
+    On a grid half as fine again it is 3.8 %, and 4 % in the findings, held and finer still.
+    """
     shown = run("physics_parts_of_the_echo")
-    assert shown["balance"] < 2e-3
-    assert 0.01 < shown["in_plane"] < 0.08
+    assert shown["balance"] < 1e-3
+    assert shown["in_plane"] == pytest.approx(0.029, abs=0.003)
 
 
 def test_default_transducer_is_deaf_for_a_decimetre():
-    """The study of reach finds 12 to 14 cm by the whole processing."""
+    """11 cm, sought in steps of 1 cm; the whole processing needs 12 to 14 (the study of reach)."""
     shown = run("physics_what_the_transducer_hears")
-    assert 0.08 < shown["dead_zone"] < 0.15
+    assert shown["dead_zone"] == pytest.approx(0.11, abs=0.0101)
 
 
 def test_every_figure_of_the_documentation_is_checked_here():

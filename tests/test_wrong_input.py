@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from acoustube.cli._app import main
+from acoustube.cli import main
 
 
 @pytest.fixture
