@@ -58,7 +58,7 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "write_computation_times": False,
     "download_all_examples": False,
-    "plot_gallery": True,
+    "plot_gallery": os.environ.get("GALLERY") != "no",  # the scripts take minutes
 }
 # Pages of others are looked at with -D linkcheck_ignore= where there is a network.
 linkcheck_ignore = [r"https?://"]
