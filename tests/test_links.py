@@ -25,11 +25,20 @@ def anchors(page):
     return {heading.replace(" ", "-") for heading in plain}
 
 
+def assert_made_by_a_script(target):
+    """A picture of the gallery is named by the script that draws it, in either folder of them."""
+    picture = re.search(r"_generated/(\w+)/images/sphx_glr_(\w+)_\d{3}\.png$", target)
+    if picture:
+        folder = {"gallery": "examples", "verification": "docs/verification"}[picture[1]]
+        assert (ROOT / folder / f"{picture[2]}.py").is_file(), f"no script draws {target}"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_relative_links_point_to_what_exists(page):
     """What the documentation's build makes is not looked for: it checks that itself."""
     for target, anchor in LINK.findall(prose(page)):
         if "_generated/" in target:
+            assert_made_by_a_script(target)
             continue
         there = page.parent / target if target else page
         assert there.exists(), f"{target} is not there"
@@ -41,3 +50,5 @@ def test_links_are_found_and_a_missing_heading_is_noticed(tmp_path):
     page.write_text("# A title: of words\n\n[x](page.md#a-title-of-words) ![y](no.png)\n")
     assert LINK.findall(prose(page)) == [("page.md", "a-title-of-words"), ("no.png", "")]
     assert anchors(page) == {"a-title-of-words"}
+    with pytest.raises(AssertionError, match="no script draws"):
+        assert_made_by_a_script("_generated/gallery/images/sphx_glr_none_001.png")

@@ -61,7 +61,11 @@ def test_readme_example_prints_what_it_says(capsys):
 
 @pytest.mark.slow
 def test_readme_press_runs(capsys):
-    """At a tenth of its depths, which takes less time: two forces, and a force per wall."""
+    """At a tenth of its depths, which takes less time: two forces, and a force per wall in N/m.
+
+    Central differences between walls of 1.5 and 1.7 mm give 260 N/m on the coarse mesh, whose
+    forces are 2 to 6 % too high. The forces are as measured.
+    """
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     (example,) = [block for block in blocks if "derivatives(" in block]
@@ -69,5 +73,6 @@ def test_readme_press_runs(capsys):
     assert shallow.count("e-4") == 3
     exec(shallow, {})
     forces, slope = capsys.readouterr().out.strip().splitlines()
-    assert all(0 < float(force) < 0.3 for force in forces.strip("[]").split())
-    assert float(slope) > 0
+    rod, sphere = map(float, forces.strip("[]").split())
+    assert (rod, sphere) == pytest.approx((0.0933, 0.0908), rel=0.01)
+    assert float(slope) == pytest.approx(250, rel=0.02)
