@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 REFRESH = 0.1
 """Seconds between two pictures in a terminal."""
 BARS, FLOOR_DB, TRACE = " ▁▂▃▄▅▆▇█", -40.0, 60
-"""Of the trace: its characters, the level of the lowest, and its width."""
+"""Characters of the trace, the level in dB of the lowest, and its width."""
 
 
 @Parameter(name="*")
@@ -111,9 +111,9 @@ def run_live(
     ConfigError
         If the calibration or the port cannot be used.
     SimulationError
-        If the line is cut.
+        If the serial connection is lost.
     KeyboardInterrupt
-        With a sentence that states what is kept.
+        On Ctrl-C, with a message on what is kept.
     """
     from acoustube.runs.live import follow
 

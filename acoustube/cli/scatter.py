@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 HIGHEST_KHZ = 1000.0
 """Frequency above which Hz are suspected."""
 NARROWEST_CELLS = 2
-"""Cells across the narrowest place."""
+"""Least number of cells across the narrowest place."""
 
 
 @Parameter(name="*")
@@ -213,7 +213,7 @@ def _openings(cells: CutCells) -> Any:
 
 
 def _check_width(cells: CutCells, path: Path) -> None:
-    """Check that there are cells across the narrowest place."""
+    """Check that there are enough cells across the narrowest place."""
     openings = _openings(cells)[1:-1]
     narrowest, place = float(openings.min()), int(openings.argmin())
     if narrowest < NARROWEST_CELLS * cells.spacing[1]:
@@ -225,7 +225,7 @@ def _check_width(cells: CutCells, path: Path) -> None:
 
 
 def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
-    """Return a sentence for each condition of the model that the run does not meet."""
+    """Return a sentence for each assumption of the model that the run violates."""
     import numpy as np
 
     from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness

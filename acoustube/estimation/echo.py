@@ -123,7 +123,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return offsets(x, self.offset_columns, self.n_targets_) + median.mean(axis=0), scale
 
     def _by_fold(self, x: Array) -> tuple[Array, Array]:
-        """Return medians and deviations of all networks, (fold, row, target)."""
+        """Return medians and standard deviations of all networks, (fold, row, target)."""
         scales = self.networks_.scaler
         out, log_scale = np.split(network.predict(self.networks_, self._inputs(x)), 2, axis=-1)
         unit = scales.y_deviation[:, None]

@@ -280,7 +280,7 @@ def echo_features(
 def _levels(
     envelope: Array, place: Array, gain: Array, settings: Processing
 ) -> tuple[Array, Array]:
-    """Return clutter at the reflector and noise, relative to the send pulse, (cycle, 1)."""
+    """Return the levels of clutter and noise, relative to the send pulse, (cycle, 1)."""
     inside = (place >= settings.nearest) & (place <= settings.farthest)
     past = place > settings.farthest
     quiet = np.where(past.sum(axis=-1, keepdims=True) > envelope.shape[-1] // 20, past, inside)

@@ -1,7 +1,7 @@
 """Conformal prediction intervals from the residuals of held-out rows.
 
 Split-conformal prediction [1]_: for any scale that an estimator states with each estimate, the
-quantiles of residual over scale on held-out rows are the factors by which the scale is multiplied
+quantiles of residual over scale on held-out rows are the factors that multiply the scale
 for a wanted coverage. Held-out and future rows must be exchangeable: held out by tube, for new
 tubes.
 
@@ -53,7 +53,7 @@ def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
 
 
 def factor(quantiles: Array, coverage: float = ONE_DEVIATION) -> Array:
-    """Return the factor for a coverage, interpolated between the stored levels.
+    """Return the factor on the scale for a coverage, interpolated between the stored levels.
 
     Parameters
     ----------

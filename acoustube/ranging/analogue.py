@@ -182,7 +182,7 @@ def response(
     sent *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
     sent *= np.exp(-2j * pi * frequency * rangefinder.lead)
     received = sent * rangefinder.resonator(frequency)
-    inside = in_band(presses, real, received, what="what the rangefinder receives")
+    inside = in_band(presses, real, received, what="the received signal")
     air, band, face = air_at(temperature), frequency[inside], rangefinder.face_reflection
     pressure = transfer(
         presses, air, band, radius=radius, length=length, probes=(0.0,),

@@ -22,7 +22,7 @@ MIN_CODE_RANGE = 64
 """Range of codes below which noise reaches the extremes repeatedly without clipping."""
 
 BLOCK_SAMPLES = 1 << 22
-"""Samples checked at a time, so that a memory-mapped file need not fit into memory."""
+"""Number of samples checked at a time, so that a memory-mapped file need not fit into memory."""
 
 
 def check_temperature(path: Path, values: NDArray[Any]) -> None:

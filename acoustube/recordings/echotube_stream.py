@@ -204,7 +204,7 @@ class Receiver:
     Attributes
     ----------
     n_dropped : int
-        Intact cycles that were never taken.
+        Number of intact cycles dropped before they were processed.
     failure : Exception or None
         Exception that ended the stream, usually an OSError; cycles may still be waiting.
     """

@@ -62,7 +62,7 @@ def _npz(path: Path) -> Contents:
 
 
 def _array(path: Path, name: str, member: Any) -> NDArray[Any]:
-    """Return an array of an archive; one of Python objects could run code as it is read."""
+    """Return an array of an archive; raise for Python objects, which could run code when read."""
     try:
         return np.lib.format.read_array(member, allow_pickle=False)
     except ValueError as error:

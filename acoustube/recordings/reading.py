@@ -196,7 +196,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _natural(path: Path) -> list[str | int]:
-    """Return a sorting key by which ``run10`` comes after ``run9``."""
+    """Return a natural sorting key: ``run10`` comes after ``run9``."""
     parts = re.split(r"(\d+)", str(path))
     return [int(part) if i % 2 else part for i, part in enumerate(parts)]
 

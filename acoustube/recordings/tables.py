@@ -19,7 +19,7 @@ Contents = dict[str, Any]
 
 
 class Note(str):
-    """A sentence on how a file was read; by its type it differs from what the file holds."""
+    """Remark on how a file was read; its type distinguishes it from the file's contents."""
 
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -96,7 +96,7 @@ def read_table(path: Path) -> Contents:
     labels such as ``temperature``, or with two or more columns whose names end in a number and
     others that do not, each row is a cycle. Else the longer side is the time, and rows are cycles
     where both are equal. In a table without names whose rows outnumber the columns, a first
-    column that rises evenly in steps under 10 ms is the time; of two columns, any that does so.
+    column that increases evenly in steps under 10 ms is the time; of two columns, any that does.
     """
     names, columns, settings = _cells(path)
     return settings | (_named_columns(names, columns) if names else _unnamed_columns(columns))

@@ -2,7 +2,7 @@
 
 A column is a row of markers along the arm. Outliers are found first, column by column, by the line
 in space with the least median of squared distances (up to almost half of the markers may be wrong);
-what is kept is then fitted by ordinary least squares, whose confidence intervals are exact for
+the inliers are then fitted by ordinary least squares, whose confidence intervals are exact for
 normal errors.
 
 References
@@ -30,17 +30,17 @@ from acoustube.sleeve.helix import Frame
 Kept = NDArray[np.bool_]
 
 MOST_PAIRS = 3000
-"""Pairs of markers tried as lines; of more, evenly drawn ones."""
+"""Largest number of marker pairs tried as lines; of more, evenly spaced ones."""
 OUTLYING = 4.5
-"""Deviations from its column's line beyond which a marker counts as wrong; chance: 1 in 25 000."""
+"""Standard deviations from its column's line beyond which a marker is an outlier (1 in 25 000)."""
 SMALLEST_DEVIATION = 0.2e-3
-"""Least deviation of markers in m; none nearer to its line is an outlier."""
+"""Smallest standard deviation of markers in m; a marker nearer to its line is no outlier."""
 RADII = 0.01, 0.3
-"""Radii in m between which an arm's may lie."""
+"""Plausible range of an arm's radius in m."""
 LENGTHS = 0.03, 1.5
-"""Lengths of a column in m between which that on an arm may lie."""
+"""Plausible range of a marker column's length in m."""
 FEWEST = 3
-"""Markers of a column: a line goes through any two."""
+"""Least number of markers per column: a line goes through any two."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class Line:
     freedom : int
         Degrees of freedom of the fit.
     deviation : float
-        Of a marker from the line in m.
+        Standard deviation of a marker from the line in m.
     """
 
     radius: float
@@ -86,7 +86,7 @@ class Arm:
     length : float
         Extent of the markers along the axis in m, from z = 0.
     kept : tuple of ndarray of bool
-        Which markers of each column were used.
+        Mask of the markers of each column that were used (inliers).
     """
 
     frame: Frame
@@ -116,12 +116,12 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
     ------
     ConfigError
         If a column has fewer than three markers, does not run along the arm, lies on the other, is
-        mixed up with it, or has the size of no arm.
+        mixed up with it, or is too short or too long for an arm.
 
     Notes
     -----
-    Two straight lines do not tell the axis of a cone on which they lie at an unknown angle from
-    each other: hence the two ways. With the axis, seven numbers are fitted to two deviations per
+    Two straight lines on a cone do not determine its axis if the angle between them is unknown:
+    hence the two ways. With the axis, seven numbers are fitted to two deviations per
     marker, those across the axis.
     """
     columns = [_column(points, name) for points, name in ((first, "first"), (second, "second"))]
@@ -175,13 +175,13 @@ def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -
 
 
 def _flags(points: Any, used: Array) -> Kept:
-    """Return which of the given markers were used."""
+    """Return a mask of the given markers that were used."""
     points = np.asarray(points, float)
     return np.array([bool(np.any(np.all(used == point, axis=1))) for point in points])
 
 
 def _column(points: ArrayLike, name: str) -> Array:
-    """Return a column without its gaps."""
+    """Return a column without its missing markers."""
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ConfigError(f"the {name} column has shape {points.shape} and must have (n, 3)")
@@ -196,7 +196,7 @@ def _column(points: ArrayLike, name: str) -> Array:
 
 
 def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
-    """Return a line through most points: middle, direction, deviation, and which lie on it."""
+    """Return a robust line fit: centroid, direction, standard deviation, and mask of inliers."""
     pairs = np.array(list(combinations(range(len(points)), 2)))
     if len(pairs) > MOST_PAIRS:
         pairs = pairs[np.linspace(0, len(pairs) - 1, MOST_PAIRS).astype(int)]
@@ -204,7 +204,7 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
     size = np.linalg.norm(step, axis=1)
     if not size.max() > 0:
         raise ConfigError("the markers of a column all lie at one place; check the column")
-    # Neighbours make poor lines: their errors tip them.
+    # Pairs of neighbours give poor lines: their errors tilt them.
     far = size > 0.3 * size.max()
     start, step = start[far], step[far] / size[far, None]
     away = points[:, None, :] - start
@@ -226,7 +226,7 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
 
 
 def _common_direction(lines: list[tuple[Array, Array, float, Kept]]) -> Array:
-    """Return the direction midway between two columns, that of the first."""
+    """Return the mean direction of two columns, oriented as the first."""
     (_, u, _, _), (_, v, _, _) = lines
     if abs(u @ v) < 0.7:
         between = np.degrees(np.arccos(float(abs(u @ v))))
@@ -252,7 +252,7 @@ def _radius_line(points: Array) -> Line:
 
 
 def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
-    """Return the last two of fitted values as a line, with their covariance."""
+    """Return the last two fitted parameters as a line, with their covariance."""
     freedom = len(residuals) - len(values)
     variance = float(residuals @ residuals) / freedom
     covariance = np.asarray(variance * np.linalg.inv(jacobian.T @ jacobian), float)
@@ -338,7 +338,7 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
     if between < 2 * RADII[0] and abs(u @ v) > 0.95:
         raise ConfigError(
-            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which tells no "
+            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which determines no "
             "radius; give columns on opposite sides of the arm"
         )
     for i, (points, (_, _, _, kept)) in enumerate(zip(columns, lines, strict=True)):

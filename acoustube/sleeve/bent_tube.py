@@ -1,7 +1,7 @@
-"""Sound in a wrapped tube: the bends between its presses, for a cascade.
+"""Sound in a wrapped tube: scattering matrices of the bends between its presses.
 
 The pressed part of a tube is computed straight. On an arm the tube is bent up to there, and the
-plane wave meets a press together with the modes that the bend has made of it.
+plane wave is incident on a press together with the modes into which the bend has scattered it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from acoustube.tube import Tube
 from acoustube.waves import Bent, PlacedScatterer, joined_bends
 
 HIGHEST = 6.0
-"""Largest j'mn of the modes in a bend: with 10 a loop of the paper's tube changes by 1.4e-3."""
+"""Largest j'mn of the modes in a bend; with 10 the scattering of a loop changes by 1.4e-3."""
 CLEARANCE = 1e-9
-"""Straight tube in m at either end of a bend, so that bends and presses do not meet by rounding."""
+"""Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
 SHORTEST = 1e-3
-"""Tube in m that is not worth a bend."""
+"""Length of tube in m below which no bend is computed."""
 
 
 def winding(
@@ -39,24 +39,24 @@ def winding(
     modes: Sequence[str],
     tube: Tube | None = None,
 ) -> list[PlacedScatterer]:
-    """Return the bends that a part of a wrapped tube is, a loop each at the most.
+    """Return the bends of a part of a wrapped tube, each of one loop at most.
 
     Parameters
     ----------
     helix : Helix
     air : Air
     frequency : array_like
-        In Hz, rising and evenly spaced: those of the presses. In steps of 100 Hz over 28 kHz a loop
-        is told between them to 0.5 %, of 300 Hz to 3 %.
+        In Hz, increasing and evenly spaced: those of the presses. Over 28 kHz, the interpolation
+        error of a loop is 0.5 % for steps of 100 Hz and 3 % for steps of 300 Hz.
     start, stop : float
         Distances from the sensor in m, on the helix.
     radius : float
         Of the bore in m.
     modes : sequence of str
-        Those of the presses beside it.
+        Modes of the neighbouring presses.
     tube : Tube, optional
-        The tube that the wrap flattens, see :func:`acoustube.sleeve.ovalisation.ovality`; it stays
-        round without. All along as at the helix's middle: steps from loop to loop would echo.
+        Tube flattened by the bending, see :func:`acoustube.sleeve.ovalisation.ovality`; without it
+        the bore stays round. The ovality is that at the helix's middle: steps would echo.
 
     Returns
     -------
@@ -69,9 +69,9 @@ def winding(
 
     Notes
     -----
-    Each has the curvature and the torsion of its middle. A longer one could not be told between its
-    frequencies: beside a cut-on a mode travels so slowly that its delay in a loop is as long as the
-    press's. What torsion converts into modes that are not asked for, 1 to 2 % of the power in a
+    Each has the curvature and torsion at its middle. A longer bend could not be interpolated in
+    frequency: close to cut-on the group velocity of a mode is so low that its delay in a loop is as
+    long as that of a press. The power that torsion converts into modes not requested, 1 to 2 % per
     loop, is lost at the loop's end.
     """
     ends = helix.height([start, stop])
@@ -108,21 +108,21 @@ def windings(
     modes: Sequence[str],
     tube: Tube | None = None,
 ) -> list[PlacedScatterer]:
-    """Return the bends of a wrapped tube that presses keep straight where they are.
+    """Return the bends of a wrapped tube, which is straight at the presses.
 
     Parameters
     ----------
     helix, air, frequency, radius, modes, tube
         See :func:`winding`.
     places : sequence of float
-        Of the presses on the helix, rising, in m; none for the whole tube.
+        Positions of the presses on the helix in m, increasing; empty for the whole tube.
     reach : float
         See :func:`wrapped`.
 
     Returns
     -------
     list of PlacedScatterer
-        The same for all presses at these places.
+        The bends alone; valid for any presses at these positions.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def windings(
     if np.any(np.diff(at) < 2 * reach):
         raise ConfigError(
             f"presses at {', '.join(f'{100 * place:.4g}' for place in at)} cm are nearer to "
-            f"each other than twice the reach, {200 * reach:.3g} cm, or do not rise; move them"
+            f"each other than twice the reach, {200 * reach:.3g} cm, or not in order; move them"
         )
     starts = [helix.lead, *(at + reach)]
     stops = [*(at - reach), helix.tube_length]
@@ -162,14 +162,14 @@ def wrapped(
     ----------
     helix : Helix
     presses : sequence of PlacedScatterer
-        One or more, on the helix, of one band.
+        One or more, on the helix, computed over the same band.
     air : Air
     radius : float
         Of the bore in m.
     reach : float
-        How far a press keeps the tube straight, to each side, in m. Its lumen should be round
-        beyond: there its scattering matrix holds nothing but straight tube, which the bend
-        replaces.
+        Length in m, to each side of a press, over which the tube is straight. Beyond it the lumen
+        should be round: the straight tube that the scattering matrix contains there is replaced
+        by the bend.
     tube : Tube, optional
         See :func:`winding`.
 
@@ -195,5 +195,5 @@ def wrapped(
 
 
 def shortened(press: PlacedScatterer, reach: float) -> PlacedScatterer:
-    """Return a press that leaves the tube beyond its reach, in m, to others."""
+    """Return a press whose length along the tube is limited to its reach in m."""
     return replace(press, scattering=replace(press.scattering, extent=(-reach, reach)))

@@ -26,7 +26,7 @@ from acoustube.base.types import Array
 GRID = 2000
 """Intervals of the arc-length table; on a forearm its error is under 1e-9 of the length."""
 NODES = 41
-"""Nodes of the Gauss-Hermite rule that carries a spread of distances to the skin."""
+"""Nodes of the Gauss-Hermite rule that propagates the distance's uncertainty to the skin."""
 REFINEMENTS = 8
 """Newton steps towards the foot of a perpendicular; five reach a micrometre on a forearm."""
 HANDS = {"right": 1, "left": -1}
@@ -65,27 +65,27 @@ class Helix:
     radius : float
         a0, the distance of the centre line from the axis at z = 0, in m.
     taper : float
-        a1, what the radius gains per m of the axis.
+        a1, the increase of the radius per m along the axis.
     length : float
-        dz, extent along the axis in m.
+        dz, extent of the helix along the axis in m.
     loops : float
         Turns over the length.
     phase : float
         psi0 in rad.
     hand : str
-        ``right`` or ``left``: a right-handed screw rises along z as psi grows.
+        ``right`` or ``left``: on a right-handed helix z increases with psi.
     lead : float
-        Tube before the helix in m.
+        Length of tube before the helix in m.
     frame : Frame
-        Where the arm is.
+        Position and orientation of the arm.
     intervals : int
-        Of the arc-length table.
+        Number of intervals of the arc-length table.
 
     Raises
     ------
     ConfigError
-        If a size is not positive or not finite, the cone has its tip on the arm, there are no
-        loops, or the hand is neither.
+        If a size is not positive or not finite, the cone's apex lies on the arm, there are no
+        loops, or the hand is not `right` or `left`.
     """
 
     radius: float
@@ -125,7 +125,7 @@ class Helix:
 
     @property
     def tube_length(self) -> float:
-        """Lead and helix in m."""
+        """Total length of lead and helix in m."""
         return float(self.lead + self.table[1, -1])
 
     @cached_property
@@ -204,14 +204,14 @@ class Helix:
 
         Notes
         -----
-        Those of a cylinder's helix with the radius at z: what the taper adds is of second order
-        in it. With b = 1 / rho, kappa = r / (r^2 + b^2) and tau = b / (r^2 + b^2).
+        Those of a cylinder's helix with the radius at z: the taper's contribution is of second
+        order. With b = 1 / rho, kappa = r / (r^2 + b^2) and tau = b / (r^2 + b^2).
         """
         r, b = self.radius_at(z), 1 / self.twist
         return r / (r**2 + b**2), b / (r**2 + b**2)
 
     def spread(self, distance: ArrayLike, deviation: ArrayLike) -> tuple[Array, Array]:
-        """Carry the uncertainty of distances to the skin.
+        """Propagate the uncertainty of distances to positions on the skin.
 
         Parameters
         ----------
@@ -225,12 +225,12 @@ class Helix:
         mean : ndarray
             (..., 3) in m, in the coordinates of the markers.
         covariance : ndarray
-            (..., 3, 3) in m2. What would lie outside the helix is counted at its end.
+            (..., 3, 3) in m2. Distances beyond the helix are set to its end.
 
         Notes
         -----
-        By Gauss-Hermite quadrature along the tube and not by the tangent: a deviation of 5 cm
-        already is a fifth of a loop around a forearm.
+        By Gauss-Hermite quadrature along the tube, not by linearisation: a standard deviation of
+        5 cm is a fifth of a loop around a forearm.
         """
         nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
         weights = weights / weights.sum()
@@ -257,8 +257,8 @@ class Nearest:
     gap : ndarray
         From the place to that tube's centre line in m, (...).
     next_tube, next_distance, next_gap : ndarray
-        The same of the second nearest loop, of any tube. A press whose middle is as far from both
-        is heard at either; nan, and -1 for the tube, where there is no other loop.
+        The same of the second nearest loop, of any tube. A press midway between both may be
+        detected on either; nan, and -1 for the tube, where there is no other loop.
     """
 
     tube: NDArray[np.int64]
@@ -270,7 +270,7 @@ class Nearest:
 
 
 def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
-    """Find the nearest tubes to places, and how far along them that is.
+    """Return the nearest tubes to positions, and the distances along these tubes.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     best = np.argmin(np.where(np.isnan(gap), np.inf, gap), axis=-1)[..., None]
     first = number[best[..., 0]]
     distance = np.take_along_axis(along, best, -1)
-    # Feet that were moved to the same end of a tube are not another loop.
+    # Perpendiculars' feet that were clipped to the same end of a tube are not another loop.
     half_a_loop = np.array([0.5 * tube.tube_length / (tube.loops + 1) for tube in tubes])
     same = (number == first[..., None]) & (np.abs(along - distance) < half_a_loop[first][..., None])
     others = np.where(same | np.isnan(gap), np.inf, gap)
@@ -325,10 +325,10 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
 
 
 def _feet(tube: Helix, places: Array) -> tuple[Array, Array]:
-    """Return heights of the feet on each loop, and their gaps, both (..., loop)."""
+    """Return heights z of the perpendiculars' feet on each loop, and gaps, both (..., loop)."""
     x, y, height = (places[..., i, None] for i in range(3))
     angle = np.arctan2(y, x) - tube.phase
-    # Loops that the angle may lie on, one more at each end.
+    # Candidate loops at this angle, with one more at each end.
     turns = np.arange(-1, int(np.ceil(tube.loops)) + 2) * 2 * pi * HANDS[tube.hand]
     first = np.mod(HANDS[tube.hand] * angle, 2 * pi) * HANDS[tube.hand]
     z = np.clip((first + turns) / tube.twist, 0.0, tube.length)
@@ -345,7 +345,7 @@ def _newton_step(tube: Helix, x: Array, y: Array, height: Array, z: Array) -> An
     outwards, around = x * c + y * s, y * c - x * s
     slope = (r - outwards) * a1 - r * rho * around + z - height
     bend = a1**2 - 2 * rho * a1 * around + r * rho**2 * outwards + 1
-    # Far from the helix the square bends the other way: the arc's own density leads on there.
+    # Far from the helix the second derivative is negative: use the squared arc-length density.
     bend = np.where(bend > 0.1 * tube.density(z) ** 2, bend, tube.density(z) ** 2)
     return np.clip(slope / bend, -tube.pitch / 6, tube.pitch / 6)
 

@@ -22,16 +22,16 @@ DEAD_ZONE = 0.15
 REACH = 2.5
 """Largest distance in m of a detected press: the paper's tube, and EchoTube's of 8 mm."""
 LEAD = 0.15
-"""Tube outside the sleeve in m, as in the paper: as long as the dead zone."""
+"""Length of the lead in m, the tube before the sleeve: that of the dead zone, as in the paper."""
 OUTER_DIAMETER = 11.1e-3
-"""The paper's tube, in m."""
+"""Outer diameter of the paper's tube in m."""
 TUBES = 2
 WITHIN = 0.01
-"""Half width in m of the skin that a tube is said to cover: a 25 mm contact still presses it."""
+"""Half width in m of the skin covered by a tube: a 25 mm contact there still presses it."""
 DEVIATION = 0.05
 """Standard deviation of a distance in m: 5.23 cm is the paper's median error on the flat tube."""
 SKIN_PLACES = 16_000
-"""Sampling points of the skin."""
+"""Number of sampling points of the skin."""
 GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -44,7 +44,7 @@ class Layout:
     tube_lengths : ndarray
         Lead and helix of each tube in m.
     heard : ndarray
-        Of each tube, from where to where a press is heard, in m, (n_tubes, 2).
+        Range of distances on each tube in which a press is detected, in m, (n_tubes, 2).
     pitch : float
         Advance of a tube along the axis per loop in m.
     spacing : float
@@ -54,15 +54,15 @@ class Layout:
     within : float
         Half width of the covered skin beside a tube in m.
     coverage : float
-        Share of the skin within that distance of a tube that hears.
+        Fraction of the skin within that distance of a tube's detection range.
     blind : float
-        Share of the skin whose nearest tube lies, there, in its dead zone or beyond its reach.
+        Fraction of the skin where the nearest tube is in its dead zone or beyond its reach.
     deviation : float
         Standard deviation of a distance in m.
     patch_area : float
-        Skin in m2 to which a distance is told: two deviations along the tube times the spacing.
+        Resolved area in m2: two standard deviations along the tube times the spacing.
     patches : float
-        How many such patches are on the skin that is heard.
+        Number of such patches on the skin where presses are detected.
     """
 
     tube_lengths: Array
@@ -103,7 +103,7 @@ def wound(
     hand : str
         ``right`` or ``left``.
     lead : float
-        Tube before the helix in m.
+        Length of tube before the helix in m.
     length : float, optional
         Extent along the axis in m; that of the markers if not given.
 
@@ -160,11 +160,11 @@ def design(
     hand : str
         ``right`` or ``left``.
     lead : float
-        Tube before the helix in m.
+        Length of tube before the helix in m.
     outer_diameter : float
         Of the tube in m; its centre line lies half of it over the skin.
     reach : float
-        Farthest distance from which a press is heard, in m.
+        Largest distance at which a press is detected, in m.
 
     Returns
     -------
@@ -250,14 +250,14 @@ def layout(
     within: float = WITHIN,
     deviation: float = DEVIATION,
 ) -> Layout:
-    """Return what a sleeve covers.
+    """Return coverage and resolution of a sleeve.
 
     Parameters
     ----------
     tubes : sequence of Helix
         All around one arm.
     dead_zone, reach : float
-        From where to where along a tube a press is heard, in m.
+        Start and end of the detection range along a tube, in m.
     within : float
         Half width of the covered skin beside a tube in m.
     deviation : float
@@ -270,7 +270,7 @@ def layout(
     Notes
     -----
     The skin is the cone on which the centre lines lie, between the ends of the sleeve; distances
-    to a tube are straight ones. Areas are sums over places spread evenly.
+    to a tube are straight ones. Areas are sums over evenly spread points.
     """
     tube = tubes[0]
     places, weights = _skin(tube)
@@ -302,7 +302,7 @@ def layout(
 
 
 def _skin(tube: Helix) -> tuple[Array, Array]:
-    """Return places on the skin, (n, 3) in the arm's coordinates, and the areas they stand for."""
+    """Return quadrature points on the skin, (n, 3) in the arm's coordinates, and their areas."""
     n = SKIN_PLACES
     z = (np.arange(n) + 0.5) * tube.length / n
     # The golden angle: no row of places runs along a loop, as it might on a grid.

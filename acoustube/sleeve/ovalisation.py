@@ -38,8 +38,8 @@ def ovality(tube: Tube, curvature: float) -> float:
     Notes
     -----
     The wall of a thin tube that is bent freely moves by zeta R, zeta = (1 - nu^2) kappa^2 R^4 / t^2
-    with R the mean radius. A wall as thick as a third of its radius is stiffer than that, and a
-    pocket or the arm holds it besides: an upper estimate.
+    with R the mean radius. A wall as thick as a third of its radius is stiffer, and is supported by
+    a pocket or the arm: this is an upper bound.
     """
     mean = tube.inner_diameter / 2 + tube.wall_thickness / 2
     found = (1 - tube.poisson_ratio**2) * (curvature * mean**2 / tube.wall_thickness) ** 2

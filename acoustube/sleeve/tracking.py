@@ -1,9 +1,9 @@
-"""Several contacts followed from cycle to cycle, from the candidate echoes of one or both ends.
+"""Tracking of several contacts over cycles, from the candidate echoes of one or both ends.
 
 Each contact has a place and a speed along one coordinate, the tube's, or the arm's where a hand
-swipes across loops. Candidates are given to contacts by the assignment of least total distance, in
-standard deviations, within a gate (global nearest neighbour); what is left over begins a contact,
-which counts once it has been heard often enough, and ends when it has been missed for a while.
+swipes across loops. Candidates are assigned to contacts with the least total distance, in
+standard deviations, within a gate (global nearest neighbour). An unassigned candidate starts a
+tentative contact, which is confirmed after a number of detections and deleted after misses.
 
 References
 ----------
@@ -37,14 +37,14 @@ class Following:
     acceleration : float
         Standard deviation of a contact's acceleration over a cycle, in m/s2.
     speed : float
-        Standard deviation of the speed with which a contact begins, in m/s.
+        Standard deviation of a contact's initial speed, in m/s.
     gate : float
-        Deviations beyond which a candidate is none of a contact's.
+        Standard deviations beyond which a candidate is not assigned to a contact.
     hits : int
-        Cycles with a candidate after which a contact counts.
+        Number of cycles with a candidate after which a contact is confirmed.
     misses : int
-        Cycles in a row without one after which a contact ends; one that does not count yet ends
-        after its first two.
+        Consecutive cycles without one after which a contact is deleted; a tentative one is
+        deleted after its first two.
 
     Raises
     ------
@@ -72,7 +72,7 @@ class Contacts:
     Attributes
     ----------
     number : ndarray of int
-        (n,), from 0, in the order in which they began; a number is given once.
+        (n,), from 0, in the order of confirmation; numbers are not reused.
     place, speed : ndarray
         In m and m/s, (n,).
     deviation : ndarray
@@ -86,21 +86,21 @@ class Contacts:
 
 
 class ContactTracker:
-    """Follow contacts through a stream of cycles.
+    """Track contacts through a stream of cycles.
 
     Parameters
     ----------
     how : Following, optional
     length : float, optional
-        Distance in m between the sensors at both ends, which turns what the far one hears into
-        places from the near one; needed for candidates of a far end.
+        Distance in m between the sensors at both ends, which converts the far one's distances to
+        places from the near one; required for candidates of a far end.
 
     Notes
     -----
-    A Kalman filter for each contact, all of them in arrays. The two ends are taken in one after the
-    other, so that a contact that one end does not hear, behind another, is kept by the other end.
+    A Kalman filter for each contact, all of them in arrays. The two ends are processed in turn:
+    a contact hidden behind another from one end is still tracked by the other end.
     A candidate within the gate of a contact that has a nearer one is taken for a ripple of the same
-    echo: two presses are told apart from the gate's width on, 4 cm for a deviation of 1 cm.
+    echo: the resolution of two presses is the gate's width, 4 cm for a deviation of 1 cm.
     """
 
     def __init__(self, how: Following | None = None, *, length: float | None = None):
@@ -115,7 +115,7 @@ class ContactTracker:
         self._misses = np.empty(0, np.int64)
 
     def update(self, time: float, near: ArrayLike, far: ArrayLike = ()) -> Contacts:
-        """Take in a cycle.
+        """Update the contacts with a cycle's candidates.
 
         Parameters
         ----------
@@ -129,12 +129,12 @@ class ContactTracker:
         Returns
         -------
         Contacts
-            Those that count.
+            The confirmed ones.
 
         Raises
         ------
         ConfigError
-            If the time does not rise, or the far end has candidates and the length is not known.
+            If the time does not increase, or the far end has candidates and no length was given.
         """
         near, far = (_candidates(values) for values in (near, far))
         if len(far) and self.length is None:
@@ -143,7 +143,7 @@ class ContactTracker:
         heard = self._take_in(near)
         if len(far):
             assert self.length is not None
-            # What began with this end's candidates may be heard by the other end at once.
+            # Contacts started by this end's candidates may be detected by the other end at once.
             both = self._take_in(self.length - far)
             both[: len(heard)] |= heard
             heard = both
@@ -154,7 +154,7 @@ class ContactTracker:
         return self._counting()
 
     def _predict(self, time: float) -> None:
-        """Move the contacts on to a time."""
+        """Predict the contacts at a time (Kalman prediction)."""
         if self._time is not None and not time > self._time:
             raise ConfigError(
                 f"time = {time:g} s does not follow {self._time:g} s; times must rise"
@@ -167,11 +167,11 @@ class ContactTracker:
         self._covariance = move @ self._covariance @ move.T + np.outer(push, push)
 
     def _take_in(self, places: Array) -> NDArray[np.bool_]:
-        """Update contacts by candidates, begin new ones, and tell which were heard."""
+        """Update contacts by candidates, start new ones, and return a mask of those detected."""
         variance = self._covariance[:, 0, 0] + self.how.deviation**2
         away = places - self._state[:, :1]
         squares = away**2 / variance[:, None]
-        # Beyond the gate all are equally bad, so that no good pair is given up for them.
+        # Beyond the gate all costs are equal, so that no pair within the gate is given up for them.
         outside = self.how.gate**2
         rows, columns = linear_sum_assignment(np.minimum(squares, outside))
         inside = squares[rows, columns] < outside
@@ -201,7 +201,7 @@ class ContactTracker:
             setattr(self, name, getattr(self, name)[kept])
 
     def _counting(self) -> Contacts:
-        """Return the contacts that count, and number those that do so for the first time."""
+        """Return the confirmed contacts, and number newly confirmed ones."""
         counts = self._hits >= self.how.hits
         fresh = np.flatnonzero(counts & (self._number < 0))
         self._number[fresh] = self._begun + np.arange(len(fresh))

@@ -59,11 +59,11 @@ Localization and Force Sensing") changes by 1e-5."""
 SLICE_EXPONENT = 0.5
 """Growth exponent of the most evanescent mode over a slice."""
 CUT_ON_MARGIN = 1e-6
-"""Smallest kz over k: closer to a cut-on the two directions of a mode are linearly dependent."""
+"""Smallest kz over k: closer to cut-on a mode's two waves are nearly linearly dependent."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
 LARGEST_CURVATURE = 0.95
-"""Largest bore radius over bend radius; at 1 the inner wall is folded."""
+"""Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +252,7 @@ def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
 
 
 def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> None:
-    """Validate that the frequencies rise, and that the modes suffice for the highest."""
+    """Validate that the frequencies increase, and that the modes suffice for the highest."""
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:

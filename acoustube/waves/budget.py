@@ -57,7 +57,7 @@ class Budget:
     ringing: float
 
     def in_words(self, path: float) -> str:
-        """Return the budget as a sentence, for the length of an echo's path in m."""
+        """Return the error budget as a sentence, for the length of an echo's path in m."""
         absorbing = (
             f"an absorbing end returns under {PLANE_WAVE_REFLECTION:.0f} dB of the plane wave, "
             f"{self.absorption:.0f} dB of a mode 1 % over its cut-on; "

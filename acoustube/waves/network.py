@@ -40,7 +40,7 @@ Reflection = complex | NDArray[Any]
 CYCLE = 4
 """Period of the discrete Fourier transform, in durations of the recording."""
 WRAPAROUND_ATTENUATION = 1e4
-"""Attenuation by the exponential window against time-domain wrap-around."""
+"""Attenuation of time-domain wrap-around by the exponential window."""
 
 
 Placed = PlacedScatterer

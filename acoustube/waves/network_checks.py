@@ -52,7 +52,7 @@ def check_tube(presses: Sequence[PlacedScatterer], air: Air, radius: float) -> N
 def in_band(
     presses: Sequence[PlacedScatterer], frequency: Array, spectrum: Complex, *, what: str
 ) -> NDArray[np.bool_]:
-    """Return a mask of the frequencies at which all presses are known.
+    """Return a mask of the frequencies that lie in the bands of all scattering matrices.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def bore_modes(highest: float) -> BoreModes:
 
 
 def _flattened(m: int, n: int, side: str) -> float:
-    """Return the derivative of a squared cut-on wavenumber by the ovality (Hadamard's formula)."""
+    """Return d(cut-on wavenumber^2) / d(ovality), by Hadamard's formula."""
     if m != 1:
         return 0.0
     square = bessel_zero(m, n) ** 2
@@ -89,7 +89,7 @@ def _flattened(m: int, n: int, side: str) -> float:
 
 
 def _mode_fields(m: int, n: int, side: str, r: Array, phi: Array) -> tuple[Array, Array, Array]:
-    """Return a mode and its derivatives by r and phi, (r, phi)."""
+    """Return a mode and its partial derivatives in r and phi, on a grid (r, phi)."""
     zero = bessel_zero(m, n)
     around, turned = (np.cos, np.sin) if side == "c" else (np.sin, np.cos)
     sign = -m if side == "c" else m

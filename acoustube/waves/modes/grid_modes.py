@@ -223,19 +223,19 @@ class Phases:
 
 
 def _second_difference(square: Complex, beta: float) -> Complex:
-    """Return X of X (1 + beta X) = square."""
+    """Return the solution X of X (1 + beta X) = square."""
     return np.asarray(2 * square / (1 + np.sqrt(1 + 4 * beta * square + 0j)))
 
 
 def _phase(square: Complex, beta: float) -> Complex:
-    """Return the theta whose wave decays, or else propagates, towards positive z."""
+    """Return the axial phase theta per cell of the wave that decays or propagates towards +z."""
     theta = 2 * np.arcsin(np.sqrt(_second_difference(square, beta) + 0j) / 2)
     theta = np.where(theta.imag > 0, -theta, theta)
     return np.asarray(np.where((theta.imag == 0) & (theta.real < 0), -theta, theta))
 
 
 def _slope(square: Complex, beta: float) -> Complex:
-    """Return the derivative of X (1 + beta X) by theta."""
+    """Return the derivative of X (1 + beta X) with respect to theta."""
     theta = _phase(square, beta)
     return np.asarray(2 * np.sin(theta) * (1 + 2 * beta * _second_difference(square, beta)))
 

@@ -15,7 +15,7 @@ from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phas
 from acoustube.waves.scheme.problem import Setup
 
 CELLS_PER_RADIAN = 1.5
-"""Smallest resolution, at their cut-on, of the modes that can be probed on a grid."""
+"""Least number of cells per 1/k at its cut-on for which a mode can be probed on a grid."""
 
 
 class ModalProbe(NamedTuple):
@@ -158,7 +158,7 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     Notes
     -----
     A unit source in a layer radiates exp(-i theta n) / (i slope) over n layers in both directions,
-    with `slope` the derivative of the axial term by theta. The increments are the wave divided by
+    with `slope` the theta derivative of the axial term. The increments are the wave divided by
     this response, frequency by frequency; at the cut-on, where the slope vanishes, they vanish too.
     The source layer and its neighbours also hold a near field of a few per cent.
     """

@@ -170,7 +170,7 @@ def _zwikker_kosten(omega: NDArray[Any], radius: float, air: Air) -> NDArray[np.
 
 
 def _root(square: NDArray[Any]) -> NDArray[np.complex128]:
-    """Return the root whose wave decays, or else propagates, towards positive z."""
+    """Return the square root whose wave decays or propagates towards +z."""
     root = np.sqrt(square)
     return np.where(root.imag > 0, -root, root)
 

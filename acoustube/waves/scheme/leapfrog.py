@@ -105,7 +105,7 @@ def march(
         end = begin + len(piece)
         if not marcher.is_finite():
             raise SimulationError(
-                f"waves: the pressure left the range of numbers between steps {begin} and {end}; "
+                f"waves: the pressure diverged between steps {begin} and {end}; "
                 f"the time step {setup.time_step:.4g} s is over the stable limit: leave time_step "
                 "unset, or use a value below stable_step(cells, air)"
             )

@@ -33,7 +33,7 @@ from acoustube.waves.spectral.polynomials import (
 from acoustube.waves.spectral.walls import Contours, Wall
 
 BOX_POINTS = 5
-"""Gauss-Lobatto points of an element through which its box goes."""
+"""Number of Gauss-Lobatto points per element at which its box is interpolated."""
 
 
 class Boxes(NamedTuple):
@@ -51,7 +51,7 @@ class Boxes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Matrices of line elements; their functions are L_j P_i, j from 0 to `order`.
+    """Matrices of line elements with the basis functions L_j P_i, j from 0 to `order`.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def assemble(wall: Wall, edges: Array, basis: Polynomials, order: int, n_points:
     ----------
     wall : Wall
     edges : ndarray
-        Borders of the elements along z in m, (n_elements + 1,), rising.
+        Boundaries of the elements along z in m, (n_elements + 1,), increasing.
     basis : Polynomials
     order : int
         Highest degree along an element.
@@ -131,7 +131,7 @@ def element_boxes(wall: Wall, edges: Array, points: Array) -> tuple[Boxes, Array
 def section_matrices(
     contours: Contours, boxes: Boxes, basis: Polynomials
 ) -> tuple[Array, Array, Array]:
-    """Return, of each section, int P P^T, int P (B P)^T and int grad P . grad P^T.
+    """Return int P P^T, int P (B P)^T and int grad P . grad P^T of each section.
 
     The gradient of the last is that at fixed L_j: d/dx, d/dy and B. Each (n_sections, n, n).
     """

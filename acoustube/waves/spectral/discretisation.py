@@ -1,7 +1,7 @@
-"""A lumen in one basis and in a richer one, whose difference tells the error.
+"""Discretisation of a lumen in a basis and in an enriched one, for the error estimate.
 
-All matrices are those of the richer basis: polynomials of a total degree higher by `RICHER`, and
-along each element one degree more. The basis itself is the first functions of each.
+All matrices are those of the enriched basis: polynomials of a total degree higher by `RICHER`, and
+along each element one degree more. The basis itself consists of the first functions of each.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes, port_fun
 from acoustube.waves.spectral.walls import Wall
 
 RICHER = 2
-"""By how much the total degree of the richer basis is higher."""
+"""Increase of the total degree in the enriched basis."""
 SPARE_POINTS = 3
-"""Gauss points along an element beyond its degree."""
+"""Number of Gauss points along an element, in excess of its degree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,19 +30,19 @@ class Discretisation:
     Attributes
     ----------
     stiffness, mass : ndarray
-        Of the elements, (n_elements, n_j, n, n_j, n) of the richer basis.
+        Of the elements in the enriched basis, (n_elements, n_j, n, n_j, n).
     n_functions, order : int
-        Functions across the tube and degree along it of the basis itself.
+        Number of functions across the tube, and degree along it, of the basis itself.
     modes : PortModes
         Of the ports.
     ports : ndarray
-        What the polynomials have of the modes, in m, (n_ports, n, n_modes).
+        Integrals of the polynomials times the modes, in m, (n_ports, n, n_modes).
     heights : tuple of float
         z of the ports in m.
     radius : float
         Of the ports in m.
     halved : bool
-        Whether it is the half beyond the plane about which the lumen is symmetric, with one port.
+        True for one half, with one port, of a lumen symmetric about a plane z = const.
     """
 
     stiffness: Array
@@ -57,12 +57,12 @@ class Discretisation:
 
     @property
     def sides(self) -> tuple[bool, ...]:
-        """Whether the pressure is zero in the plane of symmetry, for each field to solve."""
+        """Parities along z to solve for: True if the pressure is zero in the symmetry plane."""
         return (False, True) if self.halved else (False,)
 
     @property
     def load(self) -> Array:
-        """Loads by the modes of all ports, (n_elements, n_j, n, n_ports n_modes)."""
+        """Load vectors of the modes of all ports, (n_elements, n_j, n, n_ports n_modes)."""
         m = len(self.modes)
         load = np.zeros((*self.mass.shape[:3], m * len(self.ports)))
         load[-1, 1, :, -m:] = self.ports[-1]
@@ -72,21 +72,21 @@ class Discretisation:
 
 
 class Response(NamedTuple):
-    """Fields for one shift and side.
+    """Solution for one shift and one parity along z (`sides`).
 
     Attributes
     ----------
     fields : ndarray
-        Blocks of a Krylov space, the first the response itself, (n_elements, n_j, n, n_columns) of
-        the richer basis.
+        Blocks of a Krylov space, the first the response itself, (n_elements, n_j, n, n_columns) in
+        the enriched basis.
     correction : ndarray
-        What the richer basis adds to the response, to first order, of that shape.
+        First-order correction of the response in the enriched basis, of that shape.
     impedance : ndarray
         Z in 1/m, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
-        What the polynomials of higher degree add to Z.
+        Correction of Z by the polynomials of higher degree.
     by_element : ndarray
-        What one degree more along each element adds, (n_elements, ...).
+        Correction of Z by one degree more along each element, (n_elements, ...).
     """
 
     fields: Array
@@ -112,15 +112,15 @@ def discretise(
     ----------
     wall : Wall
     edges : ndarray
-        Borders of the elements in m, from the first port, or the plane of symmetry, to the last.
+        Boundaries of the elements in m, from the first port, or the plane of symmetry, to the last.
     degree, order : int
         Total degree across the tube, degree along an element.
     odd : bool or None
         Symmetry about x = 0; None for all modes.
     wavenumber : float
-        The highest of interest in 1/m.
+        Highest wavenumber of interest in 1/m.
     spare_points : int
-        Gauss points along an element beyond its degree.
+        Number of Gauss points along an element, in excess of its degree.
     """
     halved = wall.reversible
     basis = polynomials(degree + RICHER, odd)
@@ -154,7 +154,7 @@ def _add_far_modes(
     radius: float,
     wavenumber: float,
 ) -> None:
-    """Add to a port what modes far below their cut-on do there, linear in k^2."""
+    """Add the impedance of strongly evanescent modes to a port, linearised in k^2."""
     element, end = place
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
@@ -164,7 +164,7 @@ def _add_far_modes(
 
 
 def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]:
-    """Solve for the ports' loads at one squared wavenumber, and for what follows.
+    """Solve for the ports' loads at one squared wavenumber, with Krylov vectors and corrections.
 
     Parameters
     ----------
@@ -172,12 +172,12 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     shift : float
         k^2 in 1/m2.
     blocks : int
-        Of the Krylov space of (K - k^2 M)^-1 M, the response being the first.
+        Number of blocks of the Krylov space of (K - k^2 M)^-1 M; the response is the first.
 
     Returns
     -------
     list of Response
-        One per side.
+        One per parity along z; for a lumen that is not symmetric along z, one.
     """
     n, n_j = system.n_functions, system.order + 1
     matrix = system.stiffness - shift * system.mass
@@ -213,7 +213,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
 
 
 def _normalised(block: Array) -> Array:
-    """Return a block with orthonormal columns of the same span."""
+    """Return an orthonormal basis of a block's columns."""
     return np.asarray(np.linalg.qr(block.reshape(-1, block.shape[-1]))[0].reshape(block.shape))
 
 

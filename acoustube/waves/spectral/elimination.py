@@ -1,4 +1,4 @@
-"""Direct solution of K - s M along the tube: elements condensed, then nodes eliminated in order."""
+"""Direct solution of K - s M along the tube: static condensation, then block elimination."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Factors = tuple[Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Elements without what is inside them.
+    """Elements after static condensation of their interior unknowns.
 
     Attributes
     ----------
     inside : list of tuple
         Factors of each element's inner block.
     follow : ndarray
-        What the inside does as the two ends move, with its sign changed,
+        Negative response of the interior unknowns to those of the two ends,
         (n_elements, n_inner, 2 n).
     ends : ndarray
-        Matrix of both ends of each element, (n_elements, 2 n, 2 n).
+        Condensed matrix (Schur complement) of both ends of each element, (n_elements, 2 n, 2 n).
     """
 
     inside: list[Factors]
@@ -41,11 +41,11 @@ class Chain:
     ----------
     nodes : list of tuple
     onwards : list of ndarray
-        How each node follows the next, with its sign changed, (n, n).
+        Negative response of each node to the next, (n, n).
     couplings : ndarray
-        Of each node to the next, (n_elements, n, n).
+        Coupling matrix of each node to the next, (n_elements, n, n).
     held : bool
-        Whether the first node is held at zero.
+        True if the pressure at the first node is prescribed as zero.
     """
 
     nodes: list[Factors]
@@ -55,7 +55,7 @@ class Chain:
 
 
 def condense(matrix: Array) -> Condensed:
-    """Eliminate the inside of each element.
+    """Eliminate the interior unknowns of each element (static condensation).
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def condense(matrix: Array) -> Condensed:
 
 
 def eliminate(condensed: Condensed, *, held: bool) -> Chain:
-    """Factor the nodes, with the first one held at zero or free."""
+    """Factor the nodal system, with the pressure at the first node prescribed as zero or free."""
     ends = condensed.ends
     n_elements, n = len(ends), ends.shape[1] // 2
     couplings = ends[:, :n, n:].copy()
@@ -96,19 +96,19 @@ def eliminate(condensed: Condensed, *, held: bool) -> Chain:
 
 
 def solve(condensed: Condensed, chain: Chain, load: Array) -> Array:
-    """Solve for loads.
+    """Solve the factored system for load vectors.
 
     Parameters
     ----------
     condensed : Condensed
     chain : Chain
     load : ndarray
-        Of each element, (n_elements, n_j, n, n_loads); those of a node add up.
+        Of each element, (n_elements, n_j, n, n_loads); a node's loads are summed.
 
     Returns
     -------
     ndarray
-        Of that shape; the value of a node stands in both its elements.
+        Of that shape; the value at a node is repeated in both of its elements.
     """
     n_elements, n_j, n, n_loads = load.shape
     inner = load[:, 2:].reshape(n_elements, (n_j - 2) * n, n_loads)

@@ -13,9 +13,9 @@ from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 SAME = 1e-9
-"""Largest distance in m between rings, or mirror images, that counts as none."""
+"""Distance in m up to which rings, or mirror images, count as equal."""
 ROUND = 1e-3
-"""Largest deviation of an end from a circle, as a share of its radius."""
+"""Largest deviation of an end from a circle, relative to its radius."""
 NEWTON_STEPS = 30
 
 
@@ -28,9 +28,9 @@ class Rings(Protocol):
         (n_rings, n_around, 3) in m, anticlockwise seen from the end of high z, the first point of
         each at the bottom.
     position : float
-        z in m of what heights are told from.
+        z in m that is the origin of heights.
     symmetric : bool
-        Whether symmetric about x = 0.
+        True if symmetric about x = 0.
     """
 
     @property
@@ -63,7 +63,7 @@ def wall_of(lumen: Rings) -> Wall:
 
     Notes
     -----
-    Lines that join the points of the same number are cubic splines through the rings of the pressed
+    Lines that join points of equal index are cubic splines through the rings of the pressed
     part, over the rings' mean heights, and straight from there to the last round ring on each side.
     """
     rings = lumen.rings - [0.0, 0.0, lumen.position]
@@ -104,7 +104,7 @@ def _radius(ring: Array) -> float:
 
 
 class Lines:
-    """Lines through the points of one number of rings, by height.
+    """Longitudinal lines through the ring points of equal index, as functions of height.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Lines:
         self.rings = rings
 
     def __call__(self, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Return x, y and their derivatives by z, (n, n_around), at heights z (n,)."""
+        """Return x, y and their z derivatives, (n, n_around), at heights z (n,)."""
         low, high = self.rings[1, :, 2], self.rings[-2, :, 2]
         height = np.broadcast_to(z[:, None], (len(z), len(low)))
         s = np.clip(height, self.knots[0], self.knots[-1])
@@ -136,7 +136,7 @@ class Lines:
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
     def _at(self, s: Array) -> tuple[Array, Array]:
-        """Return points (n, n_around, 3) and their derivatives by the rings' mean height."""
+        """Return points (n, n_around, 3) and their derivatives with respect to mean ring height."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         t = (s - self.knots[piece])[..., None]
         a, b, c, d = self.coefficients[:, piece, np.arange(s.shape[1])]
@@ -151,7 +151,7 @@ class Lines:
         place: Array,
         along: Array,
     ) -> tuple[Array, Array]:
-        """Put straight lines from the ring `rim` to the ring `end`, where the tube is round."""
+        """Make the lines straight between the rings `rim` and `end`, where the tube is round."""
         start, stop = self.rings[rim], self.rings[end]
         slope = (stop[:, :2] - start[:, :2]) / (stop[:, 2:] - start[:, 2:])
         share = (height - start[:, 2]) / (stop[:, 2] - start[:, 2])

@@ -1,4 +1,4 @@
-"""Elements along a lumen: short where its sections change, and never long against a wave."""
+"""Elements along a lumen: short where its section changes, and limited by the wavelength."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.walls import Wall
 
 LEAD = 0.5
-"""Straight bore between the lumen and a port, in radii."""
+"""Length of straight bore between the lumen and a port, in radii."""
 SHORT, LONG = 0.65, 1.2
-"""Length of an element where the wall slopes and where it hardly does, in radii at the most."""
+"""Largest element length on a sloping and on an almost straight wall, in radii."""
 SHORT_WAVE, LONG_WAVE = 0.45, 0.85
-"""The same in wavelengths."""
+"""Largest element lengths in wavelengths."""
 SLOPE = 0.1
-"""Slope of the box's sides that counts as sloping."""
+"""Slope of the box's sides above which the wall counts as sloping."""
 SAMPLES = 400
 
 
 def partition(wall: Wall, wavenumber: float) -> Array:
-    """Return the borders of the elements in m, from port to port or from the plane of symmetry.
+    """Return the boundaries of the elements in m, from port to port or from the plane of symmetry.
 
     Parameters
     ----------
     wall : Wall
     wavenumber : float
-        The highest of interest, in 1/m.
+        Highest wavenumber of interest, in 1/m.
     """
     lead = LEAD * wall.radius
     start = wall.middle if wall.reversible else wall.ends[0]
@@ -49,7 +49,7 @@ def partition(wall: Wall, wavenumber: float) -> Array:
 
 
 def _between(low: float, high: float, z: Array, passed: Array) -> Array:
-    """Return the borders between two heights, each element of the same count."""
+    """Return the boundaries of an interval's elements, with equal integrals of the density."""
     first, last = np.interp([low, high], z, passed)
     n = max(1, int(np.ceil(last - first - 1e-9)))
     inner = np.interp(np.linspace(first, last, n + 1)[1:-1], passed, z)
@@ -57,6 +57,6 @@ def _between(low: float, high: float, z: Array, passed: Array) -> Array:
 
 
 def split(edges: Array, which: NDArray[np.bool_]) -> Array:
-    """Return the borders with some of the elements cut in two."""
+    """Return the element boundaries after bisection of some elements."""
     middle = (edges[:-1] + edges[1:])[which] / 2
     return np.sort(np.concatenate([edges, middle]))

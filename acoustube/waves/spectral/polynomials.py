@@ -1,10 +1,10 @@
-"""Polynomials of a section: products of Legendre polynomials in the box around it.
+"""Polynomial basis of a section: products of Legendre polynomials in its bounding box.
 
 With X = (x - x0) / a and Y = (y - y0) / b, both within -1 to 1, the functions are combinations of
 P_i(X) P_j(Y), i + j <= N, orthonormal over the ellipse in the box: each by those before it, so that
-the first ones span all polynomials of a lower degree. They need not know the section: a rigid wall
-is the natural condition of the weak form. All integrals of two of them over a section
-follow from its moments,
+the first ones span all polynomials of a lower degree. They do not depend on the section: a
+rigid wall is the natural boundary condition of the weak form. All integrals of products of two of
+them over a section follow from its moments,
 
     m_ij = int P_i(X) P_j(Y) dx dy = - closed int P_i(X) (int^Y P_j) b dx,
 
@@ -35,19 +35,19 @@ class Polynomials:
     ----------
     degree : int
     odd : bool or None
-        Whether antisymmetric about x = x0, or symmetric; None is both.
+        True if antisymmetric about x = x0, False if symmetric; None for both.
     i, j : ndarray of int
         Degree in X and in Y of the products of Legendre polynomials, (n,).
     mix : ndarray
-        The functions in these products, (n, n).
+        Coefficients of the functions in these products, (n, n).
     partner : ndarray of int
-        Products, as rows i and j, in whose span the derivatives by X are, (2, n_partner).
+        Degrees i and j of the products that span the X derivatives, (2, n_partner).
     partner_mix : ndarray
-        Orthonormal functions in these, (n_partner, n_partner).
+        Coefficients of orthonormal functions in these, (n_partner, n_partner).
     dx : ndarray
-        Derivative by X in the partners, (n, n_partner).
+        Coefficients of the X derivative in the partners, (n, n_partner).
     x_dx, dy, y_dy : ndarray
-        X times the derivative by X, the derivative by Y, Y times that, (n, n).
+        Coefficients of X d/dX, d/dY and Y d/dY in the functions, (n, n).
     """
 
     degree: int
@@ -64,11 +64,11 @@ class Polynomials:
 
     @property
     def size(self) -> int:
-        """Number of functions."""
+        """Number of basis functions."""
         return len(self.i)
 
     def count(self, degree: int) -> int:
-        """Return how many functions, the first ones, have a total degree up to a given one."""
+        """Return the number of functions, which come first, up to a total degree."""
         return int(np.sum(self.i + self.j <= degree))
 
     def values(self, x: Array, y: Array) -> Array:
@@ -117,19 +117,19 @@ def _degrees(degree: int, odd: bool | None) -> tuple[Index, Index]:
 
 
 def _mix(degree: int, i: Index, j: Index) -> Array:
-    """Return what makes products of Legendre polynomials orthonormal over the unit disc."""
+    """Return the coefficients that orthonormalise Legendre products over the unit disc."""
     r, weight = gauss(degree + 2, 0.0, 1.0)
     n_phi = 2 * degree + 4
     phi = 2 * np.pi * np.arange(n_phi) / n_phi
     p, q = (legendre(degree, np.outer(r, side)) for side in (np.cos(phi), np.sin(phi)))
     values = (p[i] * q[j] * np.sqrt(weight * r / n_phi)[:, None]).reshape(len(i), -1)
-    # By QR and not from the Gram matrix, whose condition is the square.
+    # By QR and not from the Gram matrix, whose condition number is squared.
     triangle = np.linalg.qr(values.T, mode="r")
     return np.asarray(solve_triangular(triangle, np.eye(len(i)), trans="T"))
 
 
 def legendre(degree: int, x: Array) -> Array:
-    """Return the Legendre polynomials of a mean square of one, (degree + 1, ...)."""
+    """Return the Legendre polynomials, normalised to unit mean square, (degree + 1, ...)."""
     p = np.ones((degree + 1, *np.shape(x)))
     if degree > 0:
         p[1] = x
@@ -153,7 +153,7 @@ def _norm(degree: int, x: Array) -> Array:
 
 
 def _derivatives(degree: int) -> tuple[Array, Array]:
-    """Return the derivative, and x times it, of normalised Legendre polynomials in themselves."""
+    """Return the matrices of d/dx and x d/dx in the normalised Legendre polynomials."""
     x, w = np.polynomial.legendre.leggauss(degree + 1)
     p = legendre(degree, x)
     slope = np.stack(
@@ -167,7 +167,7 @@ def _derivatives(degree: int) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=8)
 def _products(degree: int) -> Array:
-    """Return P_i P_k in the P_m, (degree + 1, degree + 1, 2 degree + 1)."""
+    """Return the expansion of P_i P_k in the P_m, (degree + 1, degree + 1, 2 degree + 1)."""
     x, w = np.polynomial.legendre.leggauss(2 * degree + 1)
     p = legendre(2 * degree, x)
     low = p[: degree + 1]
@@ -184,7 +184,7 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
     x, y : ndarray
         Contours, anticlockwise, in the coordinates of their boxes, (n_sections, n_points).
     dx : ndarray
-        What an integral along the contour is weighed with, in m, (n_sections, n_points).
+        Quadrature weights along the contour, in m, (n_sections, n_points).
     height : ndarray
         Half heights b of the boxes in m, (n_sections,).
 

@@ -6,8 +6,8 @@ j sqrt(kz) (a - b), so that with D = sqrt(j kz) and Q = D Z D
 
     b = S a,    S = (I + Q)^-1 (Q - I),
 
-which is regular at cut-ons, where D vanishes. Modes far below their cut-on are given their own
-impedance, linear in k^2, for good: sqrt(kt^2 - k^2) about a wavenumber in the band.
+which is regular at cut-ons, where D vanishes. Modes far below their cut-on are terminated by
+their evanescent impedance: sqrt(kt^2 - k^2), linearised in k^2 about a wavenumber in the band.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 MARGIN = 1.3
-"""How far in j' over the band's k R modes count as those that sound travels in, or nearly so."""
+"""Margin of j' over the largest k R for port modes: those that propagate, or almost do."""
 FARTHEST = 12.0
-"""How far in j' beyond these modes have impedances of their own."""
+"""Further margin of j' up to which evanescent modes have an impedance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class PortModes:
     zeros : ndarray
         j'mn, (n,).
     sine : ndarray of bool
-        Whether sin(m phi) rather than cos(m phi), phi from -y towards +x, (n,).
+        True for sin(m phi), False for cos(m phi), phi from -y towards +x, (n,).
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class PortModes:
 
 
 def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
-    """Return the modes whose j'mn lies from over `lowest` up to `highest`."""
+    """Return the modes with `lowest` < j'mn <= `highest`."""
     found = [] if odd else [(0.0, "00", 0, False)]
     for m in range(int(highest) + 1):
         zeros = jnp_zeros(m, int(highest / 2) + 2)
@@ -111,13 +111,13 @@ def port_functions(modes: PortModes, basis: Polynomials, box: Array, radius: flo
 
 
 def axial_wavenumbers(k: Array, zeros: Array, radius: float) -> Complex:
-    """Return k_z (n_frequencies, n_modes) in 1/m of waves that travel, or decay, towards +z."""
+    """Return the axial wavenumbers k_z in 1/m, (n_frequencies, n_modes), of waves towards +z."""
     root = np.sqrt(k[:, None] ** 2 - (zeros / radius) ** 2 + 0j)
     return np.where(root.imag > 0, -root, root)
 
 
 def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
-    """Return S (n_frequencies, n, n) from a response Z of that shape, as in the module's text."""
+    """Return the scattering matrix S (n_frequencies, n, n) of an impedance matrix Z."""
     root = np.sqrt(1j * kz)
     q = root[:, :, None] * response * root[:, None, :]
     one = np.eye(q.shape[-1])
@@ -125,7 +125,7 @@ def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
 
 
 def changed_scattering(response: Array, change: Array, kz: Complex) -> Complex:
-    """Return the change of S with one of the response, to first order; shapes as above."""
+    """Return the first-order change of the scattering matrix for a change of the impedance."""
     root = np.sqrt(1j * kz)
     one = np.eye(response.shape[-1])
     inverse = np.linalg.inv(one + root[:, :, None] * response * root[:, None, :])

@@ -1,4 +1,4 @@
-"""A lumen's matrices in the span of a few fields, for many frequencies at once."""
+"""Reduced-order model of a lumen: Galerkin projection onto a few fields, for many frequencies."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.polynomials import Array
 
 LEAST = 1e-9
-"""Share of a field outside the span of the others below which it is left out."""
+"""Relative norm of a field's component outside the span below which it is dropped."""
 
 
 class Reduced(NamedTuple):
-    """Galerkin projection of one side.
+    """Galerkin projection for one parity along z.
 
     Attributes
     ----------
     basis : ndarray
-        Orthonormal fields by their unknowns, (n, r).
+        Coefficients of the orthonormal fields, (n, r).
     stiffness, mass : ndarray
         (r, r).
     ports : ndarray
@@ -34,15 +34,15 @@ class Reduced(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of fields."""
+        """Number of fields of the reduced basis."""
         return len(self.ports)
 
 
 def extended(system: Discretisation, before: Reduced | None, fields: Array) -> Reduced:
-    """Add fields (n_elements, n_j, n, n_fields) to a projection, or begin one."""
+    """Add fields (n_elements, n_j, n, n_fields) to a projection, or create one."""
     n_elements, n_j, n = fields.shape[:3]
     new = _unique(fields)
-    # A node held at zero, and functions not in use, have to stay out of what rounding leaves.
+    # Prescribed nodes and unused functions stay exactly zero, despite rounding.
     used = np.abs(new).sum(axis=1, keepdims=True) > 0
     new = new / np.linalg.norm(new, axis=0)
     old = np.zeros((len(new), 0)) if before is None else before.basis
@@ -51,7 +51,7 @@ def extended(system: Discretisation, before: Reduced | None, fields: Array) -> R
     blocks = []
     for matrix in (system.stiffness, system.mass):
         applied = matrix.reshape(n_elements, n_j * n, n_j * n) @ everywhere
-        # What an element does to a node counts there, whichever element it is.
+        # Assembly: contributions of both neighbouring elements to a node are summed.
         summed = _summed(applied.reshape(*fields.shape[:3], -1))
         blocks.append((old.T @ summed, new.T @ summed))
     ports = new.T @ _summed(system.load)
@@ -68,7 +68,7 @@ def extended(system: Discretisation, before: Reduced | None, fields: Array) -> R
 
 
 def reassembled(system: Discretisation, space: Reduced) -> Reduced:
-    """Return a projection with the matrices of another system, of the same functions."""
+    """Return the projection of another discretisation onto the same fields."""
     fields = _everywhere(space.basis, system.mass.shape)
     size = fields.shape[1]
     stiffness, mass = (
@@ -79,13 +79,13 @@ def reassembled(system: Discretisation, space: Reduced) -> Reduced:
 
 
 def _unique(fields: Array) -> Array:
-    """Return each unknown once, (n, n_fields): of an element all but its first end."""
+    """Return fields as global unknowns, (n, n_fields): of an element all but its first end."""
     first = fields[0, 0]
     return np.concatenate([first, fields[:, 1:].reshape(-1, first.shape[-1])])
 
 
 def _everywhere(unknowns: Array, shape: tuple[int, ...]) -> Array:
-    """Return fields by elements, (n_elements, n_j n, n_fields), from their unknowns."""
+    """Return fields per element, (n_elements, n_j n, n_fields), from their global unknowns."""
     n_elements, n_j, n = shape[:3]
     fields = np.empty((n_elements, n_j, n, unknowns.shape[-1]))
     fields[:, 1:] = unknowns[n:].reshape(n_elements, n_j - 1, n, -1)
@@ -94,23 +94,23 @@ def _everywhere(unknowns: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _summed(loads: Array) -> Array:
-    """Return the loads of unknowns from those of elements, in the order of :func:`_unique`."""
+    """Assemble element loads into loads of the global unknowns, in the order of :func:`_unique`."""
     total = loads[:, 1:].copy()
     total[:-1, 0] += loads[1:, 0]
     return np.concatenate([loads[0, 0], total.reshape(-1, loads.shape[-1])])
 
 
 def _orthonormal(new: Array, old: Array) -> Array:
-    """Return what is new in fields (n, m), orthonormal among themselves and to the old ones."""
+    """Orthonormalise fields (n, m) against the old ones, and drop linearly dependent ones."""
     new, triangle = np.linalg.qr(new - old @ (old.T @ new))
-    # Not by the triangle's diagonal: a field left out there would miss in those after it.
+    # Not by the diagonal of R: a field dropped there would be missing from later ones.
     turned, size, _ = np.linalg.svd(triangle)
     new = new @ turned[:, size > LEAST * size[0]]
     return np.asarray(np.linalg.qr(new - old @ (old.T @ new))[0])
 
 
 def impedance(reduced: Reduced, wavenumber: Array) -> Array:
-    """Return the response Z of the ports in 1/m, (n_frequencies, n, n), at wavenumbers in 1/m.
+    """Return the impedance matrix Z of the ports in 1/m, (n_frequencies, n, n).
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Scattering matrices that come with the error of each frequency."""
+"""Scattering matrices with an error estimate at each frequency."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ class SpectralScattering(ModalScattering):
     Attributes
     ----------
     error : ndarray
-        Estimate of the largest error of any coefficient, (n,).
+        Estimated maximum error of the coefficients at each frequency, (n,).
     tolerance : float
-        What was asked for.
+        Requested tolerance.
     degree : int
         Highest total degree of the polynomials across the tube.
     n_elements : int
-        Along the tube, or along its half where it is symmetric.
+        Number of elements along the tube, or along its half where it is symmetric.
     n_shifts : int
         Frequencies at which the full equations were solved.
     n_fields : int
-        Of the reduced basis.
+        Number of fields of the reduced basis.
     """
 
     error: Array

@@ -1,9 +1,9 @@
-"""Scattering of a lumen over a band, with its error estimated and brought under a tolerance.
+"""Scattering of a lumen over a band, adaptively refined to an error tolerance.
 
 The wave equation is solved exactly in the finite-element sense at a few squared wavenumbers, the
-shifts, where the solutions and their derivatives by k^2 span a space in which the whole band is
-then solved: a rational Krylov space [1]_. Errors are estimated, each by what a richer space adds
-to S:
+shifts, where the solutions and their k^2 derivatives span a space in which the whole band is
+then solved: a rational Krylov space [1]_. Errors are estimated, each by the change of S in
+an enriched space:
 
 * that of the degree across the tube, and
 * that of the elements along it, by solving for the residual in the functions that the basis lacks
@@ -11,8 +11,8 @@ to S:
   corrections to the reduced space;
 * that of the shifts, by one more where the last block of each changes S the most.
 
-S is taken from the richest space, with matrices integrated at more points along z, for walls may
-be rough; its error is what all of this changes.
+S is taken from the largest space, with matrices integrated at more points along z, since walls may
+be rough; its error estimate is the sum of all changes.
 
 References
 ----------
@@ -49,37 +49,37 @@ from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 ORDER = 7
-"""Degree along an element."""
+"""Polynomial degree along an element."""
 LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
-"""Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
+"""Initial degree across the tube per k R, to which `DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
 MOST_DEGREE = 16
 BLOCKS = 3
-"""Of the Krylov space at each shift."""
+"""Number of blocks of the Krylov space at each shift."""
 FIELDS_PER_WAVE = 2.2
-"""Fields of the reduced space per standing wave that fits the lumen in the band."""
+"""Fields of the reduced basis per resonance of the lumen in the band."""
 SPARE_SHIFTS = 3
 GRADING = 1.4
-"""Shifts are even in this power of the frequency."""
+"""Power of the frequency in which shifts are evenly spaced."""
 PROBES = (0.5, 0.8, 1.0)
-"""Shifts at which the basis is tried first, as shares of the way from the first to the last."""
+"""Shifts at which the basis is adapted first, as fractions of the index range."""
 SHARE = 0.25
-"""Share of the tolerance for each of the three errors while the basis is chosen."""
+"""Fraction of the tolerance for each of the three errors while the basis is adapted."""
 FAR_OFF = 30.0
-"""Ratio to that from which the degree is raised by twice as much."""
+"""Ratio of error to tolerance from which the degree is raised by twice as much."""
 SAFETY = 2.0
-"""By how much a correction is smaller than the error: it leaves out what it does to the basis."""
+"""Safety factor on a correction, which neglects its own effect on the basis."""
 MORE_POINTS = 3
-"""Gauss points along an element that the result has more than the equations that were solved."""
+"""Additional Gauss points along an element for the final matrices."""
 TRIALS = 2
-"""How often the whole band is solved at most."""
+"""Largest number of solutions of the whole band."""
 ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class _Basis:
-    """What is chosen: degree across, borders of elements along the tube, and shifts."""
+    """Adapted basis: degree across, element boundaries along the tube, and shifts."""
 
     degree: int
     edges: Array
@@ -87,7 +87,7 @@ class _Basis:
 
 
 class _Part(NamedTuple):
-    """Scattering of the modes of one symmetry: (n, 2, m, 2, m), errors (n,), and sizes."""
+    """Scattering of one symmetry's modes, (n, 2, m, 2, m), with errors (n,) and basis sizes."""
 
     names: tuple[str, ...]
     zeros: Array
@@ -107,7 +107,7 @@ def scatter_spectral(
     reference: tuple[float, float] = (0.0, 0.0),
     symmetric_only: bool = False,
 ) -> SpectralScattering:
-    """Return how a lumen with rigid walls scatters the modes of its ends, without losses.
+    """Return the lossless scattering matrix of a lumen with rigid walls.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ def scatter_spectral(
         Largest error of a coefficient.
     reference : tuple of float
         Heights z in m, in the coordinates of the wall, at which the amplitudes at low z and at
-        high z are given, as if the ends went on straight to there.
+        high z are given: reference planes, to which the ends are continued straight.
     symmetric_only : bool
-        Of a lumen symmetric about x = 0, compute the modes that are so too.
+        Of a lumen symmetric about x = 0, compute the symmetric modes only.
 
     Returns
     -------
@@ -131,12 +131,12 @@ def scatter_spectral(
     Raises
     ------
     ConfigError
-        If the frequencies do not rise, or the tolerance is outside 1e-6 to 0.1.
+        If the frequencies do not increase, or the tolerance is outside 1e-6 to 0.1.
 
     Notes
     -----
     Where a resonance is so narrow that the best basis tried does not meet the tolerance, the
-    result's `error` says so.
+    result's `error` exceeds it.
     """
     frequency = np.asarray(frequency, float)
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
@@ -161,7 +161,7 @@ def _joined(
     tolerance: float,
     reference: tuple[float, float],
 ) -> SpectralScattering:
-    """Put the parts of both symmetries together, in the order of the cut-ons."""
+    """Combine the scattering of both symmetries, in the order of the cut-ons."""
     names = [name for part in parts for name in part.names]
     zeros = np.concatenate([part.zeros for part in parts])
     s = np.zeros((len(frequency), 2, len(names), 2, len(names)), complex)
@@ -206,7 +206,7 @@ def _part(
         basis = _Basis(basis.degree, basis.edges, np.array(sorted(responses)))
         if (error + by_points).max() <= tolerance:
             break
-        # Narrow resonances magnify what is small at the shifts.
+        # Narrow resonances amplify errors that are small at the shifts.
         if by_points.max() > SHARE * tolerance:
             spare += 2 * MORE_POINTS
         if error.max() > SHARE * tolerance:
@@ -223,7 +223,7 @@ def _part(
 
 
 def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
-    """Return the basis to begin with, by the wavelength and the bore."""
+    """Return the initial basis, from the shortest wavelength and the bore."""
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
     edges = partition(wall, float(k[-1]))
@@ -241,7 +241,7 @@ def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
 def _adapted(
     wall: Wall, odd: bool | None, k: Array, basis: _Basis, wanted: float, spare: int
 ) -> tuple[Discretisation, _Basis, dict[float, list[Response]]]:
-    """Raise the degree and split elements until both errors at the probes are as wanted."""
+    """Raise the degree and split elements until both errors at the probed shifts are small."""
     shifts = basis.shifts
     probes = shifts[np.round(np.array(PROBES) * (len(shifts) - 1)).astype(int)]
     for _ in range(ROUNDS):
@@ -265,7 +265,7 @@ def _adapted(
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return what a higher degree, and one more along each element, changes S by at the shifts."""
+    """Return the changes of S at the shifts for a higher degree across, and along each element."""
     by_degree, by_element = 0.0, np.zeros(len(system.mass))
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():
@@ -288,7 +288,7 @@ def _swept(
     k: Array,
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, Array]:
-    """Return the richest space of each side, S at all wavenumbers, and its errors."""
+    """Return the largest space of each parity, S at all wavenumbers, and its error estimates."""
     for shift in basis.shifts:
         if float(shift) not in responses:
             responses[float(shift)] = respond(system, float(shift), BLOCKS)
@@ -329,7 +329,7 @@ def _side_by_side(fields: list[Array], columns: slice) -> Array:
 
 
 def _worst(k: Array, doubt: Array, shifts: Array) -> float:
-    """Return the squared wavenumber of the greatest doubt, away from those solved already."""
+    """Return the squared wavenumber of largest estimated error, away from the shifts so far."""
     gap = np.diff(np.sort(shifts)).min()
     away = np.abs(k[:, None] ** 2 - shifts).min(axis=1) > 0.1 * gap
     if not away.any():
@@ -338,14 +338,14 @@ def _worst(k: Array, doubt: Array, shifts: Array) -> float:
 
 
 def _difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:
-    """Return the largest difference of two matrices at each wavenumber, where modes propagate."""
+    """Return the largest difference of propagating coefficients at each wavenumber."""
     travels = k[:, None] * system.radius > system.modes.zeros
     both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
     return np.asarray(np.where(both, np.abs(a - b), 0.0).max(axis=(1, 2, 3, 4)))
 
 
 def _scattering(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
+    """Return S at the ports, (n, 2, m, 2, m), from the reduced model of each parity."""
     m = len(system.modes)
     kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
     found = [scattering_of(impedance(space, k), kz) for space in spaces]

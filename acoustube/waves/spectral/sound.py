@@ -1,4 +1,4 @@
-"""What this package takes from the others: the air, errors, and the form of a scattering matrix."""
+"""Names used from other packages: the air, errors, and the class of scattering matrices."""
 
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError

@@ -1,8 +1,8 @@
-"""Walls of lumens as contours of their sections, and boxes around these.
+"""Walls of lumens as contours of their sections, with bounding boxes.
 
-A wall is a family of closed contours x(t, z), y(t, z), t from 0 to 2 pi: lines along the tube that
-keep their t, and round it, anticlockwise seen with z towards the reader. Its ends are straight and
-round, about x = y = 0.
+A wall is a family of closed contours x(t, z), y(t, z), t from 0 to 2 pi: lines of constant t
+run along the tube, those of constant z around it, anticlockwise seen with z towards the reader. Its
+ends are straight and round, about x = y = 0.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from scipy.interpolate import CubicSpline
 from acoustube.waves.spectral.polynomials import Array, gauss
 
 LEAST_POINTS, MOST_POINTS = 2, 8
-"""Gauss points of each piece of a contour between two of its points."""
+"""Number of Gauss points between two neighbouring points of a contour."""
 
 
 class Contours(NamedTuple):
-    """Contours of sections, each quantity (n_sections, n_points), in m.
+    """Sampled contours of sections, each quantity (n_sections, n_points) in m.
 
     Attributes
     ----------
     x, y : ndarray
     x_t, y_t : ndarray
-        Derivatives along the contour, by t.
+        Derivatives along the contour, with respect to t.
     x_z, y_z : ndarray
-        Derivatives along the tube, at a t.
+        Derivatives along the tube, at constant t.
     weight : ndarray
-        For integrals over t, (n_points,); of a wall symmetric about x = 0 the points are those of
-        one half, and their weights count for both.
+        Quadrature weights over t, (n_points,). For a wall symmetric about x = 0 the points are
+        those of one half, and the weights are doubled.
     """
 
     x: Array
@@ -53,18 +53,18 @@ class Wall:
     Attributes
     ----------
     lines : callable
-        Takes z (n,) in m and returns x, y and their derivatives by z, each (n, n_points), at
-        points of equal steps of t.
+        Takes z (n,) in m and returns x, y and their z derivatives, each (n, n_points), at
+        evenly spaced t.
     ends : tuple of float
-        From where to where the lumen is not straight, z in m.
+        Start and end, z in m, of the part that is not straight.
     radius : float
         Of the ends, in m.
     breaks : tuple of float
         Heights z in m where the wall is not smooth along z, besides its ends.
     symmetric : bool
-        Whether symmetric about x = 0.
+        True if symmetric about x = 0.
     reversible : bool
-        Whether symmetric about the plane z = `middle`.
+        True if symmetric about the plane z = `middle`.
     middle : float
         In m.
     """
@@ -80,7 +80,7 @@ class Wall:
     def contours(self, z: Array, degree: int) -> Contours:
         """Return the contours at heights z (n,) in m, as cubic splines through their points.
 
-        There are enough of these for integrals of products of two polynomials of a total degree.
+        Their number suffices for integrals of products of two polynomials of a total degree.
         """
         lines = self.lines(z)
         n = lines[0].shape[1]
@@ -90,14 +90,14 @@ class Wall:
 
 
 def _gauss_points(n: int, degree: int) -> int:
-    """Return how many points integrate polynomials along one of n pieces of a contour.
+    """Return the number of Gauss points for polynomials on one of n pieces of a contour.
 
     Notes
     -----
     Gauss's rule of g points errs by (k h)^2g (g!)^4 / ((2g + 1) (2g)!^3) on a piece of length h,
     for a wavenumber k, here twice the degree. That has to be small against the least eigenvalue of
     the Gram matrix of Legendre polynomials over a disc, 3e-6 at degree 10 and 30 times less with
-    each two degrees more, or the matrix is not positive.
+    each two degrees more, or the matrix is not positive definite.
     """
     step = 4 * np.pi * degree / n
     allowed = 1e-2 * 3e-6 * 30.0 ** ((10 - degree) / 2)
@@ -110,12 +110,12 @@ def _gauss_points(n: int, degree: int) -> int:
 
 @lru_cache(maxsize=8)
 def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array]:
-    """Return what takes n values round a contour to those of their spline at Gauss's points.
+    """Return the matrices from n values on a contour to their periodic spline at Gauss points.
 
     Returns
     -------
     value, slope : ndarray
-        For the values and their derivatives by t, (n, n_points).
+        For the values and their t derivatives, (n, n_points).
     weight : ndarray
         (n_points,).
     """
@@ -142,15 +142,15 @@ def analytic_wall(
     Parameters
     ----------
     shape : callable
-        Takes z (n, 1) and t (n_points,) and returns x, y and their derivatives by z, in m.
+        Takes z (n, 1) and t (n_points,) and returns x, y and their z derivatives, in m.
     ends : tuple of float
-        From where to where the lumen is not straight, in m.
+        Start and end in m of the part that is not straight.
     radius : float
         Of the ends, in m.
     n_points : int
         Around; even, and the first at the bottom if symmetric about x = 0.
     symmetric, reversible : bool
-        Whether symmetric about x = 0, and about the middle between the ends.
+        True if symmetric about x = 0, and about the middle between the ends.
 
     Returns
     -------
