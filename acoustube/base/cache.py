@@ -236,7 +236,7 @@ def holds(name: str) -> bool:
 
 
 def recall(name: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of an entry, or None where there is none that can be trusted."""
+    """Return the arrays of an entry, or None without a valid one."""
     import numpy as np
 
     try:
@@ -326,7 +326,7 @@ def clear() -> list[Entry]:
     for path in [*paths, *folder().glob(f"{PREFIX}*.part"), folder() / SOURCES]:
         path.unlink(missing_ok=True)
     for emptied in folder().glob(f"{COMPILED}*"):
-        with suppress(OSError):  # somebody else's file is in it
+        with suppress(OSError):  # it holds a foreign file
             emptied.rmdir()
     return gone
 

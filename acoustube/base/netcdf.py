@@ -35,7 +35,7 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
     """
     import dask
 
-    # Otherwise xarray asks a Dask cluster that this process knows of for a lock, in vain.
+    # Otherwise xarray asks a Dask cluster that this process is connected to for a lock, in vain.
     with dask.config.set(scheduler="synchronous"):
         return bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
 

@@ -1,4 +1,4 @@
-"""Reports of work in progress: the interface between computations and whoever shows them.
+"""Reports of work in progress: the interface between computations and their display.
 
 Computations print nothing. They call a :class:`Reporter`; the command line passes one that prints
 (:class:`acoustube.base.console.ConsoleReporter`), Python code may pass its own or none.

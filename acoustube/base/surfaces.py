@@ -87,7 +87,7 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a surface that crosses itself; the library's tolerances want lengths near one.
+    """Reject a self-intersecting surface; lengths are scaled to about one, as the library expects.
 
     Raises
     ------

@@ -65,7 +65,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
         return _fail(_in_one_sentence(error), 2)
     except ConfigError as error:
         return _fail(str(error), 2)
-    except BrokenPipeError:  # whoever reads, such as head, has had enough
+    except BrokenPipeError:  # the reader, such as head, has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (SimulationError, OSError) as error:
@@ -82,7 +82,7 @@ def _load_commands() -> None:
 
 
 def _in_one_sentence(error: CycloptsError) -> str:
-    """Return what is wrong with the command's words, and what to do."""
+    """Return the error of the command line, and the advice, in one sentence."""
     command = " ".join(["acoustube", *(error.command_chain or ())])
     if isinstance(error, UnusedCliTokensError):
         surplus = error.unused_tokens or ()
@@ -106,7 +106,7 @@ def _in_one_sentence(error: CycloptsError) -> str:
 
 
 def _advice_on_setting(option: str, command: str) -> str:
-    """Return how to give a setting that has no option of its own.
+    """Return the advice for a setting that has no option of its own.
 
     Raises
     ------

@@ -123,7 +123,7 @@ class Output:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Tool:
-    """Settings of the tool that presses, and of the ground under the tube."""
+    """Settings of the indenter, and of the ground under the tube."""
 
     indenter: Annotated[float | None, setting("indenter")] = None
     shape: Annotated[Literal["rod", "punch", "sphere"] | None, setting("shape")] = None

@@ -29,7 +29,7 @@ PACKAGES = (
     "numpy", "scipy", "jax", "numba", "xarray", "h5netcdf", "ipctk", "pytetwild", "trimesh",
     "pyvista", "vtk", "matplotlib", "plotly", "scikit-learn", "cyclopts",
 )  # fmt: skip
-"""Whose versions decide results, or are asked for in reports."""
+"""Packages whose versions affect results, or belong in a report of a problem."""
 PURPOSES = {
     "audio": "reads FLAC files",
     "c3d": "reads markers of motion capture",
@@ -148,7 +148,7 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
 
 
 def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
-    """Return tests as JSON can hold them: it knows no nan."""
+    """Return tests for JSON, with None in place of nan."""
     return [
         outcome._asdict()
         | {
@@ -275,7 +275,7 @@ def _in_gb(size: float | None) -> str:
 
 
 def _tested(console: Console) -> list[Outcome]:
-    """Run the self-test, and print each row when it is there."""
+    """Run the self-test, and print each row as soon as it is computed."""
     from acoustube.runs.selftest import all_trials, run_trials
 
     outcomes = []

@@ -63,7 +63,7 @@ def topics_of(result: Path) -> set[str]:
     Raises
     ------
     ConfigError
-        If it is none of these.
+        If it is not a result of acoustube.
     """
     result = result.parent if result.name == "run.nc" else result
     if (result / "run.nc").is_file():
@@ -90,7 +90,7 @@ def topics_of(result: Path) -> set[str]:
 
 
 def _of_sweep(result: Path) -> set[str]:
-    """Return what the cases of a sweep, or the cycles made of them, made use of."""
+    """Return the topics of the methods of a sweep's cases, or of cycles recorded from them."""
     from acoustube.runs.opening import PATTERNS, files_of, open_dataset
 
     paths = []
@@ -111,7 +111,7 @@ def _of_sweep(result: Path) -> set[str]:
 
 
 def _of_text(text: Any, source: Path) -> set[str]:
-    """Return what a run made use of whose settings are given as JSON, None where there are none."""
+    """Return the topics of a run's methods from its settings as JSON; None without settings."""
     try:
         return _of_settings(json.loads(str(text)))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -121,7 +121,7 @@ def _of_text(text: Any, source: Path) -> set[str]:
 
 
 def _of_settings(settings: dict[str, Any]) -> set[str]:
-    """Return what a run with these settings made use of."""
+    """Return the topics of the methods of a run with these settings."""
     press, tube = settings["indentation"], settings["tube"]
     found = {"press"}
     if press["depth_mm"] > CREASING * tube["inner_diameter_mm"]:

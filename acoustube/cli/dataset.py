@@ -57,7 +57,7 @@ def dataset(
         TOML file with the parameters of the rangefinder; that of the sleeve paper, at the case's
         carrier, if not given.
     out : Path
-        Folder to write, or to go on with.
+        Folder to write, or to resume.
     """
     if not sweep:
         raise ConfigError("dataset needs the folder of a sweep; name one or more")

@@ -98,7 +98,7 @@ def run_live(
     ----------
     stream : Stream
     console : rich.console.Console
-        Where to show the cycles.
+        Console to show the cycles on.
     out, duration
         See :func:`acoustube.runs.live.follow`.
 

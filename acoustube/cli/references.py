@@ -1,6 +1,6 @@
-"""References of the methods: the publications that a work which used them should cite.
+"""References of the methods: the publications to cite by work that used them.
 
-Each entry repeats what the docstring of the module that uses it says under References.
+Each entry repeats the section References in the docstring of the module that uses it.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
     folder : path
         The folder to be made; it appears only when it is complete.
     console : rich.console.Console
-        Where to print.
+        Console to print on.
 
     Returns
     -------

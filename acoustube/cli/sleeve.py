@@ -243,7 +243,7 @@ def _tubes_on_markers(
 
 
 def _contacts(words: Sequence[str]) -> list[tuple[int, float]]:
-    """Return contacts from words such as ``80`` and ``2:80``: tube from 0, distance in m."""
+    """Parse contacts such as ``80`` and ``2:80``: tube number from 0, and distance in m."""
     found = []
     for word in words:
         match = re.fullmatch(r"(?:(\d+):)?(\d+(?:\.\d*)?|\.\d+)", word.strip())

@@ -86,7 +86,7 @@ class Execution:
     Attributes
     ----------
     out : Path
-        Folder to write, or to go on with.
+        Folder to write, or to resume.
     shard : str
         One of several equal parts of the plan, as 3/40, for job arrays; all write to one folder.
     dask : str

@@ -115,7 +115,7 @@ def _trained(
     show: ShowProgress,
     console: Console,
 ) -> Model:
-    """Train an estimator on a table of cycles, with an early look at its losses."""
+    """Train an estimator on a table of cycles, and print its losses during training."""
     from acoustube import estimation
     from acoustube.estimation.model import ESTIMATORS
 

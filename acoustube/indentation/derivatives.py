@@ -207,7 +207,7 @@ def _first_touched(points: Array, indenter: Indenter, touch: float) -> int:
 
 
 def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
-    """Return the height of first touch, differentiable: one step of Newton's method."""
+    """Return the height of first contact, differentiable: one step of Newton's method."""
     up = jnp.array([0.0, 1.0, 0.0])
 
     def clearance(height: Any, point: Any) -> Any:

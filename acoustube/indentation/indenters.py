@@ -26,7 +26,7 @@ SHAPES = ("rod", "punch", "sphere")
 SUPPORTS = ("held", "free")
 
 TOUCH_STEPS = 65
-"""Heights, from the tube's top to its bottom, at which first touch of an indenter is sought."""
+"""Heights, from the tube's top to its bottom, at which first contact of an indenter is sought."""
 PUNCH_EDGE = 0.1
 """Default edge radius of a punch, as a fraction of its radius."""
 
@@ -49,7 +49,7 @@ class Indenter:
     edge_radius : float, optional
         Radius of a punch's rounded edge in m; a tenth of its radius by default.
     depth_fraction : float
-        Its indentation depth as a fraction of the depth asked for, above 0 and at most 1; for one
+        Its indentation depth as a fraction of the requested depth, above 0 and at most 1; for one
         of several indenters.
 
     Raises
@@ -195,7 +195,7 @@ def indenter_bodies(
 
 
 def touch_height(points: Array, gap: Partial) -> float:
-    """Return the height y in m of an indenter at first touch.
+    """Return the height y in m of an indenter at first contact.
 
     Parameters
     ----------

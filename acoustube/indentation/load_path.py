@@ -1,4 +1,4 @@
-"""Adaptive load stepping: the load path of a press from first touch to its final depth.
+"""Adaptive load stepping: the load path of a press from first contact to its final depth.
 
 The increments of depth are doubled where Newton's method converges in few iterations and halved
 where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, cut short
@@ -47,12 +47,12 @@ class _Increment(NamedTuple):
 def load_path(
     untouched: Indentation, model: Model, targets: Array, progress: Progress | None
 ) -> Indentation:
-    """Follow the load path from first touch to the last target depth.
+    """Follow the load path from first contact to the last target depth.
 
     Parameters
     ----------
     untouched : Indentation
-        At first touch, from :func:`acoustube.indentation.press.first_touch`.
+        At first contact, from :func:`acoustube.indentation.press.first_touch`.
     model : Model
     targets : array of shape (n,)
         Rising depths in m, each of which an increment meets exactly.
@@ -107,7 +107,7 @@ def _next_depth(targets: Array, reached: float, increment: float) -> float:
 
 
 def _extrapolated(model: Model, last: Sequence[_Increment], depth: float) -> Array:
-    """Return the Lagrange polynomial through the last states at a depth, short of any collision."""
+    """Return the Lagrange extrapolation of the last states to a depth, short of any collision."""
     x = np.array([done.depth for done in last])
     weights = [np.prod((depth - np.delete(x, i)) / (x[i] - np.delete(x, i))) for i in range(len(x))]
     states = np.stack([done.solution.displacement for done in last])

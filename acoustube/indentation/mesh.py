@@ -184,14 +184,14 @@ def sweep(
 
 
 def _graded_turn(turn: Array, size: MeshSize) -> Array:
-    """Return fractions of half a turn, graded towards the sides and the ends."""
+    """Return circumferential stations, as fractions of half a turn, graded by fold and touch."""
     sides, all_four = (size.fold - size.touch) / 2, (size.fold + size.touch) / 2
     wave = 2 * np.pi * turn
     return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
 
 
 def _windows(number: Index, d: int) -> Index:
-    """Return the node numbers of all elements; neighbours have one plane of nodes in common."""
+    """Return the node numbers of all elements; neighbours share one plane of nodes."""
     views = np.lib.stride_tricks.sliding_window_view(number, (3,) * d)
     return views[(slice(None, None, 2),) * d]
 
@@ -213,7 +213,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return stations from 0 to `length` that start as fine as those of the whole reach."""
+    """Return sinh-graded stations from 0 to `length`, at first as fine as for the whole reach."""
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

@@ -1,4 +1,4 @@
-"""Press of a tube by rigid indenters: the model at first touch, and its load path to a depth."""
+"""Press of a tube by rigid indenters: the model at first contact, and its load path to a depth."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def indent(
     indenter : Indenter or sequence of Indenter, optional
         The indenters; a 25 mm rod by default.
     depth : float or sequence of float
-        Indentation depth in m, measured from first touch. Each depth of a rising sequence is met
+        Indentation depth in m, measured from first contact. Each depth of a rising sequence is met
         exactly by an increment. The lumen closes when the depth is about the bore.
     support : {"held", "free"}
         ``"held"``: the bottom line cannot leave the floor, as in a pocket. ``"free"``: the tube
@@ -159,7 +159,7 @@ def first_touch(
     mesh: Mesh,
     barrier_distance: float,
 ) -> Indentation:
-    """Return the indentation at first touch, with one row of depth zero.
+    """Return the indentation at first contact, with one row of depth zero.
 
     Parameters
     ----------

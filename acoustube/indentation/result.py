@@ -29,7 +29,7 @@ RESULTS = ("depth", "displacement", "iterations", "residual", *EquilibriumResult
 
 @dataclass(frozen=True, eq=False)
 class Indentation:
-    """Result of a press at every increment; the first row is first touch.
+    """Result of a press at every increment; the first row is first contact.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Indentation:
     mesh : Mesh
         Undeformed mesh of the modelled part.
     depth : array of shape (n_increments,)
-        Indentation depth in m: travel of the indenters from first touch (times the
+        Indentation depth in m: travel of the indenters from first contact (times the
         `depth_fraction` of each).
     displacement : array of shape (n_increments, n_nodes, 3)
         Nodal displacements in m.
@@ -58,7 +58,7 @@ class Indentation:
     smallest_gap : array of shape (n_increments,)
         Smallest distance between the lower and the upper inner wall, in m.
     touch_heights : tuple of float
-        Height y in m of the lowest point of each indenter at first touch.
+        Height y in m of the lowest point of each indenter at first contact.
     barrier_distance : float
         Activation distance of the self-contact barrier, in m.
     """

@@ -7,10 +7,10 @@ differs by some tenths of a per cent.
 
 Notes
 -----
-The stiffness of the elements depends on the treatment of their volume ratio J. With a stabilisation
-modulus k on the part of J that its projection onto a constant leaves out, the error of the force of
-the sleeve paper's tube (a quarter, free, under a 25 mm rod at a depth of 2 mm), relative to the
-reference solution of 1.0305 N, is:
+The stiffness of the elements depends on the treatment of their volume ratio J. With J projected
+onto a constant and a stabilisation modulus k on the unprojected part, the force error of the sleeve
+paper's tube (a quarter, free, under a 25 mm rod at a depth of 2 mm), relative to the reference
+solution of 1.0305 N, is:
 
 ==========================  =======  ======  ======  ======  =======  ==========
 edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
@@ -19,12 +19,12 @@ edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
 0.65                        -        -1.3 %  -0.2 %  -       +1.3 %   30 000
 ==========================  =======  ======  ======  ======  =======  ==========
 
-and that of hexahedra +0.1 %. The constant alone (k = 0) leaves deformations of each element without
-stiffness (hourglass modes); no projection (k = K) locks. A rule of 14 points in place of 4 changed
-the force by 0.6 % with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is
-k = 8 mu, with errors of +0.7 and +0.1 % for these edges at 4 mm (hexahedra +0.3 %, K with the
-shorter edges +1.9 %) and +3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). The order of
-convergence falls: the displacements of a smooth problem converge with order 2.2, not 3.
+and that of hexahedra +0.1 %. The projection alone (k = 0) leaves hourglass modes without stiffness;
+without it (k = K) the elements lock. A rule of 14 points in place of 4 changed the force by 0.6 %
+with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is k = 8 mu, with
+errors of +0.7 and +0.1 % for these edges at 4 mm (hexahedra +0.3 %, K with the shorter edges
++1.9 %) and +3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). The order of convergence falls:
+the displacements of a smooth problem converge with order 2.2, not 3.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""Voltage of a rangefinder on a tube before its ADC, which is the same in every cycle.
+"""Analogue voltage of a rangefinder on a tube before its ADC, the same in every cycle.
 
 References
 ----------

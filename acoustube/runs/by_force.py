@@ -33,7 +33,7 @@ class ByForce:
     force : array
         In N.
     depth : array
-        Indentation depth from first touch in m.
+        Indentation depth from first contact in m.
     closing : array
         Closure of the lumen: loss of its height at the press, in m.
     sinking : array
@@ -55,7 +55,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     Parameters
     ----------
     indentation : Indentation
-        A path from first touch; see :func:`acoustube.indentation.indent`.
+        A path from first contact; see :func:`acoustube.indentation.indent`.
     force : array_like
         Total over all indenters, in N.
 
@@ -72,7 +72,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 
     Notes
     -----
-    Between increments by monotonic cubics (PCHIP), which keep the order of forces.
+    Between increments by monotonic cubics (PCHIP), which are monotone in the force.
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     fall = np.maximum.accumulate(path) - path
@@ -95,7 +95,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 
 
 def _along(indentation: Indentation) -> tuple[Array, Array, Array, Array]:
-    """Return depth, closure, settlement and lumen area at each increment."""
+    """Return depth, loss of lumen height, settlement and lumen area at each increment."""
     mesh, wall = indentation.mesh, inner_wall(indentation.mesh)
     middle = np.array([indentation.indenters[0].z])
     rows = range(len(indentation.depth))

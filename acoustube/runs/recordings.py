@@ -89,7 +89,7 @@ def _finished(
 def chosen(
     calibration: str | None, prominence: float | None
 ) -> tuple[Calibration | None, Processing]:
-    """Return the calibration that was asked for, if any, and the processing with it.
+    """Return the requested calibration, if any, and the processing with it.
 
     Parameters
     ----------
@@ -255,5 +255,5 @@ def calibration_path(name: str) -> Path:
 
 
 def calibration_folder() -> Path:
-    """Return where named calibrations are kept."""
+    """Return the folder of named calibrations."""
     return user_data_path("acoustube") / "calibrations"

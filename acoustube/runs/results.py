@@ -110,7 +110,7 @@ def press_dataset(
     warnings: Sequence[str],
     device: str,
 ) -> xr.Dataset:
-    """Return the results of a press alone as a dataset, at the depths that were asked for.
+    """Return the results of a press alone as a dataset, at the requested depths.
 
     Parameters
     ----------

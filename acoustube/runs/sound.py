@@ -43,7 +43,7 @@ TIME_STEP = 1e-6
 
 
 def blind_time(settings: SISettings) -> float:
-    """Return how long after its maximum the send pulse's envelope has faded, in s."""
+    """Return the time in s from the maximum of the send pulse's envelope to its decay."""
     return signals.blind_time(settings.pulse.duration, settings.cutoff)
 
 

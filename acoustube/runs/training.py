@@ -86,7 +86,7 @@ def table_of(
 
 
 def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
-    """Join descriptions; a label that only some know is nan, or empty, for the others."""
+    """Join descriptions; a label that some lack is nan, or empty, there."""
     variables: dict[str, Any] = {
         "features": (("cycle", "feature"), np.concatenate([p["features"].values for p in parts]))
     }

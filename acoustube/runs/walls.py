@@ -44,7 +44,7 @@ def walls(part: Lumen) -> xr.Dataset:
 
 
 def _rounded(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return values whose last bits are zero."""
+    """Round values to `MANTISSA` bits of the mantissa, so that they compress well."""
     last = 23 - MANTISSA
     bits = np.asarray(values, np.float32).view(np.uint32) + np.uint32(1 << (last - 1))
     return (bits & ~np.uint32((1 << last) - 1)).view(np.float32)

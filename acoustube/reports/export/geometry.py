@@ -24,7 +24,7 @@ from acoustube.runs.sweep import store
 PARTS = 8
 """Triangles along the edge of an element's face."""
 SEAM = 1e-7
-"""Distance from a plane of symmetry, as a share of the size, up to which a point is in it."""
+"""Distance from a plane of symmetry, as a fraction of the size, up to which a point is in it."""
 TEXT = """\
 The air space of a pressed tube as closed surfaces, in mm, z along the tube, y up.
 
@@ -51,7 +51,7 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def closed_wall(mesh: Mesh, position: Array) -> trimesh.Trimesh:
     mesh : Mesh
         Any, halved or not, whose inner wall is open at the ends of the tube alone.
     position : array of shape (n_nodes, 3)
-        Where its nodes are, in m.
+        Positions of its nodes in m.
     """
     sampling, faces = triangulated(mesh, parts=PARTS)
     points = sampling @ position
@@ -261,7 +261,7 @@ def write_meshes(run: xr.Dataset, folder: Path) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
     """
     rows = reached(run)
     depths, displacements = run["indentation_depth"].values, run["node_displacement"].values

@@ -23,7 +23,7 @@ PLACE = ("chunk_index", "file_index")
 FILES_PER_CHUNK, FILE_MEGABYTES = 1000, 100
 TASK = "Tell from the echo whether, where, how deep and how hard the tube is pressed."
 ACTION = ("touched", "distance_m", "depth_m", "force_N")
-"""What is to be told; the last three are zero where nothing touches the tube."""
+"""Labels to estimate; the last three are zero without a contact."""
 COUNTED = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 Columns = dict[str, NDArray[Any]]
@@ -42,7 +42,7 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
 
     Raises
     ------
@@ -51,10 +51,10 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
 
     Notes
     -----
-    ``observation.signal`` is the cycle as a share of half the ADC's full scale, -1 to 1;
+    ``observation.signal`` is the cycle as a fraction of half the ADC's full scale, -1 to 1;
     ``observation.temperature`` what the board reports, in degC; ``action`` the label
-    (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` tell what an
-    episode is, so that episodes can be split by them.
+    (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` identify an
+    episode, so that episodes can be split by them.
     """
     check_parquet("lerobot")
     table, rate = labels(data), _frames_per_second(data)
@@ -97,7 +97,7 @@ class _Files:
             path = self.folder / "data" / FILE.format(**dict(zip(PLACE, self.place, strict=True)))
             path.parent.mkdir(parents=True, exist_ok=True)
             self.writer = pq.ParquetWriter(path, frames.schema)
-        self.writer.write_table(frames)  # a row group of its own, by which it can be read alone
+        self.writer.write_table(frames)  # a row group of its own, so that it can be read alone
         self.room -= len(frames)
         return self.place
 
@@ -109,13 +109,13 @@ class _Files:
 
 
 def _frames_per_second(data: xr.Dataset) -> int:
-    """Return the rate of the cycles, which the layout wants whole."""
+    """Return the rate of the cycles as an integer, which the layout requires."""
     rangefinder = json.loads(data.attrs.get("rangefinder", "{}"))
     return max(1, round(float(rangefinder.get("cycle_rate", 20.0))))
 
 
 def _frames(data: xr.Dataset, table: pd.DataFrame, part: NDArray[np.int64]) -> Columns:
-    """Return what is observed and what is to be told, a row for each cycle."""
+    """Return observations and labels, a row for each cycle."""
     half = 0.5 * float(data.attrs["full_scale"])
     rows = table.iloc[part]
     counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values
@@ -204,7 +204,7 @@ class _Stats:
 
 
 def _features(n: int) -> dict[str, Any]:
-    """Return what the columns are."""
+    """Return the description of the columns."""
     found: dict[str, Any] = {
         "observation.signal": {"dtype": "float32", "shape": [n], "names": None},
         "observation.temperature": {"dtype": "float32", "shape": [1], "names": None},
@@ -219,7 +219,7 @@ def _features(n: int) -> dict[str, Any]:
 def _write_meta(
     folder: Path, data: xr.Dataset, listed: list[dict[str, Any]], stats: _Stats, rate: int
 ) -> None:
-    """Write what describes the frames."""
+    """Write the metadata of the frames."""
     meta = folder / "meta"
     info = {
         "codebase_version": CODEBASE,

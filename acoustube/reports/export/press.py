@@ -35,7 +35,7 @@ def reached(run: xr.Dataset) -> NDArray[np.int64]:
 
 
 def mesh_of(run: xr.Dataset) -> Mesh:
-    """Return the finite-element mesh, without what is known of a swept one alone.
+    """Return the finite-element mesh, without the data specific to a swept one.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def indentation_of(run: xr.Dataset) -> Indentation:
     Raises
     ------
     ConfigError
-        If the mesh is none that this version makes of these settings.
+        If the mesh differs from that of this version for these settings.
     """
     settings, rows = press_in_si(settings_of(run)), reached(run)
     tube, indenter = settings.tube, settings.indenter

@@ -36,7 +36,7 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
 
 
 def labels(data: xr.Dataset) -> pd.DataFrame:
-    """Return what is known of each cycle, a column each."""
+    """Return the labels of each cycle, a column each."""
     columns: dict[str, Any] = {
         str(name): values.values
         for name, values in {**data.coords, **data.data_vars}.items()

@@ -1,4 +1,4 @@
-"""Results as CSV tables, one for each dimension, with a table of what their columns are."""
+"""Results as CSV tables, one for each dimension, with a table that describes their columns."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
     Returns
     -------
     str
-        What was written, in words.
+        Summary of the files written.
     """
     known, written = [], []
     for dimension, stem in TABLES.items():

@@ -34,7 +34,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
     displacements : array of shape (n_depths, n_nodes, 3)
         In m.
     folder : path
-        Where; it is made if need be.
+        Folder to write, created if missing.
 
     Returns
     -------

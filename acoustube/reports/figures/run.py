@@ -122,7 +122,7 @@ def _place(case: xr.Dataset, time: Any) -> Any:
 
 
 def _limit(case: xr.Dataset) -> float:
-    """Return how high to draw: the echo is often a hundredth of the send pulse, which is cut."""
+    """Return the limit of the axis: the send pulse, often a hundred times the echo, is cut."""
     echo = float(case["echo_amplitude"])
     return float(np.clip(2.5 * echo, 0.02, 1.1)) if np.isfinite(echo) else 0.05
 
@@ -230,7 +230,7 @@ def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 
 def _top(*curves: Any) -> float:
-    """Return where an axis ends above curves; a press that stopped at once leaves nan only."""
+    """Return the upper limit of an axis for curves; after an early stop they may be all nan."""
     highest = np.max([np.max(curve, initial=0.0, where=np.isfinite(curve)) for curve in curves])
     return 1.15 * float(highest) or 1.0
 

@@ -17,7 +17,7 @@ from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 MOST_TOOLS = 4
 """Tools whose echoes are drawn."""
 FAINTEST = 1e-3
-"""Lower end of the scale of echoes, as a share of the send pulse."""
+"""Lower end of the scale of echoes, as a fraction of the send pulse."""
 
 
 def figure(cases: xr.Dataset) -> Figure:

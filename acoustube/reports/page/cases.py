@@ -38,7 +38,7 @@ from acoustube.waves.network import at_sound_speed
 MOST_CASES = 400
 """Cases of a page; of more, some places are left out."""
 UNTOUCHED_REACH = 0.08
-"""How far a tube that nothing presses is drawn to each side, in m."""
+"""Drawn length of an untouched tube to each side, in m."""
 TOOL = ("shape", "indenter_mm", "yaw_deg", "offset_mm")
 
 Key = tuple[str, float, str]
@@ -220,7 +220,7 @@ def _dense(radius: float) -> Any:
 
 
 def _signal(case: xr.Dataset) -> Signal:
-    """Process what the probe heard with the source end that was asked for."""
+    """Return the signal at the probe with the selected source end."""
     end = str(case["chosen_source_end"].values)
     settings, recording, ranging = select.ranged(case.sel(source_end=end))
 
@@ -294,7 +294,7 @@ def _group(
 
 
 def _missing(states: Sequence[State]) -> dict[str, str]:
-    """Return why pictures are missing."""
+    """Return the reasons why pictures are missing."""
     return {
         "shape": "This sweep was written before files held the deformed walls. Sweep into a new "
         "folder to see them.",

@@ -44,18 +44,18 @@ class Signal:
     Attributes
     ----------
     distance, pressure : array of shape (n,)
-        As a share of its greatest value, the send pulse's.
+        Pressure as a fraction of its maximum, that of the send pulse.
     envelope_distance, envelope : array of shape (m,)
-        As a share of the send pulse.
+        As a fraction of the send pulse.
     peak_distance, peak : array of shape (k,)
         All peaks.
     estimate, amplitude : float
         Of the highest peak; nan where there is none.
     probe : float
-        Where the probe is.
+        Position of the probe.
     source_end : str
     height : float
-        Greatest size of pressure and envelope once the send pulse has passed.
+        Largest magnitude of pressure and envelope after the send pulse.
     """
 
     distance: Array
@@ -80,7 +80,7 @@ class Spectrum:
     frequency, reflection : array of shape (n,)
         In Hz; amplitude of the reflected plane wave over that of the incident one.
     settled : array of bool, shape (n,)
-        Where the ringing was over.
+        True where the signal had decayed.
     cut_ons : dict of float
         Cut-on of each higher mode in Hz, by name.
     carrier : float
@@ -103,7 +103,7 @@ class State:
     depth, force, height, width, area : float
         Of the press, and of the lumen under it.
     shape : Shape or None
-        Where it is known.
+        None if it is unknown.
     tool_height : float
         Of the tool's lowest point.
     along : Along or None
@@ -130,7 +130,7 @@ class Group:
     Attributes
     ----------
     tool, place, other : str
-        What is chosen, in words; empty where there is nothing to choose.
+        The selection in words; empty without alternatives.
     states : sequence of State
     solid : Tool
     position, length : float
@@ -138,7 +138,7 @@ class Group:
     bore_area, outer_diameter : float
         In m2 and m.
     floor : float
-        Height of the floor in m; nan where there is none that is rigid.
+        Height of the floor in m; nan without a rigid one.
     """
 
     tool: str
@@ -165,11 +165,11 @@ class Content:
     settings : mapping
         By section, those that all groups share.
     origin : mapping of str to str
-        Where the data come from.
+        Origin of the data.
     notes : sequence of str
-        What the reader should know, a sentence each.
+        Notes on the data, a sentence each.
     missing : mapping of str to str
-        Why a picture is missing, by its name: ``shape``, ``along``, ``signal``, ``spectrum``.
+        Reason for a missing picture, by its name: ``shape``, ``along``, ``signal``, ``spectrum``.
     """
 
     title: str
@@ -182,7 +182,7 @@ class Content:
 
 
 def tool_in_words(config: Config | Mechanics) -> str:
-    """Return what presses the tube."""
+    """Return the indenter in words."""
     press = config.indentation
     turned = f", turned by {press.yaw_deg:g}°" if press.yaw_deg else ""
     beside = f", {press.offset_mm:g} mm beside the axis" if press.offset_mm else ""
@@ -200,18 +200,18 @@ def signal_of(
     faded: float,
     **told: Any,
 ) -> Signal:
-    """Return what is drawn of a recording.
+    """Return the signal to draw from a recording.
 
     Parameters
     ----------
     time, pressure, envelope : array of shape (n,)
-        In s, in any unit, and as a share of the send pulse.
+        In s, in any unit, and as a fraction of the send pulse.
     peak_times, peaks : array of shape (k,)
         Likewise.
     place : callable
         Returns the distance in m that an echo at a time comes from.
     faded : float
-        When the send pulse has passed, in s.
+        Time in s at which the send pulse has decayed.
     **told
         The other attributes of :class:`Signal`.
 
@@ -234,7 +234,7 @@ def signal_of(
 
 
 def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArray[np.int64]:
-    """Return which samples to draw, so that no extreme is lost.
+    """Return the numbers of the samples to draw: a decimation that keeps the extremes.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def _word(value: Any) -> str:
 
 
 def _number(value: float, scale: float = 1.0) -> float | None:
-    """Return a number that JSON knows, rounded to six digits; None for nan."""
+    """Return a number for JSON, rounded to six digits; None for nan."""
     return float(f"{scale * value:.6g}") if math.isfinite(value) else None
 
 

@@ -30,7 +30,7 @@ from acoustube.runs.config.si import press_in_si, settings_in_si
 
 RUN = "run.nc"
 REACH = 4.0
-"""How far the tube is drawn to each side of the press, in its outer diameters."""
+"""Drawn length of the tube to each side of the press, in its outer diameters."""
 PLACES = 201
 """Places along the tube at which the lumen of an increment is measured."""
 
@@ -41,7 +41,7 @@ def read_run(folder: Path) -> Content:
     Parameters
     ----------
     folder : Path
-        Which holds `RUN`.
+        A folder that contains `RUN`.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def _indented(data: xr.Dataset, config: Mechanics) -> Group:
 
 
 def _simulated(data: xr.Dataset, config: Config) -> Group:
-    """Return the states of a press on its way; the last of them is heard."""
+    """Return the states along the load path; the last one has a signal."""
     solid, press = _solid(data), press_in_si(config).indenter
     rows, position = _rows(data), float(data["true_distance"])
     outer_diameter = float(np.ptp(solid.nodes[:, 1]))
@@ -183,7 +183,7 @@ def _group(
 
 
 def _signal(data: xr.Dataset, config: Config) -> Signal:
-    """Return what the probe hears with the source end that was asked for."""
+    """Return the signal at the probe with the selected source end."""
     end = str(data["distance"].attrs["source_end"])
     case = data.sel(source_end=end)
     probe, speed = float(case["probe_position"]), float(case["sound_speed"])

@@ -14,7 +14,7 @@ OUTLINE_POINTS = 81
 TOOL_RESOLUTION = 72
 """Facets around a tool."""
 TOOL_LENGTH, TOOL_HEIGHT = 1.6, 0.95
-"""How long a rod is drawn, and how much of a tool from below, in outer diameters of the tube."""
+"""Drawn length of a rod, and drawn height of a tool, in outer diameters of the tube."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def from_rings(inner: Array, outer: Array) -> Shape:
 
 
 def round_tube(bore: float, wall: float, reach: float) -> Shape:
-    """Return the shape of a tube that nothing presses, `reach` to each side; all in m."""
+    """Return the shape of an untouched tube, `reach` to each side; all in m."""
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     z = np.linspace(-reach, reach, 3)
     circle = np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
@@ -115,7 +115,7 @@ def _closed(outline: Array) -> Array:
 
 
 def underside(press: Indenter, x: Array, z: Array) -> Array:
-    """Return how far a tool's lower side is above its lowest point, in m; nan beside it.
+    """Return the height of a tool's lower side above its lowest point, in m; nan beside it.
 
     Parameters
     ----------

@@ -18,11 +18,11 @@ from acoustube.lumen import TRIANGLES_PER_EDGE, profile
 from acoustube.reports.page.shapes import Shape
 
 FLAT = 1e-6
-"""How far off a plane nodes may be that lie in it, in lengths of the mesh."""
+"""Distance from a plane up to which a node lies in it, in lengths of the mesh."""
 PARTS = 3
 """Edges of triangles along the edge of an element's face, as it is drawn."""
 BESIDE = 1e-7
-"""Where the section at the press is taken, in m: nodes lie exactly in z = 0."""
+"""Axial position in m of the section at the press: nodes lie exactly in z = 0."""
 
 
 class Solid:
@@ -154,7 +154,7 @@ def faces_of(reference: Reference) -> Index:
 
 
 def _single(faces: Index) -> NDArray[np.bool_]:
-    """Return which faces belong to one element only."""
+    """Return the mask of boundary faces: those of one element only."""
     _, which, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )

@@ -36,7 +36,7 @@ class Picture:
     ----------
     tubes : tuple of Helix
     heard : ndarray
-        From where to where each hears, in m, (n_tubes, 2).
+        Range of detection along each tube in m, (n_tubes, 2).
     outer_diameter : float
         Of the tubes in m.
     contacts : tuple of (int, float)
@@ -46,7 +46,7 @@ class Picture:
     markers : ndarray
         In m, (n, 3); may be empty and may hold nan.
     estimates : tuple of (int, float)
-        Tube and distance in m where contacts were told to be.
+        Tube and distance in m of estimated contacts.
     """
 
     tubes: tuple[Helix, ...]

@@ -28,7 +28,7 @@ WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", 
 STRIP_PIXELS = (2400, 260)
 CLOSE_UP_PIXELS = (1800, 760)
 STRIP_MAGNIFICATION = 3.0
-"""How much larger than its length the strip shows the tube's cross-section."""
+"""Magnification of the tube's cross-section over its length in the strip."""
 TIME_LIMIT = 120.0
 
 
@@ -159,7 +159,7 @@ def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
     """
     from acoustube.reports.page.shapes import tool, tool_height
 
-    # `tool` makes the half x >= 0, and so the mirror image is asked for.
+    # `tool` makes the half x >= 0, hence the mirror image.
     mirrored = replace(press, x=-press.x, yaw=-press.yaw)
     made = tool(mirrored, float(np.ptp(outer[0, :, 1])))
     raised = made.points * [-1.0, 1.0, 1.0]
@@ -175,9 +175,9 @@ def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: floa
     outer : array of shape (n_rings, n_around, 3)
         The outer wall in m, the press at z = 0.
     side : tuple of float
-        From where to where it reaches across, in m.
+        Its least and greatest x in m.
     far : float
-        How far it reaches along the tube to both sides, in m.
+        Its extent along the tube to both sides, in m.
     bottom : float
         Height of its underside in m.
     """

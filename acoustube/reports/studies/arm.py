@@ -1,4 +1,4 @@
-"""What the studies on an arm share: the sleeve, presses on it, and what is made of their cycles."""
+"""Common parts of the studies on an arm: the sleeve, presses on it, and their cycles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from acoustube.waves.network import at_sound_speed
 
 SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
 """Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
-250 cm fit. The paper tells no sizes."""
+250 cm fit. The paper states no sizes."""
 PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
 """Of the presses along a tube in m: seven, spread over the reach."""
 ROD = 25e-3
@@ -60,8 +60,8 @@ def rod_on_a_bend(diameter: float, curvature: float) -> float:
     Notes
     -----
     At a distance z along the tube the rod has left it by z^2/2 (2/d + kappa), as a rod of the
-    diameter 1 / (1/d + kappa/2) has left a straight one: to second order in z, all that Hertz's
-    theory knows of two bodies.
+    diameter 1 / (1/d + kappa/2) has left a straight one: to second order in z, the
+    approximation of Hertz's contact theory.
     """
     return 1 / (1 / diameter + curvature / 2)
 
@@ -132,7 +132,7 @@ def cycles_of(
         Of the sleeve.
     n_cycles : int
     name : object
-        What the noise belongs to.
+        Seed of the noise.
     labels : mapping of str to float, optional
         Of all cycles.
 
@@ -152,12 +152,12 @@ def cycles_of(
 
 
 def told(cycles: xr.Dataset, tube: int) -> xr.Dataset:
-    """Return what the paper's processing tells of cycles, beside their labels."""
+    """Return the estimates of the paper's processing for cycles, with their labels."""
     return estimation.feature_table(cycles, FeatureSettings(processing=processing_of(tube)))
 
 
 def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
-    """Return how far apart two places of a tube are over the skin.
+    """Return the distance over the skin between two places of a tube.
 
     Parameters
     ----------

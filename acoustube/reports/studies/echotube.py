@@ -56,7 +56,7 @@ DECIBEL = 20 / np.log(10)
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Set reach, dead zone and pairs of presses beside what was measured.
+    """Compare reach, dead zone and pairs of presses with the measured ones.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def attenuation(bore_mm: float) -> float:
 
 
 def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
-    """Return the farthest place in m from which a closure is heard.
+    """Return the largest distance in m at which a closure is detected.
 
     Parameters
     ----------
     bore_mm : float
     dynamic : float
-        Loss in dB at which it is heard no more.
+        Largest loss in dB at which it is detected.
     coupled : bool
         Whether a bore narrower than the known one takes in, and gives back, sound by its area.
     """
@@ -160,7 +160,7 @@ def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
 
 
 def averaged(cycles: xr.Dataset) -> signals.Ranging:
-    """Return what the processing makes of the mean of cycles."""
+    """Process the mean of cycles."""
     mean = cycles["signal"].values.astype(float).mean(axis=0)
     how = Processing(prominence=5e-4, send_shift=_shift())
     return signals.locate(cycles["time"].values, mean, how, temperature=TEMPERATURE)
@@ -177,7 +177,7 @@ def _shift() -> float:
 
 
 def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
-    """Return by how much, in m, the highest peak within 10 cm of each place is beyond it.
+    """Return the offset in m of the highest peak within 10 cm of each place beyond it.
 
     nan where there is none.
     """

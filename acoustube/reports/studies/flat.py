@@ -46,7 +46,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     ----------
     scale : Scale
     work : Path
-        Where sweeps and cycles are kept.
+        Folder of sweeps and cycles.
     report : Reporter
 
     Returns
@@ -102,7 +102,7 @@ places that were pressed, and what the floor under it gave way."""
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter, *, few: bool = False
 ) -> xr.Dataset:
-    """Return what the processing makes of the first dataset.
+    """Return the features and estimates of the first dataset.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def recorded(
 
 
 def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> xr.Dataset:
-    """Return what the processing makes of the second dataset; see :func:`recorded`."""
+    """Return the features and estimates of the second dataset; see :func:`recorded`."""
     depths = [FEW_DEPTHS] if scale.quick else SECOND_DEPTHS
     places = SECOND_FEW if scale.quick else SECOND_PLACES
     over = {**ROD, "depth_mm": depths, "position_cm": [places]}
@@ -136,7 +136,7 @@ def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> 
 
 
 def describing_of(work: Path) -> FeatureSettings:
-    """Return how the cycles of the first dataset are described by their whole echo."""
+    """Return the settings of the whole-echo features of the first dataset."""
     cases = open_dataset(work / "first" / "sweep")
     return FeatureSettings(kind="echo", processing=processing_of(cases, Recipe()))
 
@@ -194,7 +194,7 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
 
 
 def localisation_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return Table I and what the text says of reach."""
+    """Return Table I and the reach that the text states."""
     why = (
         "Ours are of two kinds: under 1 cm, and 5 to 8 cm where trapped sound is the highest. The "
         "paper's own complete closures scatter by 3.6 cm about a line (Fig. 3), ours by 0.1 cm: "

@@ -68,7 +68,7 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
 
 
 def maps(table: xr.Dataset) -> Figure:
-    """Draw the mean error, and the share of cycles that tell the distance."""
+    """Draw the mean error, and the fraction of cycles with the distance right to 25 cm."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     size = np.abs(found_distance(table) - table["true_distance"].values)

@@ -49,7 +49,7 @@ ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
 """Soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
 GRID = tuple(1e-3 * np.arange(0.5, 13.01, 0.5))
-"""Depths in m of the path that tells a press by its force."""
+"""Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(1e-3 * np.arange(0.5, 8.01, 0.5))
 COLOURS = ("#7fb3d5", "#e59866", "#943126")
 """Of the levels."""
@@ -62,7 +62,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     ----------
     scale : Scale
     work : Path
-        Where sweeps are kept.
+        Folder of the sweeps.
     report : Reporter
 
     Returns
@@ -155,7 +155,7 @@ def forces_of(level: tuple[float, float]) -> Array:
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter
 ) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, Scattering]]]:
-    """Return what the processing tells of presses by hand, and the presses by their force.
+    """Return the estimates for presses by hand, and the presses by their force.
 
     Parameters
     ----------
@@ -174,8 +174,8 @@ def recorded(
 
     Notes
     -----
-    The depth for a force is told by a path on the coarse mesh; the forces of the sweep's own mesh,
-    which the cases are labelled with, are within 4 % of what was asked for.
+    The depth for a force is interpolated on a load path of the coarse mesh; the forces of the
+    sweep's own mesh, which label the cases, are within 4 % of the prescribed ones.
     """
     begins(report, "the depths that forces take on soft ground")
     levels = LEVELS[2:] if scale.quick else LEVELS
@@ -267,7 +267,7 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
 
 
 def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> list[Row]:
-    """Return how many presses of a level are told."""
+    """Return the number of presses of a level that are located to 25 cm."""
     counts = [
         None if t is None else float((ranged.told(t) & (t["level"].values == low)).sum())
         for t in (table, coarser)
@@ -297,7 +297,7 @@ def _skin(table: xr.Dataset, tube: int) -> Array:
 
 
 def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
-    """Return what a force of 5 N does on several grounds."""
+    """Return the depth and the lumen under a force of 5 N on several grounds."""
     rows = []
     for name, path in paths.items():
         travel, closing = (np.interp(5.0, path.force, v) for v in (path.depth, path.closing))
@@ -363,7 +363,7 @@ def _grounds(paths: dict[str, ByForce]) -> Figure:
 
 
 def _arm(table: xr.Dataset) -> Figure | None:
-    """Return the sleeve with true and told places on its first tube; None where VTK cannot draw."""
+    """Return the sleeve with true and estimated places on its first tube; None without VTK."""
     tube = sleeve()[0]
     hard = (table["number"].values == 0) & (table["level"].values == LEVELS[-1][0])
     part = table.isel(cycle=hard)

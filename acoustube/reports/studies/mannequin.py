@@ -40,13 +40,13 @@ LISTED = ("straight", "wrapped", "flattened")
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press a sleeve on a rigid arm, find the presses on it, and tell their forces.
+    """Press a sleeve on a rigid arm, locate the presses, and estimate their forces.
 
     Parameters
     ----------
     scale : Scale
     work : Path
-        Where sweeps are kept.
+        Folder of the sweeps.
     report : Reporter
 
     Returns
@@ -119,7 +119,7 @@ def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
 def recorded(
     level: Level, scale: Scale, work: Path, shapes: tuple[str, ...], report: Reporter
 ) -> dict[str, xr.Dataset]:
-    """Return what the processing tells of presses on the sleeve.
+    """Return the estimates for presses on the sleeve.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -
 
 
 def farthest(table: xr.Dataset) -> float:
-    """Return the largest distance in m at which half the cycles of some press are told to 25 cm."""
+    """Return the largest distance in m at which half the cycles of a press are right to 25 cm."""
     good = [
         place
         for place in np.unique(table["true_distance"].values)
@@ -248,7 +248,7 @@ def force_rows(table: xr.Dataset, coarser: xr.Dataset | None, network: Model) ->
 
 
 def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
-    """Return what the wrap, and a flattened tube, change of the presses that are told."""
+    """Return the effect of the wrap and of a flattened tube on the highest peaks."""
     straight = peaks(tables["straight"])
     rows = []
     for shape, words in (("wrapped", "wrapped"), ("flattened", "wrapped and flattened")):
@@ -268,7 +268,7 @@ def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
 
 
 def peaks(table: xr.Dataset) -> Array:
-    """Return the mean highest peak of each press that is told to 25 cm, and nan of others."""
+    """Return the mean highest peak of each press located to 25 cm, and nan of others."""
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values
     good = ranged.told(table)
@@ -276,7 +276,7 @@ def peaks(table: xr.Dataset) -> Array:
 
 
 def _presses(table: xr.Dataset) -> list[NDArray[np.bool_]]:
-    """Return which cycles each press has, in order of places and depths."""
+    """Return the mask of each press's cycles, in order of places and depths."""
     place, depth = table["true_distance"].values, table["depth"].values
     return [
         (place == z) & (depth == d) for z in np.unique(place) for d in np.unique(depth)

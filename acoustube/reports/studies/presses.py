@@ -25,7 +25,7 @@ def swept(
     scale: Scale,
     report: Reporter,
 ) -> xr.Dataset:
-    """Run a sweep, or go on with it, and return its cases.
+    """Run or resume a sweep, and return its cases.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ FALSE_POSITIVE_ERROR = 0.25
 SHALLOWEST = 0.9e-3
 """Depth in m from which cases of the flat table's first dataset are taken."""
 RELIABLE_FRACTION = 0.5
-"""Share of the cycles that must tell the distance to 25 cm for a contact to be reliable."""
+"""Fraction of the cycles with the distance right to 25 cm that makes a contact reliable."""
 
 
 def distance_errors(table: xr.Dataset) -> Errors:
@@ -40,7 +40,7 @@ def told(table: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
-    """Return the least depth in m from which most cycles of a range of places tell the distance.
+    """Return the least depth in m from which most cycles in a range have the distance right.
 
     Of all places in the range together; nan if even of the deepest presses most do not.
     """
@@ -69,7 +69,7 @@ def measure_rows(
     Parameters
     ----------
     what, unit : str
-        What is estimated, and its unit in the report.
+        The estimated quantity, and its unit in the report.
     ours : Errors
     why : str
     scale : float
@@ -104,7 +104,7 @@ def distance_rows(
 
 
 def heard_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
-    """Return the share of cycles with an echo."""
+    """Return the fraction of cycles with an echo."""
     ours, other = (
         None if t is None else 100 * float(np.mean(np.isfinite(found_distance(t))))
         for t in (table, coarser)

@@ -39,7 +39,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     ----------
     scale : Scale
     work : Path
-        Where sweeps are kept.
+        Folder of the sweeps.
     report : Reporter
 
     Returns
@@ -165,7 +165,7 @@ def _smallest_wins(cases: xr.Dataset) -> float:
 
 
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return how far the direct echo moves with depth, while it is the highest."""
+    """Return the shift of the direct echo with depth, while it is the highest."""
     why = (
         "The wall is rigid for sound at 42 kHz, the speed of sound the same at all depths: what "
         "moves is the part of the press that reflects. The sleeve paper suspects a speed that "

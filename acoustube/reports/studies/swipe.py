@@ -25,21 +25,21 @@ RATE = Rangefinder().cycle_rate
 SPEED = 0.05
 """Of a swipe in m/s."""
 START, SWIPED = 0.40, 8.0
-"""Where a swipe begins in m, and how long it lasts in s."""
+"""Start of a swipe in m, and its duration in s."""
 PAIR, HELD = (0.60, 0.80), 2.0
-"""Places of two presses in m, and how long they last in s."""
+"""Places of two presses in m, and their duration in s."""
 FORCES = (4.3, 7.0)
 """In N: of the nearer press, and of the farther or of the swipe."""
 LIGHT, HARD, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
 TOLD, SHORT = 0.10, 6
-"""Error in m up to which a press of a pair is told, half the least distance between them, and
-cycles that a pair is followed for."""
+"""Error in m up to which a press of a pair counts as located, half the least distance between
+them, and number of cycles for which a pair is tracked."""
 LEAST = 0.06
-"""Height of an echo, as a share of the highest, from which it is a candidate: with 0.12 a press
+"""Height of an echo, as a fraction of the highest, from which it is a candidate: with 0.12 a press
 behind another is missed, with 0.03 a hard one has twice as many echoes of its own."""
 HOW = Following(deviation=0.015)
-"""What echoes scatter by that are late by trapped sound now and then."""
+"""The deviation includes the delays of echoes by trapped sound."""
 
 
 class Track(NamedTuple):
@@ -96,7 +96,7 @@ def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> t
 def pairs_told(
     presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool
 ) -> NDArray[np.bool_]:
-    """Tell which pairs of presses are told as two, each near its place.
+    """Return the mask of the pairs that are resolved as two presses, each near its place.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
 
 
 def errors_of(track: Track) -> Array:
-    """Return how far the followed contact nearest to each true one is off, (cycle, contact), in m.
+    """Return the error of the tracked contact nearest to each true one, (cycle, contact), in m.
 
     nan where no contact counts yet.
     """
@@ -158,7 +158,7 @@ def errors_of(track: Track) -> Array:
 
 
 def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row]:
-    """Return how well contacts are followed, which pairs are told, and how long it takes."""
+    """Return tracking errors, the numbers of resolved pairs, and the computing time."""
     swipe, pair = tracks
     off, both = errors_of(swipe), errors_of(pair)
     speeds = [now.speed[np.argmin(np.abs(now.place - z))] for now, (z,) in zip(

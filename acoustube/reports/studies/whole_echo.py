@@ -1,4 +1,4 @@
-"""The flat table again, by an estimator that is told the whole echo, on the same test cycles."""
+"""The flat table again, by an estimator whose input is the whole echo, on the same test cycles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings in TOML documents, and options that go before them."""
+"""Settings in TOML documents, and options that take precedence over them."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def load_config(
     ----------
     path : str or path, optional
         A TOML file with any of the sections ``[tube]``, ``[indentation]``, ``[waves]`` and
-        ``[signals]``; what it does not mention keeps its default.
+        ``[signals]``; settings that it omits keep their defaults.
     kind : {Config, Mechanics}
-        Which settings are wanted; sections that it lacks are left alone.
+        Class of the settings; sections that it lacks are ignored.
     **overrides
-        Settings by name, such as ``depth_mm=3``; they win over the file. None means not given.
+        Settings by name, such as ``depth_mm=3``, which override the file. None means not given.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _make_absolute(given: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Let the name of a surface, which a file gives from its own folder, be read from anywhere."""
+    """Make the path of a surface absolute; a file gives it relative to its own folder."""
     surface = given["tube"].get("surface")
     if isinstance(surface, str | Path) and str(surface):
         given["tube"]["surface"] = str(folder / Path(surface).expanduser())

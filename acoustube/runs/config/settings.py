@@ -71,7 +71,7 @@ class _Depth(Number):
 
 @dataclass(frozen=True, kw_only=True)
 class IndentationSettings(Section):
-    """The press: a rigid tool that comes down on the tube, and what the tube rests on."""
+    """The press: a rigid indenter that moves down onto the tube, and the ground under the tube."""
 
     shape: Literal["rod", "punch", "sphere"] = setting(
         "rod",

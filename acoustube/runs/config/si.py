@@ -1,4 +1,4 @@
-"""Settings in SI units: the one place where what a user typed is converted.
+"""Settings in SI units: the one place where user settings are converted.
 
 Everything behind this module computes with :class:`SIPress` and :class:`SISettings`, in which every
 default is filled in. Temperatures stay in degC and the relative humidity in per cent, as

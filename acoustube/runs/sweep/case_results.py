@@ -1,4 +1,4 @@
-"""Task of a sweep that is each case's own: the recording, and the press located in it."""
+"""Task of a sweep for each case: the recording, and the press located in it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class CaseResults(NamedTuple):
 def simulate_cases(
     cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | None
 ) -> Done[CaseResults]:
-    """Send pulses through tubes that are pressed alike, and locate the presses by their echoes.
+    """Send pulses through tubes with the same press, and locate the presses by their echoes.
 
     Parameters
     ----------

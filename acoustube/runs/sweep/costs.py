@@ -51,7 +51,7 @@ def _lengths(cases: Sequence[Case]) -> float:
 
 
 def cached(paths: Sequence[LoadPath]) -> tuple[int, int, float]:
-    """Return how many load paths and matrices are in the cache, and the cost of the others."""
+    """Return the numbers of load paths and matrices in the cache, and the cost of the others."""
     n_paths = n_matrices = 0
     cost = 0.0
     for path in paths:

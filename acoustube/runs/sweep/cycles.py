@@ -97,7 +97,7 @@ def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -
     Returns
     -------
     int
-        How many cycles there are.
+        Number of cycles.
     """
     parts = [part for name, path in cases for part in _recorded(name, path, recipe)]
     data = xr.concat(parts, dim="cycle", data_vars="minimal", coords="minimal", compat="override",
@@ -123,7 +123,7 @@ def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
 
 @lru_cache(maxsize=64)
 def _opened(path: Path) -> tuple[xr.Dataset, Scattering | None]:
-    """Return cases and scattering of a sweep's file; cached, as cases are asked for one by one."""
+    """Return cases and scattering of a sweep's file; cached, as cases are requested one by one."""
     data, matrix = store.read(path)
     return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)
 

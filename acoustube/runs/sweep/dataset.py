@@ -94,12 +94,12 @@ def run_dataset(
     sweep : sequence of Path
         Folders of sweeps.
     out : Path
-        The folder to write, or to go on with.
+        The folder to write, or to resume.
     recipe : Recipe
     report : Reporter
         Receives messages and progress; by default nothing is shown.
     workers : int or Workers, optional
-        Processes; as many as there are cores by default. Or those of a run before.
+        Number of processes, by default that of the cores; or an existing pool.
     executor : concurrent.futures.Executor, optional
         In place of processes of this machine.
 

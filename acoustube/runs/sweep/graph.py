@@ -1,4 +1,4 @@
-"""The structure of a sweep's work: which cases share a load path, and which a scattering matrix.
+"""Task graph of a sweep: the cases that share a load path, and those that share scattering.
 
 A tube under an indenter goes through all its depths on one load path. At one depth it scatters
 sound in one way, whatever the tube's length, the press's position, the air's temperature and the
@@ -62,7 +62,7 @@ class Group:
     depth : float
         In m; 0 of an untouched tube.
     band : Band or None
-        What their scattering must cover; None where whole tubes are marched, or none is pressed.
+        Band and air of their scattering matrix; None without one (whole tubes, or no press).
     cases : tuple of Case
     """
 

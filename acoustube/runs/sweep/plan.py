@@ -1,4 +1,4 @@
-"""The plan of a sweep: which settings take which values, and the cases that follow.
+"""The plan of a sweep: the values of its varied settings, and the resulting cases.
 
 Nothing heavy is imported, and cases are made one by one, so that the size of a plan of a million
 cases is known in seconds.
@@ -97,7 +97,7 @@ class Plan:
         return self.count or math.prod(len(values) for values in self._axes.values())
 
     def distinct(self, names: Sequence[str]) -> int:
-        """Return how many combinations of values some of the settings take."""
+        """Return the number of distinct combinations of values of some settings."""
         import numpy as np
 
         if not (self.cases or self.count):

@@ -77,13 +77,13 @@ def run_sweep(
     report : Reporter
         Receives messages and progress; by default nothing is shown.
     workers : int or Workers, optional
-        Processes; as many as there are cores by default. Or those of a run before.
+        Number of processes, by default that of the cores; or an existing pool.
     executor : concurrent.futures.Executor, optional
         In place of processes of this machine.
     width : int, optional
-        Tasks that are handed to `executor` at a time; as many as it has workers, if it tells.
+        Tasks submitted to `executor` at a time; by default the number of its workers, if known.
     share : tuple of int
-        Number, from 1, and count of equal shares of the plan, of which one is computed.
+        Number, from 1, of the part to compute, and count of equal parts of the plan.
     retry : bool
         Try cases again that have failed before.
 
@@ -174,7 +174,7 @@ def _note_contents(folder: Path, found: store.Contents, report: Reporter) -> Non
 
 
 class Scale(NamedTuple):
-    """By how much a plan is larger than a sample of it, and its true numbers of pieces."""
+    """Ratio of a plan to a sample of it, and the numbers of its load paths and matrices."""
 
     cases: float
     n_paths: int
@@ -196,7 +196,7 @@ def work_of(
     share: tuple[int, int],
     retry: bool,
 ) -> Work:
-    """Return the work that is left of cases, of one share of them."""
+    """Return the remaining work of some cases, or of one of several equal parts of them."""
     paths = load_paths(cases)
     mine = shard(paths, *share)
     finished = mine & set(found.finished)

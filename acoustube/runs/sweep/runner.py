@@ -130,7 +130,7 @@ class Runner:
         self.board.count(stage, cost, reused=reused)
 
     def _fail(self, cases: Sequence[Case], reason: str, skipped: Group | None) -> None:
-        """Record that cases have failed; `skipped` is what will not be scattered then."""
+        """Record that cases have failed; the scattering of `skipped` is then not computed."""
         for case in cases:
             self.failed[case.name] = reason
             store.record_failure(self.folder, case.name, reason, dataclasses.asdict(case.config))

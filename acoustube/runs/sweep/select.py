@@ -17,7 +17,7 @@ from acoustube.waves import Recording
 
 
 def chosen(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases with amplitude, distance and its error at the source end asked for."""
+    """Return the cases with amplitude, distance and its error at the selected source end."""
     ends = xr.DataArray(cases["chosen_source_end"].values, dims="press")
     there = cases.sel(source_end=ends)
     error = (there["estimated_distance"] - there["true_distance"]).where(there["depth"] > 0)
@@ -33,7 +33,7 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases of that combination of other settings which has most depths."""
+    """Return the cases of the combination of other settings with the most depths."""
     keys = []
     for text in cases["configuration"].values:
         settings = json.loads(str(text))

@@ -160,7 +160,7 @@ def write(
     matrix: xr.Dataset | None,
     walls: xr.Dataset | None = None,
 ) -> Path:
-    """Write the results of some cases in one step.
+    """Write the results of some cases atomically.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def write_file(
     *,
     chunks: Mapping[str, int] | None = None,
 ) -> None:
-    """Write a dataset, compressed and with the hash of its content, in one step.
+    """Write a dataset atomically, compressed and with the hash of its content.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def write_file(
     matrix, walls : xarray.Dataset or None
         A scattering and walls that go with it.
     chunks : mapping of str to int, optional
-        How many entries of the first dimension are kept together, by variable.
+        Chunk length along the first dimension, by variable.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def unwritable(folder: Path, error: OSError) -> SimulationError:
 
 
 def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
-    """Return how each variable is compressed and cut into chunks."""
+    """Return the compression and the chunks of each variable."""
     large = [name for name, v in data.variables.items() if v.size > 1000 and v.dtype.kind in "fiu"]
     packed: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large
@@ -266,7 +266,7 @@ def set_aside(path: Path) -> Path:
 
 
 def failures(folder: Path) -> dict[str, str]:
-    """Return why cases have failed, by name."""
+    """Return the reasons of failed cases, by name."""
     found = {}
     for path in sorted((folder / FAILURES).glob("*.json")):
         try:

@@ -24,7 +24,7 @@ from acoustube.base.errors import ConfigError, SimulationError
 
 
 def dask_executor(address: str) -> tuple[Executor, int]:
-    """Return the executor of a running Dask cluster, and how many tasks to hand it at a time.
+    """Return the executor of a running Dask cluster, and the number of tasks to submit at a time.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def worker_pool(workers: int | Workers | None) -> Iterator[Workers]:
     Parameters
     ----------
     workers : int, Workers or None
-        How many, as many as there are cores with None; or those of a run before.
+        Number of processes, with None that of the cores; or an existing pool.
     """
     if isinstance(workers, Workers):
         yield workers
@@ -163,7 +163,7 @@ def worker_pool(workers: int | Workers | None) -> Iterator[Workers]:
 
 
 def count_of(workers: int | Workers | None) -> int:
-    """Return how many workers :func:`worker_pool` yields."""
+    """Return the number of workers that :func:`worker_pool` yields."""
     return workers.count if isinstance(workers, Workers) else workers or cores()
 
 
@@ -290,7 +290,7 @@ def process_pool(workers: int) -> Executor:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
