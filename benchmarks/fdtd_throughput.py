@@ -4,13 +4,13 @@ First the error of a pulse after 30 cm of straight tube, against the exact delay
 a pinched tube with absorbers at both ends and two probes on three grids, without and with losses:
 cells of the grid's box, and open cells, per second in the JAX form and in compiled columns on one
 and two threads; the bytes that a step of the columns moves per cell of the box, counted from what
-each kind of cell reads and writes; and these bytes per second as a share of what a triad of the
-same footprint moves here. The two forms' largest difference in what the probes hear stands beside.
+each kind of cell reads and writes; and these bytes per second as a fraction of those of a triad of
+the same footprint. The largest difference of the two forms' probe pressures is printed beside.
 
 Each rate is the median of five warm runs. Run on an otherwise idle machine, ``python
 benchmarks/fdtd_throughput.py``. Where JAX computes on a GPU, a march runs the JAX form there, and
 the same command prints its rates only, on one larger grid too: with the bytes of the arrays that a
-step must read and write once, and their rate as a share of what a scaled copy of 1 GiB reaches.
+step must read and write once, and their rate as a fraction of that of a scaled copy of 1 GiB.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ BAND = (5e3, 60e3)
 GRIDS = {"scattering": (32, True, 0.033), "fine": (32, False, 0.182), "long": (20, True, 0.355)}
 """Cells per bore, whether half, and length in m."""
 GPU_GRIDS = {"large": (64, False, 0.182)}
-"""Those that only a GPU is asked for."""
+"""Those that run on a GPU only."""
 NUMBERS = {"core": 5, "cut": 14, "absorber": 24}
 """Read and written per cell and step without losses; neighbours count once."""
 PER_POLE, AT_WALL = 2, 19

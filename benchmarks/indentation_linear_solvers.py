@@ -144,7 +144,7 @@ if __name__ == "__main__":
     )
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         pressed = indent(TUBE, ROD, depth=DEPTH, mesh=SIZE)
-        # MKL is loaded after this limit is set and does not hear of it.
+        # MKL is loaded after this limit is set and is not affected.
         os.environ["MKL_NUM_THREADS"] = "1"
         header = (
             "| mesh | unknowns | band | by sections | entries | solver | factorise s | solve s "

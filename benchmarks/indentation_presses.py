@@ -2,7 +2,7 @@
 
 Presses the paper's tube to 8 mm with each, draws the force against the depth in one figure,
 ``indentation_presses.png``, and prints a table: ``python benchmarks/indentation_presses.py``. Ten
-presses of about a minute each on two cores; each is remembered, so that a second run only draws.
+presses of about a minute each on two cores; each is cached, so that a second run only draws.
 The sharpest turn is the largest angle between neighbouring chords from node to node along the sides
 of any section of the lumen, at any depth: a sound fold turns by 180 degrees over some five chords,
 a crumpled one back and forth by up to 150 degrees from chord to chord.

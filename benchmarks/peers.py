@@ -1,11 +1,11 @@
 """How fast, and how right, are acoustube, j-Wave, k-Wave-python and Devito at the same job?
 
 The job that all can do: a plane packet of 42 kHz in a square duct of air, 32 x 32 x 512 cells, 20
-to a wavelength, absorbing at both ends, float32. It runs both ways from its start; a plane hears
-one half. Each row: cell updates per second, and the relative L2 error of what is heard against
+to a wavelength, absorbing at both ends, float32. It runs both ways from its start; a plane records
+one half. Each row: cell updates per second, and the relative L2 error of the recording against
 d'Alembert's solution. The duct has rigid walls in acoustube and Devito, and is periodic in the two
 spectral codes, which for this packet is the same. Round bores, wall losses and modes are beyond
-the others, and are not asked for; spectral codes need fewer cells per wavelength for this error.
+the others, and are not compared; spectral codes need fewer cells per wavelength for this error.
 
 Each peer runs in an environment of its own, made beforehand:
 

@@ -2,9 +2,9 @@
 
 A small sweep of two depths, two places and the untouched tube. In turn a worker, the whole sweep
 with its workers, or the sweep alone is killed (SIGKILL) at a random moment, and the command is
-repeated, until it has been killed as often as asked for; then it is let finish, and compared bit by
-bit. Results that are complete before the last kill are removed, and computed again from the pieces
-that are remembered. Some minutes: ``python benchmarks/sweep_killed.py [KILLS]``.
+repeated, until it has been killed as often as requested; then it is left to finish, and compared
+bit by bit. Results that are complete before the last kill are removed, and computed again from the
+pieces that are cached. Some minutes: ``python benchmarks/sweep_killed.py [KILLS]``.
 """
 
 import os

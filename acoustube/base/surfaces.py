@@ -46,7 +46,7 @@ def _polydata(path: Path) -> trimesh.Trimesh:
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a surface that is open, touches itself, of facets both ways, or of several bodies.
+    """Reject a surface that is open, not manifold, not oriented, or of several bodies.
 
     Raises
     ------

@@ -29,7 +29,7 @@ TABLE_ROWS = 16
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """Settings of the depths, of the tool's place and direction, and of the tube."""
+    """Settings of the depths, of the indenter's place and direction, and of the tube."""
 
     steps: Annotated[int | None, setting("steps")] = None
     offset: Annotated[float | None, setting("offset")] = None

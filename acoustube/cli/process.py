@@ -95,7 +95,7 @@ def _print_failure(path: Path, error: Exception) -> None:
 
 
 def _note_recording(path: Path, data: xr.Dataset, found: Processed, report: Reporter) -> None:
-    """Report what limits the use of a recording."""
+    """Report the limits of a recording."""
     notes = str(data.attrs.get("warnings", "")).splitlines()
     if found.loudest > LOUD:
         notes.append(

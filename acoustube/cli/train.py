@@ -143,7 +143,7 @@ def _trained(
 
 
 def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
-    """Print how many cycles there are, and what the estimator is trained on."""
+    """Print the number of cycles, and what the estimator is trained on."""
     import numpy as np
 
     from acoustube.estimation.model import TARGETS, targets_of, usable

@@ -201,7 +201,7 @@ def _problem(
 
 
 def _first_touched(points: Array, indenter: Indenter, touch: float) -> int:
-    """Return the number of the outer wall's point that is touched first."""
+    """Return the number of the outer wall's node at which the contact begins."""
     gaps = jax.vmap(indenter.gap())(points - np.array([0.0, touch, 0.0]))
     return int(np.argmin(gaps))
 

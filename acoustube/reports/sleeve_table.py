@@ -104,7 +104,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
     Raises
     ------
     ConfigError
-        If the sleeve has no such tube, or the distance is outside its sensitive part.
+        If the sleeve has no such tube, or the distance is outside its range of detection.
     """
     number, distance = contact
     if number >= len(tubes):

@@ -103,7 +103,7 @@ def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
 
 
 def wall_in_words(settings: SIPress) -> str:
-    """Return in words what is pressed."""
+    """Return the tube in words."""
     if settings.surface is not None:
         return Path(settings.surface).name
     tube = settings.tube
@@ -111,7 +111,7 @@ def wall_in_words(settings: SIPress) -> str:
 
 
 def press_in_words(settings: SIPress) -> str:
-    """Return in words how it is pressed."""
+    """Return the press in words."""
     indenter, layer = settings.indenter, settings.layer
     words = [f"{MM * indenter.diameter:g} mm {indenter.shape}", f"{MM * settings.depth:g} mm deep"]
     words += [f"{MM * indenter.x:g} mm beside the axis"] * (indenter.x != 0)

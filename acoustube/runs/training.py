@@ -43,7 +43,7 @@ def table_of(
     report: Callable[[str, float], None],
     check: Callable[[Path, float], None] | None = None,
 ) -> xr.Dataset:
-    """Describe the cycles of files, one file after another, and join what is said of them.
+    """Describe the cycles of files, one file after another, and join the tables.
 
     Parameters
     ----------

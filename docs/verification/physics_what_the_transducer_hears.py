@@ -24,8 +24,8 @@ time = heard[None][0]
 # %%
 # The dead zone: how long the transducer rings
 # --------------------------------------------
-# The resonator's amplitude falls by e every Q / (pi f) seconds. The echo of a closure is heard
-# once it stands over what is left of the drive.
+# The resonator's amplitude falls by e every Q / (pi f) seconds. The echo of a closure is detected
+# once it exceeds the ringing.
 envelopes = {
     place: signals.envelope(voltage, sensor.sampling_rate) for place, (_, voltage) in heard.items()
 }

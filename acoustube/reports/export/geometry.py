@@ -70,7 +70,7 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
 
 
 def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]:
-    """Write the lumen at each depth and a table of the files; return how many, and of what."""
+    """Write the lumen at each depth and a table of the files; return their number and kind."""
     rows = reached(run)
     files = [f"lumen-{number:04d}.{suffix}" for number in range(1, len(rows) + 1)]
     surfaces, what = lumens(run)
@@ -126,7 +126,7 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     if not rows:
         raise ConfigError(
             "the sweep has no walls: no case is pressed, or it was written by an earlier version; "
-            "sweep into a new folder, which remembers the presses"
+            "sweep into a new folder, which stores the presses"
         )
     pd.DataFrame(rows).to_csv(folder / "lumens.csv", index=False)
     (folder / "README.txt").write_text(
@@ -169,7 +169,7 @@ def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
     if not len(mesh.inner_faces):
         raise ConfigError(
             "the run was written by a version of acoustube that did not keep which faces are the "
-            "inner wall's; repeat acoustube indent, which remembers the press"
+            "inner wall's; repeat acoustube indent, which stores the press"
         )
     moved = mesh.points + run["node_displacement"].values[reached(run)]
     return [closed_wall(mesh, position) for position in moved], AS_IT_LIES

@@ -152,7 +152,7 @@ def _arrow(values: NDArray[Any]) -> Any:
 def _episode(
     number: int, part: NDArray[np.int64], table: pd.DataFrame, chunk: int, file: int
 ) -> dict[str, Any]:
-    """Return an episode's row: where its frames are, and what they are of."""
+    """Return an episode's row: the places of its frames, and its labels."""
     first = table.iloc[part[0]]
     return {
         "episode_index": number,

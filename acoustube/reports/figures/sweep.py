@@ -21,7 +21,7 @@ FAINTEST = 1e-3
 
 
 def figure(cases: xr.Dataset) -> Figure:
-    """Draw force, echo and error over depth for each tool, and the echoes themselves.
+    """Draw force, echo and error over depth for each indenter, and the echoes themselves.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def figure(cases: xr.Dataset) -> Figure:
 
 
 def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, label: str) -> Axes:
-    """Draw a quantity over depth for each tool: the median, and the range of all cases."""
+    """Draw a quantity over depth for each indenter: the median, and the range of all cases."""
     for words, some in by_tool(cases):
         depths, numbers = np.unique(some["depth"].values, return_inverse=True)
         values = scale * some[name].values
@@ -79,7 +79,7 @@ def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, labe
 
 
 def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
-    """Draw the envelopes of one tool's echoes over distance and depth, and return the image."""
+    """Draw the envelopes of one indenter's echoes over distance and depth; return the image."""
     cases = cases.sortby("depth")
     rows = [envelope_of(cases.isel(press=i)) for i in range(cases.sizes["press"])]
     place = rows[0][0]

@@ -111,7 +111,7 @@ def _cases(folder: Path) -> Iterator[Found]:
 
 
 def _grouped(cases: Sequence[Found]) -> dict[Key, list[Found]]:
-    """Return cases by tool, place and other settings, the depth rising."""
+    """Return cases by indenter, place and other settings, the depth rising."""
     groups: dict[Key, list[Found]] = {}
     for case in sorted(cases, key=_order):
         groups.setdefault(_key(case.config), []).append(case)
@@ -205,7 +205,7 @@ def _state(
 
 
 def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
-    """Return shape, cross-section and height of the tool of a tube that is just touched."""
+    """Return shape, cross-section and height of the indenter of a tube at first contact."""
     bore, wall = settings.tube.inner_diameter, settings.tube.wall_thickness
     shape = round_tube(bore, wall, UNTOUCHED_REACH)
     z = np.array([-UNTOUCHED_REACH, UNTOUCHED_REACH])

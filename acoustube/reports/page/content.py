@@ -1,4 +1,4 @@
-"""Content of a page: states of a press, one per depth, in groups of one tool at one place."""
+"""Content of a page: states of a press, one per depth, in groups of one indenter at one place."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class State:
     shape : Shape or None
         None if it is unknown.
     tool_height : float
-        Of the tool's lowest point.
+        Of the indenter's lowest point.
     along : Along or None
     signal : Signal or None
     spectrum : Spectrum or None
@@ -125,7 +125,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Group:
-    """States of one tool at one place of one tube, the depth rising.
+    """States of one indenter at one place of one tube, the depth rising.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The pressed tube as surfaces, cut open along its length, with its section and its tool."""
+"""The pressed tube as surfaces, cut open along its length, with its section and the indenter."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from acoustube.lumen.thinning import decimate_rings
 
 OUTLINE_POINTS = 81
 TOOL_RESOLUTION = 72
-"""Facets around a tool."""
+"""Facets around an indenter."""
 TOOL_LENGTH, TOOL_HEIGHT = 1.6, 0.95
-"""Drawn length of a rod, and drawn height of a tool, in outer diameters of the tube."""
+"""Drawn length of a rod, and drawn height of an indenter, in outer diameters of the tube."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """A tool, its lowest point at the origin.
+    """An indenter, its lowest point at the origin.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def _closed(outline: Array) -> Array:
 
 
 def underside(press: Indenter, x: Array, z: Array) -> Array:
-    """Return the height of a tool's lower side above its lowest point, in m; nan beside it.
+    """Return the height of an indenter's lower side above its lowest point, in m; nan beside it.
 
     Parameters
     ----------
@@ -138,13 +138,13 @@ def underside(press: Indenter, x: Array, z: Array) -> Array:
 
 
 def tool_height(press: Indenter, outer: Array) -> float:
-    """Return the height in m of the lowest point of a tool that just touches points (n, 3)."""
+    """Return the height in m of the lowest point of an indenter just touching points (n, 3)."""
     gap = outer[:, 1] - underside(press, outer[:, 0], outer[:, 2])
     return float(np.nanmax(gap))
 
 
 def tool(press: Indenter, tube_diameter: float) -> Tool:
-    """Return the surface of a tool: its half x >= 0, up to `TOOL_HEIGHT`.
+    """Return the surface of an indenter: its half x >= 0, up to `TOOL_HEIGHT`.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ class Solid:
         self.shown = {wall: shown[owner[name == wall]] for wall in self.walls}
 
     def _parts(self, faces: Index, flat: float) -> Any:
-        """Return to what each face of the boundary belongs: inner, outer, flat, or nothing.
+        """Return the kind of each boundary face: inner wall, outer wall, flat, or none.
 
         Inner and outer wall share no node once planes of symmetry and ends are left out.
         """

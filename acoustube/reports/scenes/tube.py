@@ -110,7 +110,7 @@ def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float)
 
 
 def close_up(dataset: xr.Dataset, press: Indenter, layer: float | None = None) -> Image:
-    """Draw the pressed part in true proportions, with the tool and what the tube rests on.
+    """Draw the pressed part in true proportions, with the indenter and the ground.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def close_up(dataset: xr.Dataset, press: Indenter, layer: float | None = None) -
 
 
 def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
-    """Return points and triangles of a tool's half with x <= 0, where it touches the wall.
+    """Return points and triangles of an indenter's half with x <= 0, where it touches the wall.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def draw_distances(axes: Axes, table: xr.Dataset) -> None:
 
 
 def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Array]:
-    """Return means of what is finite, and their bins of distance and depth.
+    """Return means of the finite values, and their bins of distance and depth.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def forces(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 
 def _means(table: xr.Dataset, values: Array, place: float, depths: NDArray[Any]) -> Array:
-    """Return the mean at each depth of what is finite at a place."""
+    """Return the mean at each depth of the finite values at a place."""
     here = np.isclose(table["true_distance"].values, place) & np.isfinite(values)
     at, depth = values[here], table["depth"].values[here]
     some = [at[np.isclose(depth, one)] for one in depths]

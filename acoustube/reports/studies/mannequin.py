@@ -298,7 +298,7 @@ def _places(table: xr.Dataset, helix: Helix) -> Figure:
 
 
 def _histogram(axes: Axes, table: xr.Dataset, errors: dict[str, Array]) -> None:
-    """Draw how the presses' mean errors are distributed."""
+    """Draw the histogram of the presses' mean errors."""
     edges = np.arange(0, 41, 2.0)
     means = [
         [CM * np.mean(e[p & np.isfinite(e)]) for p in _presses(table) if np.isfinite(e[p]).any()]

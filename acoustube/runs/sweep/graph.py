@@ -102,7 +102,7 @@ class LoadPath:
 
 
 def load_paths(cases: Iterable[Case]) -> list[LoadPath]:
-    """Group cases by load path, and by what they scatter within it, in the cases' order.
+    """Group cases by load path, and within it by scattering, in the cases' order.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ def chosen(cases: xr.Dataset) -> xr.Dataset:
 
 
 def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the cases of each tool, with its name."""
+    """Yield the cases of each indenter, with its name."""
     tools = list(zip(cases["shape"].values, cases["diameter"].values, strict=True))
     for shape, diameter in sorted(set(tools)):
         mine = [i for i, tool in enumerate(tools) if tool == (shape, diameter)]

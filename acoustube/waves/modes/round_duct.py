@@ -40,7 +40,7 @@ def bessel_zero(m: int, n: int) -> float:
 
 
 def cut_on_frequency(m: int, n: int, radius: float, sound_speed: float) -> float:
-    """Return j'mn c / (2 pi R) in Hz for a bore radius in m and a sound speed in m/s."""
+    """Return the cut-on frequency j'mn c / (2 pi R) in Hz, for a radius R in m and c in m/s."""
     return bessel_zero(m, n) * sound_speed / (2.0 * pi * radius)
 
 

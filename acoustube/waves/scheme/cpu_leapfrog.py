@@ -200,7 +200,7 @@ def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
 
 
 def _full(operator: Operator) -> Mask:
-    """Return a mask of cells that are full, with full faces, axially also those one cell beyond."""
+    """Return the mask of full cells with full faces, axially also those of both neighbours."""
     x, y, z = (np.asarray(area) for area in operator[1:4])
     x, y, z = (area == face for area, face in zip((x, y, z), _full_faces(operator), strict=True))
     across = x[1:] & x[:-1] & y[:, 1:] & y[:, :-1]
