@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from acoustube.runs.live import Show, Stream, Tally
 
 REFRESH = 0.1
-"""Seconds between two pictures in a terminal."""
+"""Refresh interval of the panel in a terminal, in s."""
 BARS, FLOOR_DB, TRACE = " ▁▂▃▄▅▆▇█", -40.0, 60
 """Characters of the trace, the level in dB of the lowest, and its width."""
 
@@ -127,7 +127,7 @@ def run_live(
 
 @contextlib.contextmanager
 def _shown(console: Console, port: str) -> Iterator[Show]:
-    """Yield a function that shows the last cycle now and then: a panel, or lines elsewhere."""
+    """Yield a function that shows the last cycle periodically, as a panel or as lines."""
     from rich.live import Live
     from rich.panel import Panel
 

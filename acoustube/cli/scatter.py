@@ -53,7 +53,7 @@ class Band:
         Raises
         ------
         ConfigError
-            If the band does not rise, is given in Hz, or is not a multiple of the step.
+            If the band does not increase, is given in Hz, or is not a multiple of the step.
         """
         (low, high), step = self.band, self.step
         if high > HIGHEST_KHZ:

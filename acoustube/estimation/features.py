@@ -75,7 +75,7 @@ N_OTHER_ECHOES = 2
 SAME_PRESS_DISTANCE = 0.1
 """Distance in m within which two echoes belong to the same press."""
 ABSENT_LEVEL = -40.0
-"""Level in dB that stands for an absent echo."""
+"""Level in dB assigned to an absent echo."""
 TEMPERATURE_STEP = 2.0
 """Step in K of the temperatures at which the attenuation is computed."""
 DECIBEL = 20 / np.log(10)

@@ -68,7 +68,7 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     """
     try:
         data: xr.Dataset = open_netcdf(path)
-    except Exception:  # what is wrong with the file is given when it is read as any other
+    except Exception:  # the error is raised when it is read as any other file
         return None
     if "configuration" in data or "configuration" in data.attrs:
         raise ConfigError(

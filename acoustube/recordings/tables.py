@@ -46,7 +46,7 @@ _MEANINGS = {
     for unit, scale in [("", 1.0), *((f"_{unit}", scale) for unit, scale in units.items())]
 }
 _COUNTING_COLUMNS = {"", "index", "cycle", "sample", "n", "i"}
-"""Names of columns that count rows and hold no data."""
+"""Names of index columns, which contain row numbers and no data."""
 
 
 def plain(name: str) -> str:

@@ -143,8 +143,8 @@ def bend(
     Raises
     ------
     ConfigError
-        If a size is not positive, the bend is too sharp, the frequencies do not rise, or a mode is
-        not among those computed.
+        If a size is not positive, the bend is too sharp, the frequencies do not increase, or a mode
+        is not among those computed.
 
     Notes
     -----

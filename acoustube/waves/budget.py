@@ -133,7 +133,7 @@ def error_budget(
 def absorber_reflection() -> float:
     """Return the lossless absorber's reflection of a mode 1 % above cut-on, in dB.
 
-    A mode with axial wavenumber kz meets the power kz / k of the plane wave's attenuation.
+    For a mode with axial wavenumber kz it is, in dB, kz / k times that of the plane wave.
     """
     return 20 * log10(REFLECTION) * sqrt(1 - CUT_ON_RATIO**-2)
 

@@ -303,7 +303,7 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
     """Return the spectra of columns over an even time, at any frequencies, real or complex.
 
-    By the chirp z-transform where the frequencies are even: ten times as fast as sums.
+    By the chirp z-transform for evenly spaced frequencies: ten times as fast as sums.
     """
     n = len(frequency)
     steps = np.diff(frequency)
@@ -336,7 +336,7 @@ def at_sound_speed(scattering: Scattering, sound_speed: float) -> Scattering:
     Notes
     -----
     Without losses this is exact, on the grid too. The thickness of the boundary layers in
-    wavelengths goes as the root of viscosity over speed times bore: 15 K change the losses within
+    wavelengths scales as the root of viscosity over speed times bore: 15 K change the losses within
     a press, some 0.5 dB, by 4 %.
     """
     ratio = sound_speed / scattering.sound_speed

@@ -272,8 +272,8 @@ def _ringdown(
 def _spectrum(signals: Array, omega: Array, end: int) -> Complex:
     """Return the spectra (n_frequencies, n_signals) of signals (n_signals, n) up to a sample.
 
-    Their last third is faded out: what still rings at a cut-on would spread over all frequencies if
-    it were cut.
+    Their last third is faded out: ringing at a cut-on, if truncated, would leak into all
+    frequencies.
     """
     fade = np.clip((end - np.arange(end)) / (end / 3), 0.0, 1.0)
     faded = signals[:, :end] * (0.5 - 0.5 * np.cos(pi * fade))

@@ -31,9 +31,9 @@ class ModalScattering:
     modes : tuple of str
         As ``00``, ``11c``, ``21s``; of the round bore with the area of the end at low z.
     s : ndarray
-        Outgoing over incoming amplitude, normalised by the power, at the reference planes; time
-        goes as exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and 1
-        at high z; zero where a mode does not propagate.
+        Outgoing over incoming amplitude, power-normalised, at the reference planes, for time
+        dependence exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and
+        1 at high z; zero where a mode does not propagate.
     propagates : ndarray of bool
         (n, n_modes).
     cut_ons : ndarray
@@ -143,7 +143,7 @@ def scatter(
     ------
     ConfigError
         If the lumen has no straight ends, or ends of different sections, or the frequencies do not
-        rise.
+        increase.
 
     Notes
     -----

@@ -18,9 +18,9 @@ from acoustube.waves.scheme.cpu_layout import CORE, CUT
 
 BARRIER_POLLS = 2000
 """Number of polls of the barrier before a thread yields its core."""
-# Indices are unsigned, as only those need no check whether they count from the end.
+# Indices are unsigned: signed ones would be checked for negative values.
 _NONE, _ONE, _TWO, _THREE, _FOUR = (np.uint64(i) for i in range(5))
-# Sums may be regrouped, but what is not a number must stay so. References are not counted: the
+# Sums may be reassociated, but NaN must be preserved. References are not counted: the
 # threads would share the counts, and every slice would change them.
 _compiled = njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"},
