@@ -109,7 +109,7 @@ def _note_recording(path: Path, data: xr.Dataset, found: Processed, report: Repo
 def _draw(
     data: xr.Dataset, settings: Processing, first: int, ranging: signals.Ranging, figure: Path
 ) -> None:
-    """Draw the first cycle with an echo of a piece that begins at `first`, and the whole piece."""
+    """Draw the first cycle with an echo of a batch that begins at `first`, and the batch."""
     import numpy as np
     from matplotlib.figure import Figure
 

@@ -169,7 +169,7 @@ def _hdf5_values(item: Any) -> Any:
 
 
 def _with_unit(name: str, unit: Any) -> str:
-    """Return a name with its unit if both together are known: depth in mm is depth_mm."""
+    """Return a name with its unit, as ``depth_mm``, if that is a known name; else the name."""
     joined = f"{name}_{unit}"
     return joined if isinstance(unit, str) and meaning(joined)[0] else name
 

@@ -135,7 +135,7 @@ def _oriented(a: Array, b: Array, c: Array, odd: NDArray[np.bool_]) -> Array:
 
 
 def _chain(bottom: Array, middle: Array, top: Array, height: Array, axis: int) -> Array:
-    """Return the point at a height on the chain bottom-middle-top."""
+    """Return the point at a height on the two shorter edges, bottom-middle and middle-top."""
     upper = (height > middle[:, axis])[:, None]
     start, end = np.where(upper, middle, bottom), np.where(upper, top, middle)
     return _point(start, end, height, axis)

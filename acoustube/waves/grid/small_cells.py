@@ -113,7 +113,7 @@ def _cfl_volume(cells: CutCells) -> Array:
 
 
 def _without_closed_cells(cells: CutCells) -> CutCells:
-    """Return cut cells in which all but empty cells are closed."""
+    """Return cut cells with nearly empty cells closed: their volume and faces set to zero."""
     alive = cells.volume_fraction > CLOSED_FRACTION
     faces = []
     for axis, area in enumerate((cells.open_x, cells.open_y, cells.open_z)):

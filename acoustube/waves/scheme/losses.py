@@ -236,7 +236,7 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
 
 
 def _near_the_wall(wetted: Array, volume: Array) -> Array:
-    """Return the wetted area without its thin tail, and with the same total."""
+    """Return the wetted area truncated below `WALL_THRESHOLD`, rescaled to the same total."""
     at_flat_wall = sqrt(2 / pi) / WALL_SPREAD
     near = wetted * (wetted.sum(axis=0) > WALL_THRESHOLD * at_flat_wall)
     total, kept = (float(np.sum(area * volume)) for area in (wetted, near))
