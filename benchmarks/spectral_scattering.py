@@ -29,7 +29,12 @@ def main() -> None:
             for _ in range(3):
                 start = process_time()
                 found = spectral.scatter_spectral(
-                    wall(case), AIR, frequency, tolerance=tolerance, symmetric_only=True
+                    wall(case),
+                    AIR,
+                    frequency,
+                    tolerance=tolerance,
+                    lossy=False,
+                    symmetric_only=True,
                 )
                 seconds = min(seconds, process_time() - start)
             at = np.searchsorted(frequency, known - 1.0)

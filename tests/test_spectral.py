@@ -9,14 +9,17 @@ import pytest
 
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError
-from acoustube.waves import Scattering, spectral
+from acoustube.waves import Scattering, axial_wavenumber, spectral
 from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.spectral import boundary, layers
 from acoustube.waves.spectral.discretisation import discretise, respond
 from acoustube.waves.spectral.ports import axial_wavenumbers, changed_scattering, scattering_of
 
 RADIUS = 3.95e-3
 AIR = Air(sound_speed=343.2, density=1.204)
 CASES = {"A": (0.30, 12e-3), "E": (0.40, 8e-3)}
+KIRCHHOFF = 0.533286, 1.07123, 1.57711, 1.91734
+"""Attenuation in Np/m of the plane mode at 5, 20, 42 and 60 kHz in a bore of 3.95 mm radius."""
 REFERENCE = Path(__file__).parent / "data" / "spectral_reference.csv"
 """Of an independent spectral solution with exact modal ends, which agrees with quintic finite
 elements (NGSolve) to 3e-7; frequencies over 8 kHz, all cut-ons among them."""
@@ -59,7 +62,11 @@ def reference(case):
 
 @cache
 def solved(case):
-    return spectral.scatter_spectral(wall(case), AIR, reference(case)[0], symmetric_only=True)
+    return scattered(wall(case), reference(case)[0], symmetric_only=True)
+
+
+def scattered(of, frequency, **options):
+    return spectral.scatter_spectral(of, AIR, frequency, lossy=False, **options)
 
 
 def plane(found):
@@ -86,11 +93,10 @@ def test_estimated_error_bounds_that_against_independent_solution(case):
 
 
 def test_richer_basis_changes_no_coefficient_by_more_than_estimated():
-    """All modes, also those antisymmetric about x = 0, of lumen A."""
-    frequency = np.arange(8e3, 60.1e3, 2.6e3)
+    """All modes, also those antisymmetric about x = 0, of lumen E."""
+    frequency = np.arange(8e3, 60.1e3, 5.2e3)
     found, richer = (
-        spectral.scatter_spectral(wall("A"), AIR, frequency, tolerance=tolerance)
-        for tolerance in (1e-2, 1e-5)
+        scattered(wall("A"), frequency, tolerance=tolerance) for tolerance in (1e-2, 1e-4)
     )
     assert found.modes == ("00", "11c", "11s", "21c", "21s", "01", "31c", "31s")
     change = np.abs(found.s - richer.s).max(axis=(1, 2, 3, 4))
@@ -139,8 +145,8 @@ def test_error_falls_with_the_elements_and_is_estimated_within_a_factor():
 def test_lumen_without_mirror_plane_scatters_the_plane_mode_as_before_it_was_turned():
     """Lumen A turned by 25 degrees about its axis: all modes are then solved for at once."""
     frequency = np.array([20e3, 35e3, 47e3])
-    turned = spectral.scatter_spectral(wall("A", 0.4363), AIR, frequency)
-    straight = spectral.scatter_spectral(wall("A"), AIR, frequency)
+    turned = scattered(wall("A", 0.4363), frequency)
+    straight = scattered(wall("A"), frequency)
     assert turned.modes == straight.modes
     np.testing.assert_allclose(plane(turned), plane(straight), atol=2e-5)
     pair = slice(1, 3)
@@ -152,10 +158,8 @@ def test_lumen_without_mirror_plane_scatters_the_plane_mode_as_before_it_was_tur
 
 def test_lumen_that_counts_as_not_reversible_scatters_as_by_halves():
     frequency = np.array([20e3, 44e3])
-    whole = spectral.scatter_spectral(
-        wall("E", reversible=False), AIR, frequency, symmetric_only=True
-    )
-    halved = spectral.scatter_spectral(wall("E"), AIR, frequency, symmetric_only=True)
+    whole = scattered(wall("E", reversible=False), frequency, symmetric_only=True)
+    halved = scattered(wall("E"), frequency, symmetric_only=True)
     np.testing.assert_allclose(whole.s, halved.s, atol=1e-6)
 
 
@@ -171,19 +175,15 @@ def rings(case, n_rings=97, n_around=120):
 
 def test_lumen_of_rings_scatters_as_its_formula():
     frequency, reflected, passed = (part[::4] for part in reference("E"))
-    found = plane(
-        spectral.scatter_spectral(spectral.wall_of(rings("E")), AIR, frequency, symmetric_only=True)
-    )
+    found = plane(scattered(spectral.wall_of(rings("E")), frequency, symmetric_only=True))
     # The rings end in a corner: half a millimetre of cone where the formula is smooth.
     np.testing.assert_allclose(found, (reflected, passed), atol=2e-4)
 
 
 def test_reference_planes_move_the_phases_of_each_mode():
     frequency = np.array([30e3])
-    here = spectral.scatter_spectral(wall("A"), AIR, frequency, symmetric_only=True)
-    there = spectral.scatter_spectral(
-        wall("A"), AIR, frequency, symmetric_only=True, reference=(-1e-3, 2e-3)
-    )
+    here = scattered(wall("A"), frequency, symmetric_only=True)
+    there = scattered(wall("A"), frequency, symmetric_only=True, reference=(-1e-3, 2e-3))
     kz = axial_wavenumbers(2 * np.pi * frequency / 343.2, np.array([0, 1.8411838]), RADIUS)[0]
     turn = np.exp(-1j * np.stack([kz, 2 * kz]) * 1e-3)
     np.testing.assert_allclose(there.s[0], turn[..., None, None] * here.s[0] * turn, atol=1e-6)
@@ -224,3 +224,92 @@ def test_lumens_without_round_or_straight_ends_are_refused():
     ):
         with pytest.raises(ConfigError, match=words):
             spectral.wall_of(lumen)
+
+
+def straight(radius, half_length):
+    def lines(z, t):
+        return radius * np.sin(t), -radius * np.cos(t), 0 * z, 0 * z
+
+    ends = (-half_length, half_length)
+    return spectral.analytic_wall(lines, ends=ends, radius=radius, reversible=True)
+
+
+def plane_wavenumber(radius, half_length, frequency, air=AIR):
+    """Of the plane mode, from what two lengths of a straight tube pass on."""
+    short, long = (
+        spectral.scatter_spectral(
+            straight(radius, part), air, frequency, reference=(-part, part), symmetric_only=True
+        ).s[:, 1, 0, 0, 0]
+        for part in (half_length, 2 * half_length)
+    )
+    return 1j * np.log(long / short) / (2 * half_length)
+
+
+def test_paper_bore_attenuates_as_kirchhoffs_equation_says():
+    """Kirchhoff's equation to 40 digits, less the absorption in the bulk that is in it.
+
+    Zwikker and Kosten, who take the pressure as even over the section, lie 0.3 % lower at 20 kHz
+    and 1.6 % at 60 kHz. Prandtl's number 0.70520337.
+    """
+    air = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
+    frequency = np.array([5e3, 20e3, 42e3, 60e3])
+    kirchhoff = np.array(KIRCHHOFF)
+    diffusivity = air.viscous_diffusivity * (4 / 3 + 0.4 / air.prandtl)
+    bulk = (2 * np.pi * frequency) ** 2 * diffusivity / (2 * air.sound_speed**3)
+    found = plane_wavenumber(RADIUS, 2.4e-3, frequency, air)
+    np.testing.assert_allclose(-found.imag, kirchhoff - bulk, rtol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("radius", "half_length", "frequency", "accuracy"),
+    [
+        (0.5e-3, 0.6e-3, [5e3, 20e3, 60e3], 3e-3),
+        # Nine viscous layers across.
+        (0.1e-3, 0.3e-3, [5e3, 20e3, 60e3], 3e-3),
+    ],
+)
+def test_straight_tube_attenuates_as_zwikker_and_kosten_say(
+    radius, half_length, frequency, accuracy
+):
+    frequency = np.array(frequency)
+    expected = axial_wavenumber(0, 0, frequency, radius, AIR)
+    found = plane_wavenumber(radius, half_length, frequency)
+    np.testing.assert_allclose(found.imag, expected.imag, rtol=accuracy)
+    np.testing.assert_allclose(found.real, expected.real, rtol=5e-4)
+
+
+def test_losses_vanish_with_the_viscosity():
+    frequency = np.array([20e3, 42.2e3, 55e3])
+    thin = Air(sound_speed=343.2, density=1.204, viscosity=1.8e-13)
+    nearly = spectral.scatter_spectral(wall("E"), thin, frequency, symmetric_only=True)
+    without = scattered(wall("E"), frequency, symmetric_only=True)
+    # Layers 1e4 times thinner than in air.
+    np.testing.assert_allclose(nearly.s, without.s, atol=1e-5)
+
+
+def test_slit_and_tube_fill_with_their_layers_as_their_closed_forms():
+    """Shares of the layer that are there: limits D << h and h << D, and Zwikker and Kosten's."""
+    thickness = np.array(1e-5 * np.exp(-0.25j * np.pi))
+    wide, narrow = np.array(1e-2), np.array(1e-7)
+    for roundness in (0.0, 1.0):
+        f = layers.filling(wide, np.array(roundness), thickness)
+        np.testing.assert_allclose(f, 1 - roundness * thickness / wide, rtol=1e-5)
+        # What is left of the air's section: h - 2 f D of a slit, 1 - 4 f D / h of a tube, vanishes.
+        f = layers.filling(narrow, np.array(roundness), thickness)
+        left = 1 - (2 + 2 * roundness) * f * thickness / narrow
+        slowed = (narrow / (2 * thickness)) ** 2 / (3 if roundness == 0 else 8)
+        np.testing.assert_allclose(left, slowed, rtol=1e-2)
+
+
+def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():
+    """Half axes 3 and 0.2 mm: b^2 / a at the tips, b at the flat sides."""
+    a, b = 3e-3, 0.2e-3
+
+    def lines(z, t):
+        return a * np.sin(t), -b * np.cos(t), 0 * z, 0 * z
+
+    flat = spectral.analytic_wall(lines, ends=(0.0, 1e-3), radius=a, n_points=240)
+    points = boundary.wall_points(flat, np.array([0.0, 1e-3]), 2)
+    width = layers.gap_widths(points, 1e-3)[0]
+    np.testing.assert_allclose(width[0], 2 * b, rtol=1e-3)
+    assert width.min() == pytest.approx(2 * b**2 / a, rel=0.1)

@@ -1,9 +1,9 @@
 """Scattering of a lumen in the frequency domain: polynomials in space, rational in frequency.
 
-Reading order: `polynomials` (basis functions), `walls` and `lumens` (domain of integration),
-`assembly` (stiffness and mass), `ports` (modes of the ends), `elimination` (direct solution along
-the tube), `discretisation` (a basis and an enriched one), `reduction` (reduced-order model),
-`partition` (elements) and `solver` (adaptivity and error estimate).
+Reading order: `polynomials`, `walls` and `lumens` (what is integrated over), `assembly` (stiffness
+and mass), `ports` (modes of the ends), `elimination` (direct solution along the tube),
+`discretisation` (a basis and a richer one), `reduction` (many frequencies at once), `boundary`,
+`layers` and `lossy` (losses), `partition` and `solver` (what is chosen, and the error).
 """
 
 from acoustube.waves.spectral.lumens import wall_of

@@ -90,21 +90,55 @@ def assemble(wall: Wall, edges: Array, basis: Polynomials, order: int, n_points:
     z = (edges[:-1, None] + step[:, None] * (points + 1) / 2).ravel()
     boxes, first, last = element_boxes(wall, edges, points)
     mass, along, across = section_matrices(wall.contours(z, basis.degree), boxes, basis)
-    value, slope = lobatto(order, points)
-    parts = [part.reshape(len(step), len(points), -1) for part in (mass, along, across)]
-    pairs = [np.einsum("jq,kq,q->jkq", f, g, weights).reshape(-1, len(points))
-             for f, g in ((value, value), (slope, value), (slope, slope))]  # fmt: skip
+    stiffness = along_elements(step, order, (points, weights), mass, along, across)
+    return Elements(stiffness, along_elements(step, order, (points, weights), None, None, mass),
+                    first, last)  # fmt: skip
 
-    def combined(pair: Array, part: Array) -> Array:
-        n = order + 1
-        found = np.matmul(pair, part).reshape(len(step), n, n, basis.size, basis.size)
-        return found.transpose(0, 1, 3, 2, 4)
+
+def along_elements(
+    step: Array,
+    order: int,
+    rule: tuple[Array, Array],
+    slopes: Array | None,
+    mixed: Array | None,
+    values: Array,
+) -> Array:
+    """Integrate along elements what depends on the functions L_j and their slopes.
+
+    Parameters
+    ----------
+    step : ndarray
+        Lengths of the elements in m, (n_elements,).
+    order : int
+        Highest degree along an element.
+    rule : tuple of ndarray
+        Points from -1 to 1 and weights, (n_points,).
+    slopes, mixed, values : ndarray
+        Factors of L_j' L_k', of L_j' L_k (and of its mirror image) and of L_j L_k at all points,
+        (n_elements n_points, n, n); the first two may be none.
+
+    Returns
+    -------
+    ndarray
+        (n_elements, order + 1, n, order + 1, n).
+    """
+    points, weights = rule
+    value, slope = lobatto(order, points)
+    n, n_j = values.shape[-1], order + 1
+
+    def combined(f: Array, g: Array, part: Array) -> Array:
+        pair = np.einsum("jq,kq,q->jkq", f, g, weights).reshape(-1, len(points))
+        found = np.matmul(pair, part.reshape(len(step), len(points), -1))
+        return found.reshape(len(step), n_j, n_j, n, n).transpose(0, 1, 3, 2, 4)
 
     half = (step / 2)[:, None, None, None, None]
-    mixed = combined(pairs[1], parts[1])
-    mixed = mixed + mixed.transpose(0, 3, 4, 1, 2)
-    stiffness = half * combined(pairs[0], parts[2]) + mixed + combined(pairs[2], parts[0]) / half
-    return Elements(stiffness, half * combined(pairs[0], parts[0]), first, last)
+    total = half * combined(value, value, values)
+    if slopes is not None:
+        total += combined(slope, slope, slopes) / half
+    if mixed is not None:
+        cross = combined(slope, value, mixed)
+        total += cross + cross.transpose(0, 3, 4, 1, 2)
+    return total
 
 
 def element_boxes(wall: Wall, edges: Array, points: Array) -> tuple[Boxes, Array, Array]:

@@ -18,7 +18,11 @@ from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes, port_fun
 from acoustube.waves.spectral.walls import Wall
 
 RICHER = 2
-"""Increase of the total degree in the enriched basis."""
+"""By how much the total degree of the richer basis is higher."""
+LAYER_RATIO = 0.476
+"""(gamma - 1) / sqrt(Pr): the thermal layer's share, next to the viscous one's."""
+LAYER_BLOCKS = 2
+"""Powers of what the layers do to a field that are added to a Krylov space."""
 SPARE_POINTS = 3
 """Number of Gauss points along an element, in excess of its degree."""
 
@@ -42,7 +46,9 @@ class Discretisation:
     radius : float
         Of the ports in m.
     halved : bool
-        True for one half, with one port, of a lumen symmetric about a plane z = const.
+        Whether it is the half beyond the plane about which the lumen is symmetric, with one port.
+    layers : tuple of ndarray, optional
+        Stiffness and mass of the wall, in whose response the Krylov space has one more block.
     """
 
     stiffness: Array
@@ -54,6 +60,7 @@ class Discretisation:
     heights: tuple[float, float]
     radius: float
     halved: bool
+    layers: tuple[Array, Array] | None = None
 
     @property
     def sides(self) -> tuple[bool, ...]:
@@ -77,8 +84,8 @@ class Response(NamedTuple):
     Attributes
     ----------
     fields : ndarray
-        Blocks of a Krylov space, the first the response itself, (n_elements, n_j, n, n_columns) in
-        the enriched basis.
+        Blocks of a Krylov space, the response itself among them, (n_elements, n_j, n, n_columns) of
+        the richer basis.
     correction : ndarray
         First-order correction of the response in the enriched basis, of that shape.
     impedance : ndarray
@@ -188,10 +195,16 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     found = []
     for held in system.sides:
         chain = eliminate(condensed, held=held)
-        fields = [solve(condensed, chain, load[:, :n_j, :n])]
+        response = solve(condensed, chain, load[:, :n_j, :n])
+        fields = [response]
+        if system.layers is not None:
+            layer = (system.layers[0] + LAYER_RATIO * shift * system.layers[1])[:, :n_j, :n]
+            layer = np.ascontiguousarray(layer[:, :, :, :n_j, :n])
+            for _ in range(LAYER_BLOCKS):
+                fields.insert(0, solve(condensed, chain, _applied(layer, _normalised(fields[0]))))
+            fields.append(fields.pop(LAYER_BLOCKS))
         for _ in range(blocks - 1):
             fields.append(solve(condensed, chain, _applied(mass, _normalised(fields[-1]))))
-        response = fields[0]
         ahead = load[:, :n_j, n:] - _applied(matrix[:, :n_j, n:, :n_j, :n], response)
         step = solve(higher, eliminate(higher, held=held), ahead)
         bubble = -_applied(matrix[:, [n_j], :n, :n_j, :n], response)[:, 0]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, solve
 
 from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.ports import Complex
 
 LEAST = 1e-9
 """Relative norm of a field's component outside the span below which it is dropped."""
@@ -31,6 +32,10 @@ class Reduced(NamedTuple):
     stiffness: Array
     mass: Array
     ports: Array
+
+    def first(self, n: int) -> Reduced:
+        """Return the projection on the first n fields."""
+        return Reduced(self.basis[:, :n], self.stiffness[:n, :n], self.mass[:n, :n], self.ports[:n])
 
     @property
     def size(self) -> int:
@@ -107,6 +112,46 @@ def _orthonormal(new: Array, old: Array) -> Array:
     turned, size, _ = np.linalg.svd(triangle)
     new = new @ turned[:, size > LEAST * size[0]]
     return np.asarray(np.linalg.qr(new - old @ (old.T @ new))[0])
+
+
+def lossy_impedance(
+    reduced: Reduced,
+    wall: list[Reduced],
+    losses: tuple[Complex, Complex],
+    wavenumber: Complex,
+    flux: Complex,
+) -> Complex:
+    """Return the response of the ports' lossy modes in 1/m, (n_frequencies, n, n).
+
+    Parameters
+    ----------
+    reduced : Reduced
+    wall : list of Reduced
+        Integrals over the wall in the same fields, one for each function of the place.
+    losses : tuple of ndarray
+        Factors of their stiffness and of their mass in m, (n_frequencies, n_parts).
+    wavenumber : ndarray
+        Of free sound in the air in 1/m, (n_frequencies,).
+    flux : ndarray
+        What the flux of each lossy mode has of the lossless ones, (n_frequencies, n, n).
+    """
+    square, vector = eigh(
+        *((part + part.T) / 2 for part in (reduced.stiffness, reduced.mass)), check_finite=False
+    )
+    ports = vector.T @ reduced.ports
+    stiffness, mass = (
+        np.stack([vector.T @ part @ vector for part in parts])
+        for parts in ([q.stiffness for q in wall], [q.mass for q in wall])
+    )
+    found = np.empty(flux.shape, complex)
+    diagonal = np.diag_indices(len(square))
+    for number, k in enumerate(wavenumber):
+        viscous, thermal = losses[0][number], k**2 * losses[1][number]
+        matrix = -np.tensordot(viscous, stiffness, 1) - np.tensordot(thermal, mass, 1)
+        matrix[diagonal] += square - k**2
+        load = ports @ flux[number]
+        found[number] = load.T @ solve(matrix, load, check_finite=False, overwrite_a=True)
+    return found
 
 
 def impedance(reduced: Reduced, wavenumber: Array) -> Array:

@@ -28,12 +28,14 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.waves.spectral.discretisation import (
+    LAYER_BLOCKS,
     SPARE_POINTS,
     Discretisation,
     Response,
     discretise,
     respond,
 )
+from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
 from acoustube.waves.spectral.partition import partition, split
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import (
@@ -86,6 +88,19 @@ class _Basis:
     shifts: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is asked for: k (n,) in 1/m is that of sound without losses."""
+
+    wall: Wall
+    air: Air
+    frequency: Array
+    k: Array
+    tolerance: float
+    reference: tuple[float, float]
+    lossy: bool
+
+
 class _Part(NamedTuple):
     """Scattering of one symmetry's modes, (n, 2, m, 2, m), with errors (n,) and basis sizes."""
 
@@ -105,9 +120,10 @@ def scatter_spectral(
     *,
     tolerance: float = 1e-3,
     reference: tuple[float, float] = (0.0, 0.0),
+    lossy: bool = True,
     symmetric_only: bool = False,
 ) -> SpectralScattering:
-    """Return the lossless scattering matrix of a lumen with rigid walls.
+    """Return how a lumen with rigid walls scatters the modes of its ends.
 
     Parameters
     ----------
@@ -120,7 +136,9 @@ def scatter_spectral(
         Largest error of a coefficient.
     reference : tuple of float
         Heights z in m, in the coordinates of the wall, at which the amplitudes at low z and at
-        high z are given: reference planes, to which the ends are continued straight.
+        high z are given, as if the ends went on straight to there.
+    lossy : bool
+        With the losses at the wall and in the air.
     symmetric_only : bool
         Of a lumen symmetric about x = 0, compute the symmetric modes only.
 
@@ -149,19 +167,13 @@ def scatter_spectral(
         parities = (False,) if symmetric_only else (False, True)
     # Below the cut-on of (1,1) there is no antisymmetric mode.
     parities = tuple(odd for odd in parities if len(port_modes(k[-1] * wall.radius, odd)))
-    parts = [_part(wall, odd, k, tolerance, reference) for odd in parities]
-    return _joined(parts, frequency, wall, air, tolerance, reference)
+    task = _Task(wall, air, frequency, k, tolerance, reference, lossy)
+    return _joined([_part(task, odd) for odd in parities], task)
 
 
-def _joined(
-    parts: list[_Part],
-    frequency: Array,
-    wall: Wall,
-    air: Air,
-    tolerance: float,
-    reference: tuple[float, float],
-) -> SpectralScattering:
-    """Combine the scattering of both symmetries, in the order of the cut-ons."""
+def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
+    """Put the parts of both symmetries together, in the order of the cut-ons."""
+    frequency, reference = task.frequency, task.reference
     names = [name for part in parts for name in part.names]
     zeros = np.concatenate([part.zeros for part in parts])
     s = np.zeros((len(frequency), 2, len(names), 2, len(names)), complex)
@@ -170,7 +182,7 @@ def _joined(
         here = slice(end, end := end + len(part.names))
         s[:, :, here, :, here] = part.s
     order = sorted(range(len(names)), key=lambda i: (zeros[i], names[i]))
-    cut_ons = zeros[order] * air.sound_speed / (2 * np.pi * wall.radius)
+    cut_ons = zeros[order] * task.air.sound_speed / (2 * np.pi * task.wall.radius)
     low, high = parts[0].heights
     return SpectralScattering(
         frequency=frequency,
@@ -178,10 +190,10 @@ def _joined(
         s=s[:, :, order][..., order],
         propagates=frequency[:, None] > cut_ons,
         cut_ons=cut_ons,
-        sound_speed=air.sound_speed,
+        sound_speed=task.air.sound_speed,
         extent=(low - reference[0], high - reference[1]),
         error=np.max([part.error for part in parts], axis=0),
-        tolerance=tolerance,
+        tolerance=task.tolerance,
         degree=max(part.basis.degree for part in parts),
         n_elements=max(len(part.basis.edges) - 1 for part in parts),
         n_shifts=max(len(part.basis.shifts) for part in parts),
@@ -189,37 +201,56 @@ def _joined(
     )
 
 
-def _part(
-    wall: Wall, odd: bool | None, k: Array, tolerance: float, reference: tuple[float, float]
-) -> _Part:
+def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
+    wall, k, tolerance = task.wall, task.k, task.tolerance
     basis, wanted, spare = _first_basis(wall, odd, k), SHARE * tolerance, SPARE_POINTS
     for _ in range(TRIALS):
-        system, basis, responses = _adapted(wall, odd, k, basis, wanted, spare)
-        spaces, rough, error = _swept(system, basis, responses, k, tolerance)
+        system, basis, responses = _adapted(task, odd, basis, wanted, spare)
+        spaces, rough, error, sizes = _swept(system, basis, responses, k, tolerance)
         finer = discretise(
             wall, basis.edges, basis.degree, ORDER, odd, float(k[-1]),
             spare_points=spare + MORE_POINTS,
         )  # fmt: skip
-        s = _scattering(finer, [reassembled(finer, space) for space in spaces], k)
+        fine = [reassembled(finer, space) for space in spaces]
+        s = _scattering(finer, fine, k)
         by_points = _difference(system, s, rough, k)
         basis = _Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        if (error + by_points).max() <= tolerance:
+        if task.lossy or (error + by_points).max() <= tolerance:
             break
         # Narrow resonances amplify errors that are small at the shifts.
         if by_points.max() > SHARE * tolerance:
             spare += 2 * MORE_POINTS
         if error.max() > SHARE * tolerance:
             wanted *= min(0.5 * tolerance / error.max(), 0.3)
-    error = error + by_points
-    n_kept = int(np.sum(system.modes.zeros < k[-1] * wall.radius))
-    zeros, names = system.modes.zeros[:n_kept], system.modes.names[:n_kept]
-    kz = axial_wavenumbers(k, zeros, wall.radius).real
-    away = reference[0] - system.heights[0], system.heights[1] - reference[1]
-    turn = np.stack([np.exp(1j * kz * d) for d in away], axis=1)
-    turn = np.where(k[:, None, None] * wall.radius > zeros, turn, 0.0)
-    s = turn[..., None, None] * s[:, :, :n_kept, :, :n_kept] * turn[:, None, None]
-    return _Part(names, zeros, s, error, basis, spaces[0].size, system.heights)
+    kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
+    if task.lossy:
+        series, walls = wall_projections(
+            finer, fine, wall, basis.edges, basis.degree, odd, ORDER + spare, task.frequency,
+            task.air,
+        )  # fmt: skip
+        sides, kz, lacking = lossy_scattering(
+            finer, fine, walls, series, task.frequency, task.air, sizes
+        )
+        s, error = _of_both_ports(sides, system), SAFETY * lacking
+    s, names, zeros = _at_reference(s, kz, system, task)
+    n_fields = spaces[0].size
+    return _Part(names, zeros, s, error + by_points, basis, n_fields, system.heights)
+
+
+def _at_reference(
+    s: Complex, kz: Complex, system: Discretisation, task: _Task
+) -> tuple[Complex, tuple[str, ...], Array]:
+    """Return S of modes that propagate, moved to the reference planes, and their names and j'."""
+    reach = task.k * system.radius
+    n = int(np.sum(system.modes.zeros < reach[-1]))
+    zeros = system.modes.zeros[:n]
+    away = task.reference[0] - system.heights[0], system.heights[1] - task.reference[1]
+    travels = reach[:, None] > zeros
+    kz = np.where(travels, kz[:, :n], 0.0)
+    turn = np.stack([np.where(travels, np.exp(1j * kz * d), 0.0) for d in away], axis=1)
+    s = turn[..., None, None] * s[:, :, :n, :, :n] * turn[:, None, None]
+    return s, system.modes.names[:n], zeros
 
 
 def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
@@ -239,15 +270,18 @@ def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
 
 
 def _adapted(
-    wall: Wall, odd: bool | None, k: Array, basis: _Basis, wanted: float, spare: int
+    task: _Task, odd: bool | None, basis: _Basis, wanted: float, spare: int
 ) -> tuple[Discretisation, _Basis, dict[float, list[Response]]]:
     """Raise the degree and split elements until both errors at the probed shifts are small."""
     shifts = basis.shifts
     probes = shifts[np.round(np.array(PROBES) * (len(shifts) - 1)).astype(int)]
     for _ in range(ROUNDS):
         system = discretise(
-            wall, basis.edges, basis.degree, ORDER, odd, float(k[-1]), spare_points=spare
+            task.wall, basis.edges, basis.degree, ORDER, odd, float(task.k[-1]), spare_points=spare
         )
+        if task.lossy:
+            where = basis.edges, basis.degree, odd, ORDER + spare
+            system = with_layers(system, task.wall, *where)
         responses = {float(shift): respond(system, float(shift), BLOCKS) for shift in probes}
         by_degree, by_element = _errors(system, responses)
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
@@ -287,13 +321,14 @@ def _swept(
     responses: dict[float, list[Response]],
     k: Array,
     tolerance: float,
-) -> tuple[list[Reduced], Complex, Array]:
-    """Return the largest space of each parity, S at all wavenumbers, and its error estimates."""
+) -> tuple[list[Reduced], Complex, Array, list[int]]:
+    """Return the richest space of each side, S, its errors, and sizes without the last shift."""
     for shift in basis.shifts:
         if float(shift) not in responses:
             responses[float(shift)] = respond(system, float(shift), BLOCKS)
     fields = [[r[side].fields for r in responses.values()] for side in range(len(system.sides))]
-    kept = (BLOCKS - 1) * fields[0][0].shape[-1] // BLOCKS
+    n_blocks = BLOCKS + LAYER_BLOCKS * (system.layers is not None)
+    kept = (n_blocks - 1) * fields[0][0].shape[-1] // n_blocks
     spaces = [extended(system, None, _side_by_side(f, slice(None, kept))) for f in fields]
     before = _scattering(system, spaces, k)
     spaces = [
@@ -305,7 +340,7 @@ def _swept(
         doubt = _difference(system, now, before, k)
         shift = _worst(k, doubt, np.array(list(responses)))
         responses[shift] = respond(system, shift, BLOCKS)
-        before = now
+        before, sizes = now, [space.size for space in spaces]
         spaces = [
             extended(system, space, response.fields)
             for space, response in zip(spaces, responses[shift], strict=True)
@@ -321,7 +356,7 @@ def _swept(
     richest = _scattering(system, spaces, k)
     lacking = SAFETY * _difference(system, richest, now, k)
     error = lacking + _difference(system, now, before, k)
-    return spaces, richest, error
+    return spaces, richest, error, sizes
 
 
 def _side_by_side(fields: list[Array], columns: slice) -> Array:
@@ -345,12 +380,16 @@ def _difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Arr
 
 
 def _scattering(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from the reduced model of each parity."""
-    m = len(system.modes)
+    """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
     kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
-    found = [scattering_of(impedance(space, k), kz) for space in spaces]
+    return _of_both_ports([scattering_of(impedance(space, k), kz) for space in spaces], system)
+
+
+def _of_both_ports(found: list[Complex], system: Discretisation) -> Complex:
+    """Return S at the ports, (n, 2, m, 2, m), from that of each side."""
+    m = len(system.modes)
     if not system.halved:
-        return found[0].reshape(len(k), 2, m, 2, m)
+        return found[0].reshape(-1, 2, m, 2, m)
     reflected, passed = (found[0] + found[1]) / 2, (found[0] - found[1]) / 2
     rows = [np.stack(row, axis=2) for row in ((reflected, passed), (passed, reflected))]
     return np.stack(rows, axis=1)

@@ -31,7 +31,9 @@ class Contours(NamedTuple):
     x_t, y_t : ndarray
         Derivatives along the contour, with respect to t.
     x_z, y_z : ndarray
-        Derivatives along the tube, at constant t.
+        Derivatives along the tube, at a t.
+    t : ndarray
+        (n_points,).
     weight : ndarray
         Quadrature weights over t, (n_points,). For a wall symmetric about x = 0 the points are
         those of one half, and the weights are doubled.
@@ -43,6 +45,7 @@ class Contours(NamedTuple):
     y_t: Array
     x_z: Array
     y_z: Array
+    t: Array
     weight: Array
 
 
@@ -84,9 +87,9 @@ class Wall:
         """
         lines = self.lines(z)
         n = lines[0].shape[1]
-        value, slope, weight = _spline(n, _gauss_points(n, degree), self.symmetric)
+        value, slope, t, weight = _spline(n, _gauss_points(n, degree), self.symmetric)
         x, y, x_z, y_z = (part @ value for part in lines)
-        return Contours(x, y, lines[0] @ slope, lines[1] @ slope, x_z, y_z, weight)
+        return Contours(x, y, lines[0] @ slope, lines[1] @ slope, x_z, y_z, t, weight)
 
 
 def _gauss_points(n: int, degree: int) -> int:
@@ -109,14 +112,16 @@ def _gauss_points(n: int, degree: int) -> int:
 
 
 @lru_cache(maxsize=8)
-def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array]:
-    """Return the matrices from n values on a contour to their periodic spline at Gauss points.
+def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array, Array]:
+    """Return what takes n values round a contour to those of their spline at Gauss's points.
 
     Returns
     -------
     value, slope : ndarray
-        For the values and their t derivatives, (n, n_points).
-    weight : ndarray
+        For the values and their derivatives by t, (n, n_points).
+    t : ndarray
+        (n_points,).
+    t, weight : ndarray
         (n_points,).
     """
     n_pieces = n // 2 if half else n
@@ -125,7 +130,7 @@ def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array]:
     ones = np.concatenate([np.eye(n), np.eye(n)[:1]])
     spline = CubicSpline(2 * np.pi * np.arange(n + 1) / n, ones, bc_type="periodic")
     weight = np.tile(share, n_pieces) * 2 * np.pi / n
-    return spline(t).T, spline(t, 1).T, weight * (2 if half else 1)
+    return spline(t).T, spline(t, 1).T, t, weight * (2 if half else 1)
 
 
 def analytic_wall(

@@ -1,0 +1,198 @@
+"""Boundary layers at a wall, as an impedance of its tangential and its compressive motion.
+
+To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), the air within D of a wall
+does not move along it, and within (gamma - 1) D_t more it is compressed isothermally:
+
+    A = K - k^2 M - D_v K_wall - (gamma - 1) D_t k^2 M_wall,
+
+K_wall with gradients along the wall. That removes more than there is where the air is a few layers
+wide. There a slit of height h loses D tanh(h / 2D) at each wall instead of D, and a round tube of
+diameter h loses D I1(h / 2D) / I0(h / 2D); with the wall's curvature kappa, which tells one from
+the other, the wall takes
+
+    f D,    f = (1 - b) tanh(h / 2D) + b I1(h / 2D) / I0(h / 2D),    b = kappa h / 2 from 0 to 1,
+
+where h is the diameter of the greatest circle in the section that touches the wall there. So the
+matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
+correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
+the place and one of the frequency, by singular values.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.special import ive, jv
+
+from acoustube.waves.spectral.boundary import WallPoints
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.ports import Complex, PortModes
+from acoustube.waves.spectral.sound import Air
+
+NARROW = 60.0
+"""Heights of a section, in viscous layers, under which the gaps are measured point by point."""
+SAMPLES = 10
+"""Frequencies from which the few functions of place are taken."""
+LEAST_PART = 1e-4
+"""Share of the greatest singular value from which another function is needed."""
+
+
+class LayerSeries(NamedTuple):
+    """Losses at the wall as sums over products of functions of the place and of the frequency.
+
+    Attributes
+    ----------
+    weights : ndarray
+        Of the place, (n_parts, n_sections, n_points).
+    viscous, thermal : ndarray
+        Of the frequency, f D_v and (gamma - 1) f D_t in m, (n_frequencies, n_parts).
+    """
+
+    weights: Array
+    viscous: Complex
+    thermal: Complex
+
+
+def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
+    """Return D_v and D_t in m, (n,)."""
+    viscous = np.sqrt(air.viscous_diffusivity / (2j * np.pi * frequency))
+    return viscous, viscous / np.sqrt(air.prandtl)
+
+
+def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
+    """Return f, from h, b and D; see the module's text. They are broadcast."""
+    argument = width / (2 * thickness)
+    tube = ive(1, argument) / ive(0, argument)
+    return np.asarray((1 - roundness) * np.tanh(argument) + roundness * tube)
+
+
+def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
+    """Return the wall's losses over a band.
+
+    Parameters
+    ----------
+    points : WallPoints
+    frequency : ndarray
+        In Hz, (n,), rising.
+    air : Air
+    """
+    sampled = frequency[:1]
+    if len(frequency) > 1:
+        sampled = np.geomspace(frequency[0], frequency[-1], SAMPLES)
+    layers = layer_thickness(sampled, air)
+    width = gap_widths(points, NARROW * float(np.abs(layers[0][0])))
+    roundness = np.clip(_curvature(points) * width / 2, 0.0, 1.0)
+    both = np.stack(
+        [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
+    )
+    rows = np.concatenate([both.real, both.imag])
+    # Of the small side: the points are many.
+    square, turned = np.linalg.eigh(rows @ rows.T)
+    kept = square > (LEAST_PART**2) * square[-1]
+    weights = (turned[:, kept].T @ rows) / np.sqrt(square[kept])[:, None]
+    parts = (both @ weights.T).reshape(2, len(sampled), -1)
+    scaled = [
+        _between(sampled, part, frequency) * d[:, None]
+        for part, d in zip(parts, layer_thickness(frequency, air), strict=True)
+    ]
+    return LayerSeries(
+        weights.reshape(-1, *width.shape), scaled[0], (air.heat_capacity_ratio - 1) * scaled[1]
+    )
+
+
+def _between(sampled: Array, values: Complex, frequency: Array) -> Complex:
+    if len(sampled) == 1:
+        return values
+    return np.asarray(CubicSpline(np.log(sampled), values)(np.log(frequency)))
+
+
+def _curvature(points: WallPoints) -> Array:
+    """Return the curvature of the sections' contours in 1/m, positive where they are convex."""
+    contours = points.contours
+    angle = np.unwrap(np.arctan2(contours.y_t, contours.x_t), axis=1)
+    return np.asarray(np.gradient(angle, contours.t, axis=1) / np.hypot(contours.x_t, contours.y_t))
+
+
+def gap_widths(points: WallPoints, narrow: float) -> Array:
+    """Return the diameter in m of the greatest circle in the section that touches each point.
+
+    Of sections wider and higher than `narrow` it is taken as the less of these two sizes.
+    """
+    contours, boxes = points.contours, points.boxes
+    width = np.tile(2 * np.minimum(boxes.a, boxes.b)[:, None], (1, contours.x.shape[1]))
+    for section in np.flatnonzero(width[:, 0] < narrow):
+        here = np.stack([contours.x[section], contours.y[section]])
+        inwards = np.stack([-contours.y_t[section], contours.x_t[section]])
+        inwards /= np.hypot(*inwards)
+        there = np.concatenate([here, here * [[-1.0], [1.0]]], axis=1) if points.halved else here
+        away = there[:, None] - here[:, :, None]
+        ahead = np.einsum("pij,pi->ij", away, inwards)
+        square = (away**2).sum(axis=0)
+        touching = np.where(
+            ahead > 1e-3 * np.sqrt(square), square / np.where(ahead > 0, ahead, 1.0), np.inf
+        )
+        width[section] = np.minimum(touching.min(axis=1), width[section])
+    return width
+
+
+def lossy_ends(
+    k: Complex, modes: PortModes, radius: float, frequency: Array, air: Air
+) -> tuple[Complex, Complex]:
+    """Return the axial wavenumbers of a round bore's modes with layers, and their fluxes.
+
+    Parameters
+    ----------
+    k : ndarray
+        Wavenumbers of free sound in the air in 1/m, (n,).
+    modes : PortModes
+        Of the bore without losses.
+    radius : float
+        In m.
+    frequency : ndarray
+        In Hz, (n,).
+    air : Air
+
+    Returns
+    -------
+    kz : ndarray
+        In 1/m, (n, n_modes).
+    flux : ndarray
+        What the flux of each lossy mode has of the lossless ones, (n, n_modes, n_modes).
+
+    Notes
+    -----
+    With the lossless modes' products G = closed int psi_a psi_b on the contour, N = 1 - D_v f G and
+    the eigenproblem kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f m^2 / R^2 G) v; the
+    flux is N v, with v^T N v = 1.
+    """
+    viscous, thermal = (
+        d * filling(np.array(2 * radius), np.array(1.0), d) for d in layer_thickness(frequency, air)
+    )
+    m, zeros = modes.m, modes.zeros
+    share = 1 - np.divide(m, zeros, out=np.zeros_like(zeros), where=zeros > 0) ** 2
+    edge = np.sqrt(2 / (radius * share)) * _wall_signs(modes)
+    alike = (m[:, None] == m) & (modes.sine[:, None] == modes.sine)
+    product = np.outer(edge, edge) * alike
+    one = np.eye(len(m))
+    inertia = one - viscous[:, None, None] * product
+    thermal = (air.heat_capacity_ratio - 1) * thermal
+    right = k[:, None, None] ** 2 * (one + thermal[:, None, None] * product)
+    right = right - np.diag((zeros / radius) ** 2)
+    right = right + viscous[:, None, None] * product * (m / radius)[:, None] * (m / radius)
+    square, vector = np.linalg.eig(np.linalg.solve(inertia, right))
+    order = np.argmax(np.abs(vector), axis=1)
+    back = np.argsort(order, axis=1)
+    square = np.take_along_axis(square, back, 1)
+    vector = np.take_along_axis(vector, back[:, None], 2)
+    norm = np.sqrt(np.einsum("fam,fab,fbm->fm", vector, inertia, vector))
+    vector = vector / norm[:, None]
+    vector = vector * np.where(np.einsum("fmm->fm", vector).real < 0, -1, 1)[:, None]
+    root = np.sqrt(square)
+    return np.where(root.imag > 0, -root, root), inertia @ vector
+
+
+def _wall_signs(modes: PortModes) -> Array:
+    """Return the signs of the modes' radial functions at the wall."""
+    return np.sign(jv(modes.m, modes.zeros))
