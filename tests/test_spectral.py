@@ -25,9 +25,10 @@ REFERENCE = Path(__file__).parent / "data" / "spectral_reference.csv"
 elements (NGSolve) to 3e-7; frequencies over 8 kHz, all cut-ons among them."""
 
 
-def shape(case, turned=0.0):
+def shape(case, turned=0.0, deeper=0.0):
     """Lumens A (flattened from above) and E (narrowed all round), turned about the axis."""
     h, w = CASES[case]
+    h = h + deeper
     c, s = np.cos(turned), np.sin(turned)
 
     def lines(z, t):
@@ -45,10 +46,10 @@ def shape(case, turned=0.0):
     return lines
 
 
-def wall(case, turned=0.0, *, reversible=True):
+def wall(case, turned=0.0, *, deeper=0.0, reversible=True):
     w = CASES[case][1]
     return spectral.analytic_wall(
-        shape(case, turned), ends=(-w, w), radius=RADIUS, symmetric=turned == 0.0,
+        shape(case, turned, deeper), ends=(-w, w), radius=RADIUS, symmetric=turned == 0.0,
         reversible=reversible,
     )  # fmt: skip
 
@@ -313,3 +314,33 @@ def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():
     width = layers.gap_widths(points, 1e-3)[0]
     np.testing.assert_allclose(width[0], 2 * b, rtol=1e-3)
     assert width.min() == pytest.approx(2 * b**2 / a, rel=0.1)
+
+
+@pytest.mark.parametrize("case", ["A", "E"])
+def test_derivative_by_depth_is_that_of_differences(case):
+    """By the share h by which the lumen is pinched, all modes symmetric about x = 0."""
+    frequency = np.array([12e3, 30e3, 41e3, 56e3])
+    w = CASES[case][1]
+
+    def velocity(z, t):
+        f = np.where(np.abs(z) < w, 0.5 * (1 + np.cos(np.pi * z / w)), 0.0)
+        x, y = RADIUS * np.sin(t), -RADIUS * np.cos(t)
+        if case == "A":
+            return 0.45 * x * f, -(y + RADIUS) * f
+        return -x * f, -y * f
+
+    options = {"symmetric_only": True, "tolerance": 1e-5}
+    found = scattered(wall(case), frequency, velocity=velocity, **options).derivative
+    step = 1e-3
+    less, more = (
+        scattered(wall(case, deeper=sign * step), frequency, **options).s for sign in (-1, 1)
+    )
+    size = np.abs(found).max(axis=(1, 2, 3, 4), keepdims=True)
+    np.testing.assert_allclose(found / size, (more - less) / (2 * step) / size, atol=2e-4)
+
+
+def test_derivative_with_losses_is_refused():
+    with pytest.raises(ConfigError, match="without losses"):
+        spectral.scatter_spectral(
+            wall("A"), AIR, np.array([2e4]), velocity=lambda z, t: (0 * z * t, 0 * z * t)
+        )

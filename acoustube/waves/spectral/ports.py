@@ -130,3 +130,17 @@ def changed_scattering(response: Array, change: Array, kz: Complex) -> Complex:
     one = np.eye(response.shape[-1])
     inverse = np.linalg.inv(one + root[:, :, None] * response * root[:, None, :])
     return 2 * inverse @ (root[:, :, None] * change * root[:, None, :]) @ inverse
+
+
+def of_both_ports(found: list[Complex]) -> Complex:
+    """Return S at the ports, (n, 2, m, 2, m), from that of each side, or that of both ports.
+
+    The sides of a lumen symmetric about its middle are the fields that are so too, and those that
+    are antisymmetric.
+    """
+    n, size = found[0].shape[:2]
+    if len(found) == 1:
+        return found[0].reshape(n, 2, size // 2, 2, size // 2)
+    reflected, passed = (found[0] + found[1]) / 2, (found[0] - found[1]) / 2
+    rows = [np.stack(row, axis=2) for row in ((reflected, passed), (passed, reflected))]
+    return np.stack(rows, axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.ports import Complex
 from acoustube.waves.spectral.sound import ModalScattering
 
 
@@ -14,6 +15,8 @@ class SpectralScattering(ModalScattering):
 
     Attributes
     ----------
+    derivative : ndarray or None
+        Of `s` by the parameter that moves the wall, of its shape; none if no motion was given.
     error : ndarray
         Estimated maximum error of the coefficients at each frequency, (n,).
     tolerance : float
@@ -28,6 +31,7 @@ class SpectralScattering(ModalScattering):
         Number of fields of the reduced basis.
     """
 
+    derivative: Complex | None
     error: Array
     tolerance: float
     degree: int

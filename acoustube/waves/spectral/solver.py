@@ -27,21 +27,25 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
     LAYER_BLOCKS,
+    RICHER,
     SPARE_POINTS,
     Discretisation,
     Response,
     discretise,
     respond,
 )
+from acoustube.waves.spectral.first_basis import Basis, first_basis
 from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
-from acoustube.waves.spectral.partition import partition, split
-from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.partition import split
+from acoustube.waves.spectral.polynomials import Array, polynomials
 from acoustube.waves.spectral.ports import (
     Complex,
     axial_wavenumbers,
     changed_scattering,
+    of_both_ports,
     port_modes,
     scattering_of,
 )
@@ -51,19 +55,10 @@ from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 ORDER = 7
-"""Polynomial degree along an element."""
-LEAST_DEGREE = 8
-DEGREE_PER_WAVE = 1.2
-"""Initial degree across the tube per k R, to which `DEGREE_MARGIN` is added."""
-DEGREE_MARGIN = 3
+"""Degree along an element."""
 MOST_DEGREE = 16
 BLOCKS = 3
-"""Number of blocks of the Krylov space at each shift."""
-FIELDS_PER_WAVE = 2.2
-"""Fields of the reduced basis per resonance of the lumen in the band."""
-SPARE_SHIFTS = 3
-GRADING = 1.4
-"""Power of the frequency in which shifts are evenly spaced."""
+"""Of the Krylov space at each shift."""
 PROBES = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
 SHARE = 0.25
@@ -80,15 +75,6 @@ ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class _Basis:
-    """Adapted basis: degree across, element boundaries along the tube, and shifts."""
-
-    degree: int
-    edges: Array
-    shifts: Array
-
-
-@dataclass(frozen=True, eq=False)
 class _Task:
     """What is asked for: k (n,) in 1/m is that of sound without losses."""
 
@@ -99,6 +85,7 @@ class _Task:
     tolerance: float
     reference: tuple[float, float]
     lossy: bool
+    velocity: Velocity | None
 
 
 class _Part(NamedTuple):
@@ -107,8 +94,9 @@ class _Part(NamedTuple):
     names: tuple[str, ...]
     zeros: Array
     s: Complex
+    moved: Complex
     error: Array
-    basis: _Basis
+    basis: Basis
     n_fields: int
     heights: tuple[float, float]
 
@@ -122,6 +110,7 @@ def scatter_spectral(
     reference: tuple[float, float] = (0.0, 0.0),
     lossy: bool = True,
     symmetric_only: bool = False,
+    velocity: Velocity | None = None,
 ) -> SpectralScattering:
     """Return how a lumen with rigid walls scatters the modes of its ends.
 
@@ -140,7 +129,11 @@ def scatter_spectral(
     lossy : bool
         With the losses at the wall and in the air.
     symmetric_only : bool
-        Of a lumen symmetric about x = 0, compute the symmetric modes only.
+        Of a lumen symmetric about x = 0, compute the modes that are so too.
+    velocity : callable, optional
+        Takes z (n, 1) in m and t (n_points,) and returns how x and y of the wall move there per
+        unit of a parameter; the result then has the derivative of S by it, without losses. The
+        motion has the symmetries of the wall.
 
     Returns
     -------
@@ -149,7 +142,8 @@ def scatter_spectral(
     Raises
     ------
     ConfigError
-        If the frequencies do not increase, or the tolerance is outside 1e-6 to 0.1.
+        If the frequencies do not rise, the tolerance is outside 1e-6 to 0.1, or a derivative is
+        asked for with losses.
 
     Notes
     -----
@@ -161,13 +155,17 @@ def scatter_spectral(
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     if not 1e-6 <= tolerance <= 0.1:
         raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
+    if velocity is not None and lossy:
+        raise ConfigError(
+            "derivatives by a motion of the wall are without losses; give lossy=False"
+        )
     k = 2 * np.pi * frequency / air.sound_speed
     parities: tuple[bool | None, ...] = (None,)
     if wall.symmetric:
         parities = (False,) if symmetric_only else (False, True)
     # Below the cut-on of (1,1) there is no antisymmetric mode.
     parities = tuple(odd for odd in parities if len(port_modes(k[-1] * wall.radius, odd)))
-    task = _Task(wall, air, frequency, k, tolerance, reference, lossy)
+    task = _Task(wall, air, frequency, k, tolerance, reference, lossy, velocity)
     return _joined([_part(task, odd) for odd in parities], task)
 
 
@@ -176,11 +174,11 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
     frequency, reference = task.frequency, task.reference
     names = [name for part in parts for name in part.names]
     zeros = np.concatenate([part.zeros for part in parts])
-    s = np.zeros((len(frequency), 2, len(names), 2, len(names)), complex)
+    s, moved = np.zeros((2, len(frequency), 2, len(names), 2, len(names)), complex)
     end = 0
     for part in parts:
         here = slice(end, end := end + len(part.names))
-        s[:, :, here, :, here] = part.s
+        s[:, :, here, :, here], moved[:, :, here, :, here] = part.s, part.moved
     order = sorted(range(len(names)), key=lambda i: (zeros[i], names[i]))
     cut_ons = zeros[order] * task.air.sound_speed / (2 * np.pi * task.wall.radius)
     low, high = parts[0].heights
@@ -192,6 +190,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
         cut_ons=cut_ons,
         sound_speed=task.air.sound_speed,
         extent=(low - reference[0], high - reference[1]),
+        derivative=moved[:, :, order][..., order] if task.velocity is not None else None,
         error=np.max([part.error for part in parts], axis=0),
         tolerance=task.tolerance,
         degree=max(part.basis.degree for part in parts),
@@ -204,7 +203,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    basis, wanted, spare = _first_basis(wall, odd, k), SHARE * tolerance, SPARE_POINTS
+    basis, wanted, spare = first_basis(wall, odd, k, BLOCKS), SHARE * tolerance, SPARE_POINTS
     for _ in range(TRIALS):
         system, basis, responses = _adapted(task, odd, basis, wanted, spare)
         spaces, rough, error, sizes = _swept(system, basis, responses, k, tolerance)
@@ -215,7 +214,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         fine = [reassembled(finer, space) for space in spaces]
         s = _scattering(finer, fine, k)
         by_points = _difference(system, s, rough, k)
-        basis = _Basis(basis.degree, basis.edges, np.array(sorted(responses)))
+        basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
         if task.lossy or (error + by_points).max() <= tolerance:
             break
         # Narrow resonances amplify errors that are small at the shifts.
@@ -232,16 +231,21 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         sides, kz, lacking = lossy_scattering(
             finer, fine, walls, series, task.frequency, task.air, sizes
         )
-        s, error = _of_both_ports(sides, system), SAFETY * lacking
-    s, names, zeros = _at_reference(s, kz, system, task)
+        s, error = of_both_ports(sides), SAFETY * lacking
+    moved = np.zeros_like(s)
+    if task.velocity is not None:
+        where = basis.edges, ORDER + spare + MORE_POINTS, polynomials(basis.degree + RICHER, odd)
+        all_kz = np.tile(kz, (1, len(system.ports)))
+        moved = of_both_ports(moved_scattering(finer, fine, wall, *where, task.velocity, k, all_kz))
+    s, moved, names, zeros = _at_reference(s, moved, kz, system, task)
     n_fields = spaces[0].size
-    return _Part(names, zeros, s, error + by_points, basis, n_fields, system.heights)
+    return _Part(names, zeros, s, moved, error + by_points, basis, n_fields, system.heights)
 
 
 def _at_reference(
-    s: Complex, kz: Complex, system: Discretisation, task: _Task
-) -> tuple[Complex, tuple[str, ...], Array]:
-    """Return S of modes that propagate, moved to the reference planes, and their names and j'."""
+    s: Complex, moved: Complex, kz: Complex, system: Discretisation, task: _Task
+) -> tuple[Complex, Complex, tuple[str, ...], Array]:
+    """Return S and its derivative at the reference planes, and the names and j' of their modes."""
     reach = task.k * system.radius
     n = int(np.sum(system.modes.zeros < reach[-1]))
     zeros = system.modes.zeros[:n]
@@ -249,30 +253,16 @@ def _at_reference(
     travels = reach[:, None] > zeros
     kz = np.where(travels, kz[:, :n], 0.0)
     turn = np.stack([np.where(travels, np.exp(1j * kz * d), 0.0) for d in away], axis=1)
-    s = turn[..., None, None] * s[:, :, :n, :, :n] * turn[:, None, None]
-    return s, system.modes.names[:n], zeros
-
-
-def _first_basis(wall: Wall, odd: bool | None, k: Array) -> _Basis:
-    """Return the initial basis, from the shortest wavelength and the bore."""
-    reach = float(k[-1]) * wall.radius
-    degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
-    edges = partition(wall, float(k[-1]))
-    modes = port_modes(reach, odd)
-    kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
-    waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
-    per_shift = BLOCKS * len(modes) * (1 if wall.reversible else 2)
-    n_shifts = SPARE_SHIFTS + int(np.ceil(FIELDS_PER_WAVE * waves / per_shift))
-    high = float(k[-1])
-    low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
-    grades = np.linspace(low**GRADING, high**GRADING, n_shifts)
-    return _Basis(degree + degree % 2, edges, grades ** (2 / GRADING))
+    s, moved = (
+        turn[..., None, None] * part[:, :, :n, :, :n] * turn[:, None, None] for part in (s, moved)
+    )
+    return s, moved, system.modes.names[:n], zeros
 
 
 def _adapted(
-    task: _Task, odd: bool | None, basis: _Basis, wanted: float, spare: int
-) -> tuple[Discretisation, _Basis, dict[float, list[Response]]]:
-    """Raise the degree and split elements until both errors at the probed shifts are small."""
+    task: _Task, odd: bool | None, basis: Basis, wanted: float, spare: int
+) -> tuple[Discretisation, Basis, dict[float, list[Response]]]:
+    """Raise the degree and split elements until both errors at the probes are as wanted."""
     shifts = basis.shifts
     probes = shifts[np.round(np.array(PROBES) * (len(shifts) - 1)).astype(int)]
     for _ in range(ROUNDS):
@@ -294,7 +284,7 @@ def _adapted(
             edges = split(edges, by_element > 0.5 * wanted / len(by_element))
         if degree > MOST_DEGREE:
             break
-        basis = _Basis(degree, edges, shifts)
+        basis = Basis(degree, edges, shifts)
     return system, basis, responses
 
 
@@ -317,7 +307,7 @@ def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> t
 
 def _swept(
     system: Discretisation,
-    basis: _Basis,
+    basis: Basis,
     responses: dict[float, list[Response]],
     k: Array,
     tolerance: float,
@@ -382,14 +372,4 @@ def _difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Arr
 def _scattering(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
     """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
     kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
-    return _of_both_ports([scattering_of(impedance(space, k), kz) for space in spaces], system)
-
-
-def _of_both_ports(found: list[Complex], system: Discretisation) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from that of each side."""
-    m = len(system.modes)
-    if not system.halved:
-        return found[0].reshape(-1, 2, m, 2, m)
-    reflected, passed = (found[0] + found[1]) / 2, (found[0] - found[1]) / 2
-    rows = [np.stack(row, axis=2) for row in ((reflected, passed), (passed, reflected))]
-    return np.stack(rows, axis=1)
+    return of_both_ports([scattering_of(impedance(space, k), kz) for space in spaces])

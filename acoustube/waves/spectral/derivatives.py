@@ -1,0 +1,92 @@
+"""Derivatives of a scattering matrix by motions of the wall.
+
+For a wall that moves outwards by v_n per parameter, Hadamard's formula [1]_ gives, with the fields
+x of the ports' loads,
+
+    dZ = -int v_n (grad x . grad x^T - k^2 x x^T) dS
+
+over the wall, without a new solution; dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
+
+References
+----------
+.. [1] Henrot, A., Pierre, M. (2018). Shape Variation and Optimization, chapter 5. European
+   Mathematical Society. doi:10.4171/178
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
+from acoustube.waves.spectral.discretisation import Discretisation
+from acoustube.waves.spectral.polynomials import Array, Polynomials
+from acoustube.waves.spectral.ports import Complex, changed_scattering
+from acoustube.waves.spectral.reduction import Reduced, reassembled
+from acoustube.waves.spectral.walls import Wall
+
+Velocity = Callable[[Array, Array], tuple[Array, Array]]
+"""From z (n, 1) in m and t (n_points,) to how x and y of the wall move per parameter."""
+
+
+def moved_scattering(
+    system: Discretisation,
+    spaces: list[Reduced],
+    wall: Wall,
+    edges: Array,
+    n_points: int,
+    basis: Polynomials,
+    velocity: Velocity,
+    k: Array,
+    kz: Complex,
+) -> list[Complex]:
+    """Return the derivative of S of each side.
+
+    Parameters
+    ----------
+    system : Discretisation
+    spaces : list of Reduced
+    wall : Wall
+    edges : ndarray
+        Borders of the elements in m.
+    n_points : int
+        Along an element.
+    basis : Polynomials
+    velocity : callable
+    k : ndarray
+        In 1/m, (n,).
+    kz : ndarray
+        Of the modes of all ports in 1/m, (n, n_ports n_modes).
+
+    Returns
+    -------
+    list of ndarray
+        At the ports, (n, n_ports n_modes, n_ports n_modes), per unit of the parameter.
+    """
+    points = wall_points(wall, edges, n_points)
+    x, y = velocity(points.z[:, None], points.contours.t)
+    outwards = x * points.normal[0] + y * points.normal[1]
+    stiffness, mass = wall_matrices(
+        points, wall_functions(points, basis), edges, system.order + 1, outwards, tangential=False
+    )
+    moving = replace(system, stiffness=stiffness, mass=mass)
+    found = []
+    for space in spaces:
+        response, change = _changed_impedance(space, reassembled(moving, space), k)
+        found.append(changed_scattering(response, change, kz))
+    return found
+
+
+def _changed_impedance(space: Reduced, moving: Reduced, k: Array) -> tuple[Array, Array]:
+    """Return Z and its derivative, (n, n_ports n_modes, n_ports n_modes)."""
+    square, vector = eigh(
+        *((part + part.T) / 2 for part in (space.stiffness, space.mass)), check_finite=False
+    )
+    ports = vector.T @ space.ports
+    fields = ports / (square - k[:, None] ** 2)[:, :, None]
+    stiffness, mass = (vector.T @ part @ vector for part in (moving.stiffness, moving.mass))
+    pushed = stiffness @ fields - k[:, None, None] ** 2 * (mass @ fields)
+    return np.matmul(ports.T, fields), -np.matmul(fields.swapaxes(1, 2), pushed)

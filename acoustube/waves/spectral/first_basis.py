@@ -1,0 +1,58 @@
+"""The degree, the elements and the shifts that a solution begins with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acoustube.waves.spectral.partition import partition
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.ports import axial_wavenumbers, port_modes
+from acoustube.waves.spectral.walls import Wall
+
+LEAST_DEGREE = 8
+DEGREE_PER_WAVE = 1.2
+"""Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
+DEGREE_MARGIN = 3
+FIELDS_PER_WAVE = 2.2
+"""Fields of the reduced space per standing wave that fits the lumen in the band."""
+SPARE_SHIFTS = 3
+GRADING = 1.4
+"""Shifts are even in this power of the frequency."""
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What is chosen: degree across, borders of elements along the tube, and shifts."""
+
+    degree: int
+    edges: Array
+    shifts: Array
+
+
+def first_basis(wall: Wall, odd: bool | None, k: Array, blocks: int) -> Basis:
+    """Return the basis to begin with, by the wavelength and the bore.
+
+    Parameters
+    ----------
+    wall : Wall
+    odd : bool or None
+        Symmetry about x = 0; None for all modes.
+    k : ndarray
+        Wavenumbers in 1/m, (n,), rising.
+    blocks : int
+        Of the Krylov space at each shift.
+    """
+    reach = float(k[-1]) * wall.radius
+    degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
+    edges = partition(wall, float(k[-1]))
+    modes = port_modes(reach, odd)
+    kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
+    waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
+    per_shift = blocks * len(modes) * (1 if wall.reversible else 2)
+    n_shifts = SPARE_SHIFTS + int(np.ceil(FIELDS_PER_WAVE * waves / per_shift))
+    high = float(k[-1])
+    low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
+    grades = np.linspace(low**GRADING, high**GRADING, n_shifts)
+    return Basis(degree + degree % 2, edges, grades ** (2 / GRADING))
