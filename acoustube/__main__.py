@@ -13,12 +13,15 @@ def entry() -> None:
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        from acoustube.base.cache import keep_compiled_code
+        from acoustube.base.console import watched_interrupts
 
-        keep_compiled_code()
-        from acoustube.cli._app import main
+        with watched_interrupts():
+            from acoustube.base.cache import keep_compiled_code
 
-        code = main()
+            keep_compiled_code()
+            from acoustube.cli._app import main
+
+            code = main()
     except KeyboardInterrupt:
         print("acoustube: interrupted", file=sys.stderr)
         code = 130

@@ -50,7 +50,7 @@ print(f"{cases.sizes['press']} cases in {len(stream.data)} tasks, {failed} faile
 # The press comes first, then both matrices in parallel, then the recordings. In a second run
 # press and matrices are cached, and their bars are short. On the right, losses in the tube
 # attenuate the echo by 19 dB per metre of distance.
-colours = {"press": "C0", "scattering": "C1", "hear": "C2"}
+colours = {"press": "C0", "scattering": "C1", "simulate_cases": "C2"}
 threads = sorted({task["thread"] for task in stream.data})
 began = min(task["startstops"][0]["start"] for task in stream.data)
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")

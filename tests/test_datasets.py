@@ -114,15 +114,15 @@ def test_specimens_sessions_and_cycles_differ(dataset):
 
 
 def test_cycles_of_a_session_share_its_drift(dataset):
-    """An hour's slow wander of 11 counts rms, one curve for all cases; another in each session."""
+    """An hour's slow drift of 11 counts rms, one curve for all cases; another in each session."""
     data = acoustube.open_dataset(dataset).load()
     offset = data["signal"].isel(time=slice(3800, None)).mean("time").values
     name = data["session"].values[0]
     counts = Recipe().rangefinder_for(settings_in_si(Config()))
     first = data["press"].values[data["session"].values == name]
     cycles = np.array([seed_of(str(press)) % 72_000 for press in first])
-    wander = digitiser._wander(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))
-    expected = (counts.offset + wander) * 4096 / 1.8
+    drift = digitiser._drift(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))
+    expected = (counts.offset + drift) * 4096 / 1.8
     # Three cycles of a case are within 0.2 s; what is left of the sound is under a count.
     assert np.abs(offset[data["session"].values == name] - expected).max() < 1.5
     assert np.abs(offset[data["session"].values != name][: len(first)] - expected).max() > 3

@@ -130,7 +130,7 @@ def test_cluster_hears_echoes_fall_as_the_plane_wave_does(run_example):
     assert variables["complete"]
     assert variables["failed"] == 0
     kinds = sorted(task["key"].split("-")[0] for task in variables["stream"].data)
-    assert kinds == ["hear", "hear", "press", "scattering", "scattering"]
+    assert kinds == ["press", "scattering", "scattering", "simulate_cases", "simulate_cases"]
     cases, loss = variables["cases"], attenuation(0, 0, 20e3, 3.95e-3, air_at(20.0))
     for depth in (2e-3, 4e-3):
         some = np.isclose(cases["depth"], depth)

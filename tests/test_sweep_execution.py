@@ -128,7 +128,7 @@ def test_a_task_that_always_kills_its_worker_fails_alone(processes):
     tasks = [record.task(i, die if i == 2 else square, i) for i in range(6)]
     run_tasks(tasks, processes, 2, lambda: None)
     assert list(record.failures) == [2]
-    assert f"killed {ATTEMPTS} times" in record.failures[2]
+    assert f"died {ATTEMPTS} times" in record.failures[2]
     assert record.results == {i: i * i for i in range(6) if i != 2}
 
 

@@ -192,23 +192,20 @@ def watched_interrupts() -> Iterator[Callable[[], None]]:
     callable
         Raises KeyboardInterrupt again if it was raised before.
     """
+    in_main = threading.current_thread() is threading.main_thread()
+    found = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM) if in_main}
+    handler = next((h for h in found.values() if isinstance(h, _Interrupt)), None)
+    if handler is not None:  # one for all, so that none is lost between two of them
+        yield handler.check
+        return
     handler = _Interrupt()
-    found = {
-        number: signal.getsignal(number)
-        for number in (signal.SIGINT, signal.SIGTERM)
-        if threading.current_thread() is threading.main_thread()
-    }
-    replaced = {
-        number: before
-        for number, before in found.items()
-        if before is signal.default_int_handler or isinstance(before, _Interrupt)
-    }
+    replaced = [n for n, before in found.items() if before is signal.default_int_handler]
     for number in replaced:
         signal.signal(number, handler)
     try:
         yield handler.check
     finally:
-        if signal.default_int_handler in replaced.values():
+        if replaced:
             signal.setitimer(signal.ITIMER_REAL, 0)
-        for number, before in replaced.items():
-            signal.signal(number, before)
+        for number in replaced:
+            signal.signal(number, signal.default_int_handler)
