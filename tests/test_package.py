@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import acoustube
+from acoustube.base import moved
 
 
 def loaded_by(statement):
@@ -76,3 +77,20 @@ def test_readme_press_runs(capsys):
     rod, sphere = map(float, forces.strip("[]").split())
     assert (rod, sphere) == pytest.approx((0.0933, 0.0908), rel=0.01)
     assert float(slope) == pytest.approx(250, rel=0.02)
+
+
+FORMER_NAMES = [
+    ("acoustube.mechanics", "pressed", "acoustube.runs.presses"),
+    ("acoustube.sweep.plan", "load_plan", "acoustube.runs.sweep.plan"),
+    ("acoustube.indentation.tetrahedra", "read_surface", "acoustube.runs.imported_wall"),
+    ("acoustube.waves.scheme", "prepare", "acoustube.waves.scheme.problem"),
+]
+
+
+@pytest.mark.parametrize(("module", "name", "home"), FORMER_NAMES)
+def test_former_address_leads_to_the_present_one_with_a_warning(module, name, home, monkeypatch):
+    for former in [known for known in sys.modules if known in moved.NEW_ADDRESSES]:
+        monkeypatch.delitem(sys.modules, former)
+    with pytest.warns(DeprecationWarning, match=home):
+        found = getattr(importlib.import_module(module), name)
+    assert found is getattr(importlib.import_module(home), name)

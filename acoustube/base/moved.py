@@ -25,12 +25,18 @@ NEW_ADDRESSES = {
     "acoustube.plot": "acoustube.reports.figures.run",
     "acoustube.scattered": "acoustube.runs.scattering_file",
     "acoustube.scene": "acoustube.reports.scenes.tube",
+    "acoustube.scene_sleeve": "acoustube.reports.scenes.sleeve",
+    "acoustube.studies": "acoustube.reports.studies",
+    "acoustube.studies.presses": "acoustube.reports.studies.presses",
     "acoustube.surfaces": "acoustube.base.surfaces",
     "acoustube.sweep": "acoustube.runs.sweep",
     "acoustube.sweep.cycles": "acoustube.runs.sweep.cycles",
     "acoustube.sweep.plan": "acoustube.runs.sweep.plan",
     "acoustube.swept": "acoustube.runs.sweep.run",
     "acoustube.vtu": "acoustube.reports.export.vtu",
+    "acoustube.waves.duct_modes": "acoustube.waves.modes.grid_modes",
+    "acoustube.waves.small_cells": "acoustube.waves.grid.small_cells",
+    "acoustube.wrapped": "acoustube.reports.sleeve_table",
 }
 """Modules that users of version 0.1 imported, and where they are now."""
 
@@ -68,13 +74,14 @@ def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     module : str
         Name of the module.
     names : mapping of str to str
-        The present name of each former one.
+        The present name of each former one, with its module where that is another.
     """
 
     def forward(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
         warnings.warn(f"{module}.{name} is {names[name]} now", DeprecationWarning, stacklevel=2)
-        return getattr(sys.modules[module], names[name])
+        home, _, present = names[name].rpartition(".")
+        return getattr(import_module(home or module), present)
 
     return forward

@@ -44,6 +44,7 @@ import numpy as np
 import pytetwild
 import trimesh
 
+from acoustube.base import moved
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array, Index
 from acoustube.base.units import PERCENT
@@ -262,3 +263,12 @@ def _check_volume(points: Array, elements: Index, piece: trimesh.Trimesh) -> Non
             f"The mesh has {PERCENT * volume / piece.volume:.1f} % of the wall's volume: parts of "
             "the surface were lost; repair thin or damaged places, or choose shorter edges."
         )
+
+
+__getattr__ = moved.renamed(
+    __name__,
+    {
+        "read_surface": "acoustube.runs.imported_wall.read_surface",
+        "tube_of": "acoustube.indentation.wall_surface.tube_of",
+    },
+)
