@@ -207,6 +207,11 @@ REFERENCES = (
          "year": "1984", "doi": "10.1016/0024-3795(84)90221-0"},
     ),
     Reference(
+        "henrot2018", "book", "scattering", "Henrot, A. and Pierre, M.",
+        "Shape variation and optimization",
+        {"publisher": "European Mathematical Society", "year": "2018", "doi": "10.4171/178"},
+    ),
+    Reference(
         "rabiner1969", "article", "scattering",
         "Rabiner, L. R. and Schafer, R. W. and Rader, C. M.",
         "The chirp z-transform algorithm",
