@@ -116,7 +116,7 @@ class File:
 
     @property
     def allowed(self) -> str:
-        """What it may be, in words."""
+        """Allowed values, in words."""
         return "the name of a file"
 
     def check(self, name: str, value: Any) -> str:

@@ -68,7 +68,7 @@ class Outcome(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the computed value is within the tolerance."""
+        """True if the computed value is within the tolerance."""
         return bool(abs(self.computed - self.expected) <= self.tolerance)
 
 

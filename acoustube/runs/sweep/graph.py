@@ -92,7 +92,7 @@ class LoadPath:
 
     @property
     def presses(self) -> bool:
-        """Whether any of its cases is pressed."""
+        """True if a case of it is pressed."""
         return any(group.depth > 0 for group in self.groups)
 
     @property

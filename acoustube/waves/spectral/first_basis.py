@@ -24,7 +24,7 @@ GRADING = 1.4
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """What is chosen: degree across, borders of elements along the tube, and shifts."""
+    """Discretisation parameters: degree across, borders of elements along the tube, and shifts."""
 
     degree: int
     edges: Array

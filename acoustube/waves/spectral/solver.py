@@ -76,7 +76,7 @@ ROUNDS = 8
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is asked for: k (n,) in 1/m is that of sound without losses."""
+    """Problem to solve: k (n,) in 1/m is that of sound without losses."""
 
     wall: Wall
     air: Air
