@@ -149,7 +149,7 @@ REFERENCES = (
         "Finite-difference time-domain simulation of low-frequency room acoustic "
         "problems",
         {"journal": "Journal of the Acoustical Society of America", "volume": "98",
-         "pages": "3302--3308", "year": "1995", "doi": "10.1121/1.413817"},
+         "pages": "3302--3308", "year": "1995"},
     ),
     Reference(
         "dey1997", "article", "grid",
@@ -228,7 +228,7 @@ REFERENCES = (
         "felix2001", "article", "bends", "Félix, S. and Pagneux, V.",
         "Sound propagation in rigid bends: a multimodal approach",
         {"journal": "Journal of the Acoustical Society of America", "volume": "110",
-         "pages": "1329--1337", "year": "2001", "doi": "10.1121/1.1391249"},
+         "pages": "1329--1337", "year": "2001"},
     ),
     Reference(
         "felix2002", "article", "bends", "Félix, S. and Pagneux, V.",

@@ -13,9 +13,9 @@ vanish with the sixth power of the node spacing.
 References
 ----------
 .. [1] W. Hong, X. Zhao, Z. Suo, "Formation of creases on the surfaces of elastomers and gels",
-   Appl. Phys. Lett. 95, 111901 (2009). doi:10.1063/1.3211917
+   Appl. Phys. Lett. 95, 111901 (2009).
 .. [2] M. A. Biot, "Surface instability of rubber in compression", Appl. Sci. Res. A 12, 168-182
-   (1963). doi:10.1007/BF03184638
+   (1963).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ the flattening sets in is neglected: a tube flattens gradually.
 References
 ----------
 .. [1] Félix, S. and Pagneux, V. (2001). Sound propagation in rigid bends: a multimodal approach.
-   Journal of the Acoustical Society of America 110, 1329-1337. doi:10.1121/1.1391249
+   Journal of the Acoustical Society of America 110, 1329-1337.
 .. [2] Félix, S. and Pagneux, V. (2002). Multimodal analysis of acoustic propagation in
    three-dimensional bends. Wave Motion 36, 157-168. doi:10.1016/S0165-2125(02)00009-4
 """

@@ -30,7 +30,6 @@ References
    doi:10.1109/TAP.1966.1138693
 .. [2] Botteldooren, D. (1995). Finite-difference time-domain simulation of low-frequency room
    acoustic problems. Journal of the Acoustical Society of America 98, 3302-3308.
-   doi:10.1121/1.413817
 """
 
 from __future__ import annotations
