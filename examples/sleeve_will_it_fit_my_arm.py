@@ -42,7 +42,8 @@ print(f"{100 * DISTANCE:g} cm: {100 * z:.1f} cm along the arm, {angle:.0f} degre
 # The picture of ``acoustube sleeve``: tubes in colours within their range and grey outside of it,
 # the press in red with the uncertainty of its position.
 picture = Picture(
-    tubes=tuple(tubes), heard=found.heard, outer_diameter=11.1e-3, contacts=((0, DISTANCE),),
+    tubes=tuple(tubes), detection_range=found.detection_range, outer_diameter=11.1e-3,
+    contacts=((0, DISTANCE),),
     deviation=found.deviation, markers=np.empty((0, 3)),
 )  # fmt: skip
 with tempfile.TemporaryDirectory() as folder:

@@ -127,7 +127,7 @@ def test_coverage_of_a_cylinder_is_the_width_of_the_strip_over_the_pitch():
     assert found.skin_area == pytest.approx(2 * np.pi * 0.05 * 0.6, rel=1e-6)
     assert found.coverage == pytest.approx(2 * 5e-3 / spacing(tubes), rel=0.02)
     assert found.blind == 0
-    assert found.heard == pytest.approx(np.array([[0.15, tube.tube_length]]))
+    assert found.detection_range == pytest.approx(np.array([[0.15, tube.tube_length]]))
 
 
 def test_a_dead_zone_on_the_arm_is_the_skin_nearest_to_it():
@@ -150,7 +150,7 @@ def test_designed_forearm_is_as_wide_as_its_girths_and_the_tube():
     ("changes", "words"),
     [
         ({"loops": 0}, ["loops = 0", "0.25 or more"]),
-        ({"loops": 12}, ["a tube of", "the sensor hears 250 cm", "9.4 loops or fewer"]),
+        ({"loops": 12}, ["a tube of", "up to 250 cm", "9.4 loops or fewer"]),
         ({"loops": 9, "n_tubes": 4}, ["6.9 mm apart", "11.1 mm thick", "fewer"]),
         ({"loops": 9, "pitch": 0.03}, ["loops or a pitch"]),
         ({"pitch": -0.03}, ["pitch = -3 cm"]),

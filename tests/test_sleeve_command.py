@@ -68,7 +68,7 @@ def test_sleeve_is_written_where_nothing_can_be_drawn(tmp_path, capsys):
         ([*FOREARM, "--loops", "0"], ["loops = 0", "0.25 to 100"]),
         (FOREARM, ["--loops 9", "--pitch"]),
         (["--loops", "9"], ["a file of markers, or --forearm"]),
-        ([*FOREARM, "--loops", "12"], ["a tube of", "hears 250 cm", "or fewer"]),
+        ([*FOREARM, "--loops", "12"], ["a tube of", "up to 250 cm", "or fewer"]),
         ([*FOREARM, "--loops", "9", "--distance", "0.8"], ["distance = 0.8 cm", "15 to 241"]),
         ([*FOREARM, "--loops", "9", "--distance", "3:80"], ["3:80", "use 1 to 2"]),
         ([*FOREARM, "--loops", "9", "--distance", "near"], ["near is not a distance", "2:80"]),
@@ -96,7 +96,7 @@ def test_picture_shows_every_part():
     tubes = design(0.25, (0.17, 0.26), loops=6, lead=0.05)
     picture = sleeve_scene.Picture(
         tubes=tuple(tubes),
-        heard=layout(tubes).heard,
+        detection_range=layout(tubes).detection_range,
         outer_diameter=11.1e-3,
         contacts=((0, 0.8), (1, 1.2)),
         deviation=0.05,

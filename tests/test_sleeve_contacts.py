@@ -7,7 +7,7 @@ from acoustube import signals
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.signals import Processing
-from acoustube.sleeve import ContactTracker, Following, Helix, nearest, remove_ghost_echoes
+from acoustube.sleeve import ContactTracker, Helix, TrackingSettings, nearest, remove_ghost_echoes
 from acoustube.waves import Pulse
 
 CYCLE = 0.05
@@ -61,7 +61,7 @@ def test_stated_deviation_is_that_of_the_error():
     for seed in range(60):
         random = np.random.default_rng(seed)
         true, speed = 1.0, random.normal(0, 0.1)
-        tracker = ContactTracker(Following(acceleration=0.5, gate=8))
+        tracker = ContactTracker(TrackingSettings(acceleration=0.5, gate=8))
         for i in range(40):
             push = random.normal(0, 0.5)
             true, speed = true + speed * CYCLE + push * CYCLE**2 / 2, speed + push * CYCLE
@@ -85,7 +85,7 @@ def test_both_ends_know_a_contact_better_and_find_the_one_behind():
     random = np.random.default_rng(3)
     length, cycles = 2.4, 200
     near = [noisy(random, [0.7]) for _ in range(cycles)]
-    # The near end hears the first press, the far end the last: neither hears both.
+    # The near end detects the first press, the far end the last: neither detects both.
     far = [length - noisy(random, [1.5]) for _ in range(cycles)]
     both = followed(ContactTracker(length=length), near, far)
     assert all(np.any(np.abs(cycle.place - 1.5) < 0.05) for cycle in both[20:])
@@ -112,7 +112,7 @@ def test_swipe_along_the_arm_is_followed_across_loops():
     assert np.max(jumps) > 0.2
     distance = beside.distance + random.normal(0, 0.02, len(height))
     # Within a loop the reading stands still: half a pitch is the coordinate's own uncertainty.
-    tracker = ContactTracker(Following(deviation=0.4 * helix.pitch, acceleration=0.1))
+    tracker = ContactTracker(TrackingSettings(deviation=0.4 * helix.pitch, acceleration=0.1))
     contacts = followed(tracker, [[z] for z in helix.height(distance)])
     assert all(cycle.number.tolist() == [0] for cycle in contacts[5:])
     error = np.array([cycle.place[0] for cycle in contacts[20:]]) - height[20:]
@@ -146,7 +146,7 @@ def test_what_cannot_be_followed_is_refused():
     with pytest.raises(ConfigError, match="length between the sensors"):
         tracker.update(2.0, [], [0.4])
     with pytest.raises(ConfigError, match="deviation = 0"):
-        Following(deviation=0)
+        TrackingSettings(deviation=0)
 
 
 def test_swipe_beside_a_press_is_followed_from_raw_cycles():

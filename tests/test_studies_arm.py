@@ -115,10 +115,10 @@ def test_presses_that_are_told_are_counted_by_level_and_false_ones_apart():
         level=[2.0, 4.0, 6.0, 6.0, 4.0], number=[0, 0, 1, 1, 0], force=[3.0] * 5,
     )  # fmt: skip
     rows = {row.quantity: row for row in human.distance_rows(found, None)}
-    counts = [rows[f"presses told to 25 cm, {w} N"].ours for w in ("2-4", "4-6", "6-8")]
+    counts = [rows[f"located presses, {w} N"].ours for w in ("2-4", "4-6", "6-8")]
     assert counts == [1, 1, 1]
     assert rows["errors over 25 cm (false positives)"].ours == 1
-    assert rows["farthest press that is told to 25 cm"].ours == pytest.approx(150)
+    assert rows["farthest located press"].ours == pytest.approx(150)
     assert rows["distance: median absolute error"].ours == pytest.approx(6.0)
 
 

@@ -187,7 +187,7 @@ def _run(
         write_table(partial / "sleeve.csv", tubes, found, sensing.step / 100)
         (partial / "layout.txt").write_text("\n".join(words) + "\n", encoding="utf-8")
         picture = sleeve_scene.Picture(
-            tubes=tuple(tubes), heard=found.heard, outer_diameter=diameter,
+            tubes=tuple(tubes), detection_range=found.detection_range, outer_diameter=diameter,
             contacts=tuple(contacts), deviation=deviation, markers=seen,
         )  # fmt: skip
         if not sleeve_scene.draw(picture, partial / "figure.png"):

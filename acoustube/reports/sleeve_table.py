@@ -70,7 +70,9 @@ def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
         f"{100 * tube.lead:g} cm"
     )
     words = [first, f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube"]
-    for number, ((near, far), each) in enumerate(zip(found.heard, tubes, strict=True), start=1):
+    for number, ((near, far), each) in enumerate(
+        zip(found.detection_range, tubes, strict=True), start=1
+    ):
         words.append(
             f"tube {number}: presses are detected from {100 * near:.0f} to {100 * far:.0f} cm"
             + (
@@ -113,7 +115,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
             f"has {len(tubes)}; use 1 to {len(tubes)}"
         )
     tube = tubes[number]
-    near, far = found.heard[number]
+    near, far = found.detection_range[number]
     if not near <= distance <= far:
         raise ConfigError(
             f"distance = {100 * distance:g} cm is outside the range of tube {number + 1}; "
@@ -149,7 +151,9 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(COLUMNS)
-        for number, (tube, (near, far)) in enumerate(zip(tubes, found.heard, strict=True), start=1):
+        for number, (tube, (near, far)) in enumerate(
+            zip(tubes, found.detection_range, strict=True), start=1
+        ):
             end = tube.tube_length
             distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
             z = tube.height(distance)
@@ -157,6 +161,8 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
             angle = np.round(np.degrees(tube.angle(z)), 2) % 360
             for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
                 at, place, along, turned, turn = row
-                heard = int(near - 1e-9 <= at <= far + 1e-9)
+                detected = int(near - 1e-9 <= at <= far + 1e-9)
                 cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
-                table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, heard])
+                table.writerow(
+                    [number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, detected]
+                )

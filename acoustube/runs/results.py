@@ -30,7 +30,7 @@ MEASURED_PART = 0.95
 
 The end of a tube that tilts off the floor is slanted.
 """
-DEPTH = "indentation depth from first touch"
+DEPTH = "indentation depth from first contact"
 
 
 def dataset(

@@ -13,19 +13,19 @@ from acoustube.sleeve.echo_association import remove_ghost_echoes
 from acoustube.sleeve.helix import Frame, Helix, Nearest, nearest
 from acoustube.sleeve.layouts import Layout, check_reach, check_room, design, layout, spacing, wound
 from acoustube.sleeve.ovalisation import ovality
-from acoustube.sleeve.tracking import Contacts, ContactTracker, Following
+from acoustube.sleeve.tracking import Contacts, ContactTracker, TrackingSettings
 
 __all__ = [
     "Arm",
     "ContactTracker",
     "Contacts",
-    "Following",
     "Frame",
     "Helix",
     "Layout",
     "Line",
     "Markers",
     "Nearest",
+    "TrackingSettings",
     "check_reach",
     "check_room",
     "design",
@@ -43,4 +43,7 @@ __all__ = [
     "wrapped",
 ]
 
-__getattr__ = renamed(__name__, {"contacts_of_their_own": "remove_ghost_echoes"})
+__getattr__ = renamed(
+    __name__,
+    {"contacts_of_their_own": "remove_ghost_echoes", "Following": "TrackingSettings"},
+)

@@ -31,15 +31,15 @@ Kept = NDArray[np.bool_]
 
 MOST_PAIRS = 3000
 """Largest number of marker pairs tried as lines; of more, evenly spaced ones."""
-OUTLYING = 4.5
+OUTLIER_DEVIATIONS = 4.5
 """Standard deviations from its column's line beyond which a marker is an outlier (1 in 25 000)."""
 SMALLEST_DEVIATION = 0.2e-3
 """Smallest standard deviation of markers in m; a marker nearer to its line is no outlier."""
-RADII = 0.01, 0.3
+RADIUS_RANGE = 0.01, 0.3
 """Plausible range of an arm's radius in m."""
-LENGTHS = 0.03, 1.5
+LENGTH_RANGE = 0.03, 1.5
 """Plausible range of a marker column's length in m."""
-FEWEST = 3
+MIN_MARKERS = 3
 """Least number of markers per column: a line goes through any two."""
 
 
@@ -129,7 +129,7 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
     lines = [_robust_line(points) for points in columns]
     _check_mixed(columns, lines)
     for (_, _, _, kept), name in zip(lines, ("first", "second"), strict=True):
-        if kept.sum() < FEWEST:
+        if kept.sum() < MIN_MARKERS:
             raise ConfigError(
                 f"only {kept.sum()} markers of the {name} column lie on a line; check the column"
             )
@@ -186,11 +186,11 @@ def _column(points: ArrayLike, name: str) -> Array:
     if points.ndim != 2 or points.shape[1] != 3:
         raise ConfigError(f"the {name} column has shape {points.shape} and must have (n, 3)")
     seen = points[np.all(np.isfinite(points), axis=1)]
-    if len(seen) < FEWEST:
+    if len(seen) < MIN_MARKERS:
         gaps = f", and {len(points) - len(seen)} gaps" if len(seen) < len(points) else ""
         raise ConfigError(
             f"the {name} column has {len(seen)} marker{'s' * (len(seen) != 1)}{gaps}; a line needs "
-            f"{FEWEST} or more of them"
+            f"{MIN_MARKERS} or more of them"
         )
     return seen
 
@@ -218,7 +218,7 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
         # The median of the square of two normal errors is 2 log 2; small samples lie below it.
         spread = np.sqrt(np.median(across**2) / (2 * log(2))) * (1 + 5 / max(len(points) - 2, 1))
         deviation = max(float(spread), SMALLEST_DEVIATION)
-        kept = across <= OUTLYING * deviation
+        kept = across <= OUTLIER_DEVIATIONS * deviation
         middle = points[kept].mean(axis=0)
         direction = np.linalg.svd(points[kept] - middle)[2][0]
     along = (points[kept] - middle) @ direction
@@ -242,7 +242,7 @@ def _radius_line(points: Array) -> Line:
     """Fit r = a0 + a1 z about the axis of the coordinates."""
     z, r = points[:, 2], np.hypot(points[:, 0], points[:, 1])
     design = np.stack([np.ones_like(z), z], axis=1)
-    if np.ptp(z) < LENGTHS[0]:
+    if np.ptp(z) < LENGTH_RANGE[0]:
         raise ConfigError(
             f"a column extends {100 * np.ptp(z):.2g} cm along z; the arm must lie along z, or else "
             'use axis = "fitted"'
@@ -273,7 +273,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
     across = middles[0] - middles[1]
     across = across - (across @ direction) * direction
     size = float(np.linalg.norm(across))
-    if size < 2 * RADII[0]:
+    if size < 2 * RADIUS_RANGE[0]:
         raise ConfigError(
             f"the two columns are {1e3 * size:.2g} mm apart and must lie on opposite sides of the "
             'arm; if they do not, put the arm along z and use axis = "z"'
@@ -311,7 +311,7 @@ def _check_units(columns: list[Array]) -> None:
     """Raise if the columns do not have the size of an arm."""
     for points in columns:
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if steps.max() > max(300 * np.median(steps), 2 * LENGTHS[1]):
+        if steps.max() > max(300 * np.median(steps), 2 * LENGTH_RANGE[1]):
             raise ConfigError(
                 "some markers of a column are a thousand times farther out than others: m and mm "
                 "are mixed; use one unit"
@@ -324,11 +324,11 @@ def _check_units(columns: list[Array]) -> None:
             "other in mm, or they are of different things; use one unit"
         )
     for size in sizes:
-        if not LENGTHS[0] <= size <= 2 * LENGTHS[1]:
-            factor = "mm read as m" if size > 2 * LENGTHS[1] else "m read as mm"
+        if not LENGTH_RANGE[0] <= size <= 2 * LENGTH_RANGE[1]:
+            factor = "mm read as m" if size > 2 * LENGTH_RANGE[1] else "m read as mm"
             raise ConfigError(
-                f"a column of markers is {size:.3g} m long, and {LENGTHS[0]:g} to {LENGTHS[1]:g} m "
-                f"fit an arm: is it {factor}? say so by --unit m, cm or mm"
+                f"a column of markers is {size:.3g} m long, and {LENGTH_RANGE[0]:g} to "
+                f"{LENGTH_RANGE[1]:g} m fit an arm: is it {factor}? say so by --unit m, cm or mm"
             )
 
 
@@ -336,7 +336,7 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
     """Raise if markers of a column lie on the other column's line."""
     (p, u, _, _), (q, v, _, _) = lines
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
-    if between < 2 * RADII[0] and abs(u @ v) > 0.95:
+    if between < 2 * RADIUS_RANGE[0] and abs(u @ v) > 0.95:
         raise ConfigError(
             f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which determines no "
             "radius; give columns on opposite sides of the arm"
@@ -345,7 +345,7 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
         middle, direction, deviation, _ = lines[1 - i]
         away = points - middle
         across = np.linalg.norm(away - np.outer(away @ direction, direction), axis=1)
-        strangers = np.flatnonzero(~kept & (across < OUTLYING * deviation))
+        strangers = np.flatnonzero(~kept & (across < OUTLIER_DEVIATIONS * deviation))
         if len(strangers):
             numbers = ", ".join(str(k + 1) for k in strangers)
             raise ConfigError(
@@ -368,9 +368,9 @@ def _check_along(own: list[Array], length: float) -> None:
 def _check_radii(lines: tuple[Line, ...], length: float) -> None:
     """Raise if the radius is not that of an arm."""
     ends = [line.radius + line.taper * z for line in lines for z in (0.0, length)]
-    if not (RADII[0] <= min(ends) and max(ends) <= RADII[1]):
+    if not (RADIUS_RANGE[0] <= min(ends) and max(ends) <= RADIUS_RANGE[1]):
         raise ConfigError(
             f"the radius comes out as {100 * min(ends):.3g} to {100 * max(ends):.3g} cm, and "
-            f"{100 * RADII[0]:g} to {100 * RADII[1]:g} cm fit an arm; check the unit, the order of "
-            "x, y and z, and whether the columns lie on opposite sides"
+            f"{100 * RADIUS_RANGE[0]:g} to {100 * RADIUS_RANGE[1]:g} cm fit an arm; check the "
+            "unit, the order of x, y and z, and whether the columns lie on opposite sides"
         )

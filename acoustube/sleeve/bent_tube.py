@@ -20,11 +20,11 @@ from acoustube.sleeve.ovalisation import ovality
 from acoustube.tube import Tube
 from acoustube.waves import Bent, PlacedScatterer, joined_bends
 
-HIGHEST = 6.0
+HIGHEST_WAVENUMBER = 6.0
 """Largest j'mn of the modes in a bend; with 10 the scattering of a loop changes by 1.4e-3."""
 CLEARANCE = 1e-9
 """Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
-SHORTEST = 1e-3
+SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
 
 
@@ -92,7 +92,9 @@ def winding(
             torsion=float(torsion),
             ovality=flat,
         )
-        bent = joined_bends(air, frequency, [part], radius=radius, modes=modes, highest=HIGHEST)
+        bent = joined_bends(
+            air, frequency, [part], radius=radius, modes=modes, highest=HIGHEST_WAVENUMBER
+        )
         found.append(PlacedScatterer(bent, float(middle)))
     return found
 
@@ -140,7 +142,7 @@ def windings(
     return [
         bend
         for start, stop in zip(starts, stops, strict=True)
-        if abs(stop - start) > SHORTEST
+        if abs(stop - start) > SHORTEST_BEND
         for bend in winding(
             helix, air, frequency, start, stop, radius=radius, modes=modes, tube=tube
         )

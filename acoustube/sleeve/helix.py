@@ -1,7 +1,7 @@
 """A tube wrapped around an arm: from a distance along it to a place on the sleeve, and back.
 
-The arm is a cone about its axis, and the tube's centre line on it the paper's helix, here with a
-phase and a hand, so that several tubes can be wound side by side:
+The arm is a cone about its axis, and the tube's centre line on it the sleeve paper's helix, here
+with a phase and a hand, so that several tubes can be wound side by side:
 
     r(z) = a0 + a1 z,    psi(z) = psi0 + rho z,    h(z) = (r cos psi, r sin psi, z),
 
@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 
-GRID = 2000
+TABLE_INTERVALS = 2000
 """Intervals of the arc-length table; on a forearm its error is under 1e-9 of the length."""
-NODES = 41
+QUADRATURE_NODES = 41
 """Nodes of the Gauss-Hermite rule that propagates the distance's uncertainty to the skin."""
 REFINEMENTS = 8
 """Newton steps towards the foot of a perpendicular; five reach a micrometre on a forearm."""
@@ -96,7 +96,7 @@ class Helix:
     hand: str = "right"
     lead: float = 0.0
     frame: Frame = field(default_factory=Frame)
-    intervals: int = GRID
+    intervals: int = TABLE_INTERVALS
 
     def __post_init__(self) -> None:
         _check_positive("loops", self.loops, "a helix needs turns; use 0.25 or more")
@@ -132,7 +132,7 @@ class Helix:
     def table(self) -> Array:
         """Heights z and arc lengths from the helix's start in m, (2, intervals + 1).
 
-        By the trapezoidal rule over l'(z) = sqrt(1 + a1^2 + (rho r)^2), as in the paper.
+        By the trapezoidal rule over l'(z) = sqrt(1 + a1^2 + (rho r)^2), as in the sleeve paper.
         """
         z = np.linspace(0.0, self.length, self.intervals + 1)
         density = self.density(z)
@@ -232,7 +232,7 @@ class Helix:
         By Gauss-Hermite quadrature along the tube, not by linearisation: a standard deviation of
         5 cm is a fifth of a loop around a forearm.
         """
-        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        nodes, weights = np.polynomial.hermite_e.hermegauss(QUADRATURE_NODES)
         weights = weights / weights.sum()
         distance, deviation = np.asarray(distance, float), np.asarray(deviation, float)
         ends = self.lead, self.tube_length

@@ -6,6 +6,7 @@ Localization and Force Sensing.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
@@ -18,21 +19,22 @@ from acoustube.sleeve.arm_fit import Arm
 from acoustube.sleeve.helix import Helix, nearest
 
 DEAD_ZONE = 0.15
-"""Distance in m within which the send pulse masks every echo: start of the paper's window."""
+"""Distance in m within which the send pulse masks every echo, as in the sleeve paper."""
 REACH = 2.5
-"""Largest distance in m of a detected press: the paper's tube, and EchoTube's of 8 mm."""
+"""Largest distance in m of a detected press: the sleeve paper's tube, and EchoTube's of 8 mm."""
 LEAD = 0.15
-"""Length of the lead in m, the tube before the sleeve: that of the dead zone, as in the paper."""
+"""Length of the lead in m, the tube before the sleeve: the dead zone, as in the sleeve paper."""
 OUTER_DIAMETER = 11.1e-3
-"""Outer diameter of the paper's tube in m."""
-TUBES = 2
-WITHIN = 0.01
+"""Outer diameter of the sleeve paper's tube in m."""
+N_TUBES = 2
+COVERED_HALF_WIDTH = 0.01
 """Half width in m of the skin covered by a tube: a 25 mm contact there still presses it."""
-DEVIATION = 0.05
-"""Standard deviation of a distance in m: 5.23 cm is the paper's median error on the flat tube."""
+DISTANCE_DEVIATION = 0.05
+"""Standard deviation of a distance in m: 5.23 cm is the sleeve paper's median error on the
+flat tube."""
 SKIN_PLACES = 16_000
 """Number of sampling points of the skin."""
-GOLDEN = (5**0.5 - 1) / 2
+GOLDEN_RATIO = (5**0.5 - 1) / 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +45,7 @@ class Layout:
     ----------
     tube_lengths : ndarray
         Lead and helix of each tube in m.
-    heard : ndarray
+    detection_range : ndarray
         Range of distances on each tube in which a press is detected, in m, (n_tubes, 2).
     pitch : float
         Advance of a tube along the axis per loop in m.
@@ -66,7 +68,7 @@ class Layout:
     """
 
     tube_lengths: Array
-    heard: Array
+    detection_range: Array
     pitch: float
     spacing: float
     skin_area: float
@@ -77,12 +79,18 @@ class Layout:
     patch_area: float
     patches: float
 
+    @property
+    def heard(self) -> Array:
+        """Former name of :attr:`detection_range`."""
+        warnings.warn("Layout.heard is detection_range now", DeprecationWarning, stacklevel=2)
+        return self.detection_range
+
 
 def wound(
     arm: Arm,
     loops: float,
     *,
-    n_tubes: int = TUBES,
+    n_tubes: int = N_TUBES,
     phase: float = 0.0,
     hand: str = "right",
     lead: float = LEAD,
@@ -136,7 +144,7 @@ def design(
     *,
     loops: float | None = None,
     pitch: float | None = None,
-    n_tubes: int = TUBES,
+    n_tubes: int = N_TUBES,
     phase: float = 0.0,
     hand: str = "right",
     lead: float = LEAD,
@@ -215,7 +223,8 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
         advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
         raise ConfigError(
             f"loops = {longest.loops:.4g} needs a tube of {100 * longest.tube_length:.0f} cm, and "
-            f"the sensor hears {100 * reach:.0f} cm; {advice}, on more tubes, or set the reach"
+            f"presses are detected up to {100 * reach:.0f} cm; {advice}, on more tubes, or set the "
+            "reach"
         )
 
 
@@ -247,8 +256,8 @@ def layout(
     *,
     dead_zone: float = DEAD_ZONE,
     reach: float = REACH,
-    within: float = WITHIN,
-    deviation: float = DEVIATION,
+    within: float = COVERED_HALF_WIDTH,
+    deviation: float = DISTANCE_DEVIATION,
 ) -> Layout:
     """Return coverage and resolution of a sleeve.
 
@@ -276,28 +285,28 @@ def layout(
     places, weights = _skin(tube)
     found = nearest(tubes, tube.frame.outwards(places))
     lengths = np.array([each.tube_length for each in tubes])
-    heard = np.array(
+    detection_range = np.array(
         [
             [min(max(t.lead, dead_zone), n), min(n, reach)]
             for t, n in zip(tubes, lengths, strict=True)
         ]
     )
-    low, high = heard[found.tube].T
-    hears = (found.distance >= low) & (found.distance <= high)
+    low, high = detection_range[found.tube].T
+    detected = (found.distance >= low) & (found.distance <= high)
     area = float(weights.sum())
     patch = 2 * deviation * spacing(tubes)
     return Layout(
         tube_lengths=lengths,
-        heard=heard,
+        detection_range=detection_range,
         pitch=tube.pitch,
         spacing=spacing(tubes),
         skin_area=area,
         within=within,
-        coverage=float(weights[hears & (found.gap <= within)].sum() / area),
-        blind=float(weights[~hears].sum() / area),
+        coverage=float(weights[detected & (found.gap <= within)].sum() / area),
+        blind=float(weights[~detected].sum() / area),
         deviation=deviation,
         patch_area=patch,
-        patches=float(weights[hears].sum() / patch),
+        patches=float(weights[detected].sum() / patch),
     )
 
 
@@ -306,7 +315,7 @@ def _skin(tube: Helix) -> tuple[Array, Array]:
     n = SKIN_PLACES
     z = (np.arange(n) + 0.5) * tube.length / n
     # The golden angle: no row of places runs along a loop, as it might on a grid.
-    psi = 2 * pi * GOLDEN * np.arange(n)
+    psi = 2 * pi * GOLDEN_RATIO * np.arange(n)
     r = tube.radius_at(z)
     weights = 2 * pi * r * np.hypot(1, tube.taper) * tube.length / n
     return np.stack([r * np.cos(psi), r * np.sin(psi), z], axis=-1), weights

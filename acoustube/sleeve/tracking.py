@@ -27,7 +27,7 @@ from acoustube.base.types import Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class Following:
+class TrackingSettings:
     """Settings of the contact tracker.
 
     Parameters
@@ -90,7 +90,7 @@ class ContactTracker:
 
     Parameters
     ----------
-    how : Following, optional
+    settings : TrackingSettings, optional
     length : float, optional
         Distance in m between the sensors at both ends, which converts the far one's distances to
         places from the near one; required for candidates of a far end.
@@ -103,8 +103,8 @@ class ContactTracker:
     echo: the resolution of two presses is the gate's width, 4 cm for a deviation of 1 cm.
     """
 
-    def __init__(self, how: Following | None = None, *, length: float | None = None):
-        self.how = how or Following()
+    def __init__(self, settings: TrackingSettings | None = None, *, length: float | None = None):
+        self.settings = settings or TrackingSettings()
         self.length = length
         self._time: float | None = None
         self._begun = 0
@@ -140,18 +140,18 @@ class ContactTracker:
         if len(far) and self.length is None:
             raise ConfigError("candidates of a far end need the length between the sensors")
         self._predict(time)
-        heard = self._take_in(near)
+        detected = self._take_in(near)
         if len(far):
             assert self.length is not None
             # Contacts started by this end's candidates may be detected by the other end at once.
             both = self._take_in(self.length - far)
-            both[: len(heard)] |= heard
-            heard = both
-        self._hits += heard
-        self._misses = np.where(heard, 0, self._misses + 1)
-        counts = self._hits >= self.how.hits
-        self._keep(self._misses < np.where(counts, self.how.misses, 2))
-        return self._counting()
+            both[: len(detected)] |= detected
+            detected = both
+        self._hits += detected
+        self._misses = np.where(detected, 0, self._misses + 1)
+        confirmed = self._hits >= self.settings.hits
+        self._keep(self._misses < np.where(confirmed, self.settings.misses, 2))
+        return self._confirmed()
 
     def _predict(self, time: float) -> None:
         """Predict the contacts at a time (Kalman prediction)."""
@@ -161,35 +161,35 @@ class ContactTracker:
             )
         step = 0.0 if self._time is None else time - self._time
         self._time = time
-        move = np.array([[1.0, step], [0.0, 1.0]])
-        push = np.array([0.5 * step**2, step]) * self.how.acceleration
-        self._state = self._state @ move.T
-        self._covariance = move @ self._covariance @ move.T + np.outer(push, push)
+        transition = np.array([[1.0, step], [0.0, 1.0]])
+        noise = np.array([0.5 * step**2, step]) * self.settings.acceleration
+        self._state = self._state @ transition.T
+        self._covariance = transition @ self._covariance @ transition.T + np.outer(noise, noise)
 
     def _take_in(self, places: Array) -> NDArray[np.bool_]:
         """Update contacts by candidates, start new ones, and return a mask of those detected."""
-        variance = self._covariance[:, 0, 0] + self.how.deviation**2
+        variance = self._covariance[:, 0, 0] + self.settings.deviation**2
         away = places - self._state[:, :1]
         squares = away**2 / variance[:, None]
         # Beyond the gate all costs are equal, so that no pair within the gate is given up for them.
-        outside = self.how.gate**2
+        outside = self.settings.gate**2
         rows, columns = linear_sum_assignment(np.minimum(squares, outside))
         inside = squares[rows, columns] < outside
         rows, columns = rows[inside], columns[inside]
         gain = self._covariance[rows, :, 0] / variance[rows, None]
         self._state[rows] += gain * away[rows, columns, None]
         self._covariance[rows] -= gain[:, :, None] * self._covariance[rows, :1, :]
-        heard = np.zeros(len(self._state), bool)
-        heard[rows] = True
+        detected = np.zeros(len(self._state), bool)
+        detected[rows] = True
         # Beside a contact that has its candidate, another one is a ripple of the same echo.
         beside = np.any(squares < outside, axis=0)
         new = places[~beside]
         self._begin(new)
-        return np.concatenate([heard, np.ones(len(new), bool)])
+        return np.concatenate([detected, np.ones(len(new), bool)])
 
     def _begin(self, places: Array) -> None:
         n = len(places)
-        start = np.diag([self.how.deviation**2, self.how.speed**2])
+        start = np.diag([self.settings.deviation**2, self.settings.speed**2])
         self._number = np.concatenate([self._number, np.full(n, -1)])
         self._state = np.concatenate([self._state, np.stack([places, 0 * places], axis=1)])
         self._covariance = np.concatenate([self._covariance, np.tile(start, (n, 1, 1))])
@@ -200,13 +200,13 @@ class ContactTracker:
         for name in ("_number", "_state", "_covariance", "_hits", "_misses"):
             setattr(self, name, getattr(self, name)[kept])
 
-    def _counting(self) -> Contacts:
+    def _confirmed(self) -> Contacts:
         """Return the confirmed contacts, and number newly confirmed ones."""
-        counts = self._hits >= self.how.hits
-        fresh = np.flatnonzero(counts & (self._number < 0))
+        confirmed = self._hits >= self.settings.hits
+        fresh = np.flatnonzero(confirmed & (self._number < 0))
         self._number[fresh] = self._begun + np.arange(len(fresh))
         self._begun += len(fresh)
-        order = np.flatnonzero(counts)[np.argsort(self._number[counts])]
+        order = np.flatnonzero(confirmed)[np.argsort(self._number[confirmed])]
         return Contacts(
             number=self._number[order],
             place=self._state[order, 0],

@@ -40,7 +40,7 @@ def draw_cycle(
     axes.set_ylim(0, 1.15 * top)
     axes.set_xlim(float(place[0]), float(place[-1]))
     axes.set_xlabel("distance (cm)")
-    axes.set_ylabel("share of the send pulse")
+    axes.set_ylabel("fraction of the send pulse")
     axes.legend(loc="upper right", fontsize="small")
     return axes
 
@@ -90,7 +90,7 @@ def draw_fall(axes: Axes, calibration: Calibration) -> Axes:
         )  # fmt: skip
     axes.set_ylim(bottom=0)
     axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("share of the send pulse")
+    axes.set_ylabel("fraction of the send pulse")
     axes.legend(fontsize="small")
     return axes
 

@@ -109,7 +109,7 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
             axes.plot(distance, other["envelope"], "--", color=ENVELOPE, lw=0.8, label=label)
     _mark_pulses(axes, case, limit)
     axes.set_ylim(-limit, limit)
-    axes.set_ylabel("share of the send pulse")
+    axes.set_ylabel("fraction of the send pulse")
     axes.legend(loc="lower right", fontsize="small", framealpha=0.9)
     axes.set_title(f"source end: {chosen}", loc="right", fontsize="small")
     return axes

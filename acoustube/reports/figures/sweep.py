@@ -53,7 +53,7 @@ def figure(cases: xr.Dataset) -> Figure:
     for axes, (words, some) in zip(row, shown, strict=True):
         image = draw_echoes(axes, usual(some))
         axes.set_title(words, fontsize="medium")
-    below.colorbar(image, ax=list(row), label="envelope, share of the send pulse")
+    below.colorbar(image, ax=list(row), label="envelope, fraction of the send pulse")
     return sheet
 
 

@@ -35,7 +35,7 @@ class Picture:
     Attributes
     ----------
     tubes : tuple of Helix
-    heard : ndarray
+    detection_range : ndarray
         Range of detection along each tube in m, (n_tubes, 2).
     outer_diameter : float
         Of the tubes in m.
@@ -50,7 +50,7 @@ class Picture:
     """
 
     tubes: tuple[Helix, ...]
-    heard: Array
+    detection_range: Array
     outer_diameter: float
     contacts: tuple[tuple[int, float], ...]
     deviation: float
@@ -92,7 +92,9 @@ def render(picture: Picture) -> Any:
     tube, thick, side = picture.tubes[0], picture.outer_diameter / 2, _side(picture)
     plotter.add_mesh(_arm(tube, thick), color=SKIN, smooth_shading=True, ambient=0.3)
     legend = [["arm", SKIN]]
-    for number, (each, (near, far)) in enumerate(zip(picture.tubes, picture.heard, strict=True)):
+    for number, (each, (near, far)) in enumerate(
+        zip(picture.tubes, picture.detection_range, strict=True)
+    ):
         colour, end = TUBES[number % len(TUBES)], each.tube_length
         for start, stop, shade in ((each.lead, near, DEAD), (near, far, colour), (far, end, DEAD)):
             if stop > start + 1e-6:
@@ -100,9 +102,9 @@ def render(picture: Picture) -> Any:
         if each.lead:
             _add(plotter, _lead(each), thick, DEAD)
         legend.append([f"tube {number + 1}", colour])
-    legend.append(["hears nothing", DEAD])
+    legend.append(["not detected", DEAD])
     for number, distance in picture.contacts:
-        each, (near, far) = picture.tubes[number], picture.heard[number]
+        each, (near, far) = picture.tubes[number], picture.detection_range[number]
         ends = np.clip(distance + picture.deviation * np.array([-1, 1]), near, far)
         if picture.deviation > 0:
             _add(plotter, _along(each, *ends), 1.12 * thick, SPREAD)

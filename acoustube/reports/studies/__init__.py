@@ -1,4 +1,7 @@
-"""The paper's studies as code: each gives its numbers beside the published ones.
+"""Studies of the sleeve paper as code: each gives its numbers beside the published ones.
+
+The sleeve paper is "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+Localization and Force Sensing".
 
 A study is a function ``study(scale, work, report)`` that returns a
 :class:`~acoustube.reports.studies.report.Study`. It uses sweeps, datasets, processing and

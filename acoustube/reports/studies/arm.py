@@ -26,7 +26,7 @@ from acoustube.waves.network import at_sound_speed
 
 SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
 """Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
-250 cm fit. The paper states no sizes."""
+250 cm fit. The sleeve paper states no sizes."""
 PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
 """Of the presses along a tube in m: seven, spread over the reach."""
 ROD = 25e-3
@@ -67,7 +67,7 @@ def rod_on_a_bend(diameter: float, curvature: float) -> float:
 
 
 def tool(tube: Helix) -> str:
-    """Return the diameter of that rod at the middle of a sleeve, as a setting in mm."""
+    """Return the diameter of :func:`rod_on_a_bend` at a sleeve's middle, as a setting in mm."""
     curvature = float(tube.bend(tube.length / 2)[0])
     return f"{1e3 * rod_on_a_bend(ROD, curvature):.1f}"
 
@@ -151,8 +151,8 @@ def cycles_of(
     return found.assign({k: ("cycle", np.full(n_cycles, v)) for k, v in known.items()})
 
 
-def told(cycles: xr.Dataset, tube: int) -> xr.Dataset:
-    """Return the estimates of the paper's processing for cycles, with their labels."""
+def estimates_of(cycles: xr.Dataset, tube: int) -> xr.Dataset:
+    """Return the estimates of the sleeve paper's processing for cycles, with their labels."""
     return estimation.feature_table(cycles, FeatureSettings(processing=processing_of(tube)))
 
 
@@ -188,6 +188,6 @@ def _half_chord(turn: Array, sine: float) -> Array:
     return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
 
 
-def begins(report: Reporter, words: str) -> None:
-    """Print what begins."""
+def announce(report: Reporter, words: str) -> None:
+    """Print the step that begins."""
     report.line(f"{words} ...")

@@ -1,4 +1,4 @@
-"""The calibration of the paper's sensor (section II-E, Fig. 3): closures at 37 places."""
+"""The calibration of the sleeve paper's sensor (section II-E, Fig. 3): closures at 37 places."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from acoustube.signals import Calibration
 from acoustube.waves import PlacedScatterer
 
 RADIUS, LENGTH, TEMPERATURE = 3.95e-3, 2.5, 20.0
-"""Of the tube in m, and of its air in degC."""
+"""Radius and length of the tube in m, and temperature of its air in degC."""
 PLACES = np.arange(0.20, 2.001, 0.05)
 CYCLES = 5
 UNTOUCHED = 400
 BAND = np.array([10e3, 90e3])
 FALSE_ALARMS = 0.01
-"""Share of untouched cycles with an echo up to which the least prominence is raised. The paper
-tuned its factor by hand, to minimise false-positive detections."""
+"""Largest fraction of untouched cycles with an echo, to which the least prominence is raised. The
+sleeve paper tuned its factor by hand, to minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 
 
@@ -64,15 +64,16 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
             why=chosen),
         Row(quantity="slope of estimated over true distance", unit="m/m", published=0.99,
             ours=found.slope.value,
-            why="The plane wave's group speed in the bore is 0.1 % under the free one."),
+            why="The plane wave's group speed in the bore is a little below that in free air."),
         Row(quantity="RMSE around that line", unit="mm", published=36.0,
             ours=1e3 * found.distance_rmse,
-            why=clean + " The paper's places near the rangefinder leave the line, where its "
-            "closures meet the ringing send pulse."),
+            why=clean + " The sleeve paper's places near the rangefinder leave the line: there "
+            "echoes overlap the ringing send pulse."),
         Row(quantity="least prominence in standard deviations", unit="1", published=2.8,
             ours=factor,
-            why="The least of a few factors with which under 1 % of the untouched cycles show an "
-            "echo; the paper tuned its own by hand, on its sensor, to the same end."),
+            why=f"The least of a few factors with which under {100 * FALSE_ALARMS:g} % of the "
+            "untouched cycles show an "
+            "echo; the sleeve paper tuned its own by hand, on its sensor, to the same end."),
         Row(quantity="untouched cycles in which an echo is found", unit="%",
             ours=100 * found.false_alarms, why="Not published."),
     ]  # fmt: skip
@@ -95,7 +96,7 @@ recorded by the simulated rangefinder: losses at the wall and in the air, the tr
 resonance, noise, clutter and 12 bits. The arctan of section II-E is fitted to the amplitudes; its
 parameters make the gain; a line through the distances sets the time of the send pulse.
 
-No finite elements and no grid take part: a closure reflects the plane mode whole."""
+Neither finite elements nor a grid take part: a closure reflects the whole plane mode."""
 
 
 @cache
@@ -174,6 +175,6 @@ def _draw_fall(axes: Axes, found: Calibration, fine: NDArray[np.float64]) -> Non
     axes.plot(CM * fine, gain.c1 * np.tanh(gain.c2 * (fine - gain.c3)) + gain.c4, "--", color=SEND,
               label="tanh, of which the gain is made")  # fmt: skip
     axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("highest peak (share of the send pulse)")
+    axes.set_ylabel("highest peak (fraction of the send pulse)")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small")

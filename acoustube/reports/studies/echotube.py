@@ -1,4 +1,4 @@
-"""EchoTube's measurements: how far tubes of five bores reach, where they are deaf, two presses.
+"""EchoTube's measurements: reach and dead zone of tubes of five bores, and two presses.
 
 References
 ----------
@@ -33,25 +33,25 @@ BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
 """In mm."""
 REACHES = {4.0: 75.0, 6.0: 178.0, 8.0: 245.0, 10.0: 315.0}
 """Farthest places that were located, in cm: the middle where a range is published."""
-AT_LEAST = 390.0
-"""The same of the widest bore, in cm."""
-DEAF = {4.0: 15.0, 6.0: 15.0, 8.0: 15.0, 10.0: 20.0, 20.0: 45.0}
-"""Dead zones in cm."""
-KNOWN = 8.0
+WIDEST_REACH = 390.0
+"""Farthest place of the widest bore in cm: there its tube ended."""
+DEAD_ZONES = {4.0: 15.0, 6.0: 15.0, 8.0: 15.0, 10.0: 20.0, 20.0: 45.0}
+"""Published dead zones in cm."""
+REFERENCE_BORE = 8.0
 """Bore in mm whose reach gives the dynamic range for all."""
 CARRIER, TEMPERATURE, LENGTH = 42e3, 20.0, 6.0
-WITHIN = 0.02
+LOCATED_ERROR = 0.02
 """Error in m up to which a closure counts as located."""
 DISTANCES = np.arange(0.05, 0.60, 0.01)
-SEARCHED = 0.10
-"""Distance in m from which a closure is looked for: nearer there is the send pulse itself."""
-FIRST, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
+SEARCH_START = 0.10
+"""Smallest distance in m of the search for a closure: nearer is the send pulse itself."""
+NEARER, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
 """Place of the nearer of two presses in m, and distances to the other."""
 PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)
 """Depths in m of the nearer, which must let sound pass, and the farther, which closes the lumen; in
 a quick study among the flat table's."""
-APART = 0.1
-"""Distance in m between peaks that count as two."""
+PEAK_TOLERANCE = 0.1
+"""Largest distance in m of a press's peak from its place."""
 DECIBEL = 20 / np.log(10)
 
 
@@ -68,16 +68,16 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     -------
     Study
     """
-    dynamic = 2 * attenuation(KNOWN) * REACHES[KNOWN] / CM
+    dynamic = 2 * attenuation(REFERENCE_BORE) * REACHES[REFERENCE_BORE] / CM
     pairs = two_presses(scale, work, report)
     return Study(
         title="EchoTube: reach and dead zone by bore, and two presses",
         text=TEXT,
-        rows=[*_reach_rows(dynamic), *_deaf_rows(), *_pair_rows(pairs)],
+        rows=[*_reach_rows(dynamic), *_dead_zone_rows(), *_pair_rows(pairs)],
         figures={
             "Farthest place by bore: measured; by the plane wave's loss with the dynamic range of "
-            "the 8 mm tube; and with what a transducer of 8 mm passes into a narrower tube, and "
-            "hears of it.": _reach_figure(dynamic),
+            "the 8 mm tube; and with what a transducer of 8 mm transmits into a narrower "
+            "tube, and receives from it.": _reach_figure(dynamic),
             "Envelopes of two presses, the nearer at 60 cm, the other 20 to 50 cm beyond (dotted "
             "lines): what the sensor records (50 cycles averaged).": _pair_figure(pairs),
         },
@@ -86,16 +86,16 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
 
 TEXT = """\
 EchoTube is a rubber tube with the same kind of 42 kHz rangefinder, pressed by hand or closed. A
-closure reflects all, so how far it is heard depends on the losses on the way there and back and on
-the dynamic range of the sensor, which is taken from the bore of 8 mm alone.
+closure reflects all, so the reach depends on the losses there and back and on the dynamic range of
+the sensor, which is taken from the bore of 8 mm alone.
 
 The widest was located beyond 390 cm, where its tube ended.
 
-The dead zone is where a closure has no peak of its own yet in the ringing of the transducer, with
-the default rangefinder: the transducer's property, whatever the bore.
+In the dead zone a closure has no peak distinct from the ringing of the transducer, with the default
+rangefinder: a property of the transducer, whatever the bore.
 
-Two presses are 25 mm rods on the paper's tube, the nearer 7.5 mm deep, so that sound passes, the
-farther until the lumen is closed; 50 cycles are averaged, as a sensor at rest would."""
+Two presses are 25 mm rods on the sleeve paper's tube, the nearer 7.5 mm deep, so that sound passes,
+the farther until the lumen is closed; 50 cycles are averaged, as a sensor at rest would."""
 
 
 def attenuation(bore_mm: float) -> float:
@@ -114,9 +114,9 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
     dynamic : float
         Largest loss in dB at which it is detected.
     coupled : bool
-        Whether a bore narrower than the known one takes in, and gives back, sound by its area.
+        Whether sound enters and leaves a bore narrower than the reference in proportion to area.
     """
-    narrower = min(bore_mm / KNOWN, 1.0)
+    narrower = min(bore_mm / REFERENCE_BORE, 1.0)
     lost = -2 * DECIBEL * np.log(narrower**2) if coupled else 0.0
     return max((dynamic - lost) / (2 * attenuation(bore_mm)), 0.0)
 
@@ -134,12 +134,12 @@ def dead_zone(bore_mm: float) -> float:
     ranging = signals.locate(
         cycles[0]["time"].values,
         np.concatenate([part["signal"].values for part in cycles]),
-        Processing(nearest=SEARCHED, prominence=1e-3, template_cycles=None),
+        Processing(nearest=SEARCH_START, prominence=1e-3, template_cycles=None),
         temperature=TEMPERATURE,
     )
     found = ranging.distance
     shift = float(np.nanmedian((found - DISTANCES)[-20:]))
-    located = np.abs(found - shift - DISTANCES) < WITHIN
+    located = np.abs(found - shift - DISTANCES) < LOCATED_ERROR
     wrong = np.flatnonzero(~located)
     return float(DISTANCES[wrong[-1] + 1] if wrong.size else DISTANCES[0])
 
@@ -154,7 +154,9 @@ def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
     }
     nearer, farther = (by_depth[depth] for depth in (FEW_PRESSED if scale.quick else PRESSED))
     return [
-        record([PlacedScatterer(nearer, FIRST), PlacedScatterer(farther, FIRST + gap)], n_cycles=50)
+        record(
+            [PlacedScatterer(nearer, NEARER), PlacedScatterer(farther, NEARER + gap)], n_cycles=50
+        )
         for gap in GAPS
     ]
 
@@ -162,30 +164,27 @@ def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
 def averaged(cycles: xr.Dataset) -> signals.Ranging:
     """Process the mean of cycles."""
     mean = cycles["signal"].values.astype(float).mean(axis=0)
-    how = Processing(prominence=5e-4, send_shift=_shift())
-    return signals.locate(cycles["time"].values, mean, how, temperature=TEMPERATURE)
+    settings = Processing(prominence=5e-4, send_shift=_shift())
+    return signals.locate(cycles["time"].values, mean, settings, temperature=TEMPERATURE)
 
 
 def _shift() -> float:
-    """Return the shift in s that puts a closure of the paper's tube where it is."""
+    """Return the time shift in s that calibrates the distance of a closure of the default tube."""
     cycle = record([blockage(BAND, 1.0)], dataclasses.replace(Rangefinder(), clutter=0.0))
-    how = Processing(prominence=1e-3)
+    settings = Processing(prominence=1e-3)
     found = signals.locate(
-        cycle["time"].values, cycle["signal"].values[0], how, temperature=TEMPERATURE
+        cycle["time"].values, cycle["signal"].values[0], settings, temperature=TEMPERATURE
     )
     return float(2 * (found.distance - 1.0) / signals.speed_of_sound(TEMPERATURE))
 
 
 def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
-    """Return the offset in m of the highest peak within 10 cm of each place beyond it.
-
-    nan where there is none.
-    """
+    """Return the error in m of the highest peak within 10 cm of each place; nan without one."""
     delay = ranging.echoes.times - ranging.send_time
     distance = np.asarray(signals.distance(delay, TEMPERATURE))
     found = []
     for place in places:
-        near = np.abs(distance - place) < APART
+        near = np.abs(distance - place) < PEAK_TOLERANCE
         heights = np.where(near, ranging.echoes.amplitudes, -1.0)
         best = int(np.argmax(heights))
         found.append(float(distance[best] - place) if near.any() else float("nan"))
@@ -199,9 +198,8 @@ def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
 def _reach_rows(dynamic: float) -> list[Row]:
     rows = [
         Row(
-            quantity="dynamic range that the 8 mm tube's reach tells", unit="dB",
-            ours=dynamic, why="There and back, by the loss at the wall and in the air; the wall "
-            "alone takes 63 to 66 dB.",
+            quantity="dynamic range that follows from the 8 mm tube's reach", unit="dB",
+            ours=dynamic, why="There and back, by the loss at the wall and in the air.",
         )
     ]  # fmt: skip
     for coupled, words in ((False, "by loss"), (True, "by loss and area")):
@@ -209,23 +207,24 @@ def _reach_rows(dynamic: float) -> list[Row]:
             Row(
                 quantity=f"{bore:g} mm: reach {words}", unit="cm", published=REACHES.get(bore),
                 ours=CM * reach(bore, dynamic, coupled=coupled),
-                why="By definition: this reach tells the dynamic range." if bore == KNOWN else
-                "Sent into a narrower bore, and heard from it, by the area: an assumption."
+                why="By definition: the dynamic range follows from this reach."
+                if bore == REFERENCE_BORE else
+                "Sound enters and leaves a narrower bore in proportion to its area: an assumption."
                 if coupled else
                 "A transducer wider than the bore sends only part of its sound into it, and "
-                "hears only part of what comes back: left out here.",
+                "receives only part of what returns: left out here.",
             )
-            for bore in BORES if not coupled or bore < KNOWN
+            for bore in BORES if not coupled or bore < REFERENCE_BORE
         ]  # fmt: skip
     return rows
 
 
-def _deaf_rows() -> list[Row]:
+def _dead_zone_rows() -> list[Row]:
     return [
         Row(
-            quantity=f"{bore:g} mm: dead zone", unit="cm", published=DEAF[bore],
+            quantity=f"{bore:g} mm: dead zone", unit="cm", published=DEAD_ZONES[bore],
             ours=CM * dead_zone(bore),
-            why="The transducer rings for as long in any bore. Wider tubes carry 6 to 19 modes at "
+            why="The transducer rings for as long in any bore. Wider tubes carry higher modes at "
             "42 kHz, which the plane wave's model of a closure leaves out.",
         )
         for bore in BORES
@@ -235,13 +234,13 @@ def _deaf_rows() -> list[Row]:
 def _pair_rows(pairs: Sequence[xr.Dataset]) -> list[Row]:
     rows = []
     for gap, cycles in zip(GAPS, pairs, strict=True):
-        offsets = both(averaged(cycles), (FIRST, FIRST + gap))
+        offsets = both(averaged(cycles), (NEARER, NEARER + gap))
         rows += [
             Row(
-                quantity=f"two presses {CM * gap:g} cm apart: the {which} is told too far by",
+                quantity=f"two presses {CM * gap:g} cm apart: error of the {which}",
                 unit="cm", ours=CM * offset,
-                why="Published as 1 to 4 cm, by hand. A closed lumen sends sound back from where "
-                "it is; beside a rod that nearly closes it sound is trapped, and comes back late.",
+                why="Published as 1 to 4 cm too far, by hand. A closed lumen reflects at its "
+                "place; next to a rod that nearly closes it sound is trapped, and returns late.",
             )
             for which, offset in zip(("nearer", "farther"), offsets, strict=True)
         ]  # fmt: skip
@@ -258,7 +257,7 @@ def _reach_figure(dynamic: float) -> Figure:
         curve = [CM * reach(float(bore), dynamic, coupled=coupled) for bore in fine]
         axes.plot(fine, curve, color=colour, label=words)
     axes.plot(list(REACHES), list(REACHES.values()), "o", color=RETURN, label="measured")
-    axes.plot(BORES[-1], AT_LEAST, "^", color=RETURN, label="measured, at least")
+    axes.plot(BORES[-1], WIDEST_REACH, "^", color=RETURN, label="measured, at least")
     axes.set_xlabel("bore (mm)")
     axes.set_ylabel("farthest place (cm)")
     axes.set_ylim(bottom=0)
@@ -274,7 +273,7 @@ def _pair_figure(pairs: Sequence[xr.Dataset]) -> Figure:
         delay = cycles["time"].values - ranging.send_time
         panel.plot(CM * signals.distance(delay, TEMPERATURE), 100 * ranging.envelope,
                    color=ENVELOPE)  # fmt: skip
-        for place in (FIRST, FIRST + gap):
+        for place in (NEARER, NEARER + gap):
             panel.axvline(CM * place, color=RETURN, lw=0.8, ls=":")
         panel.set_xlim(20, 150)
         panel.set_ylim(0, 2)

@@ -1,4 +1,4 @@
-"""The flat table (section II-F, Figs. 4 and 5, Tables I and II): where, and how hard."""
+"""The flat table (section II-F, Figs. 4 and 5, Tables I and II): distance and force of presses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acoustube.estimation import FeatureSettings, Model
 from acoustube.reports.studies import flat_figures, ranged, whole_echo
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.ranged import SHALLOWEST, found_distance, shallowest
+from acoustube.reports.studies.ranged import FIRST_DATASET_DEPTH, found_distance, shallowest
 from acoustube.reports.studies.report import Level, Row, Scale, Study
 from acoustube.runs.config import configured
 from acoustube.runs.opening import open_dataset
@@ -35,12 +35,13 @@ SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
 CYCLES, FEWER_CYCLES = 50, 5
 NEAR, BEYOND = 0.60, 1.95
-"""Distances in m up to and beyond which the shallowest contact is looked for. The paper states 7 mm
-beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes rise with depth."""
+"""Ranges of distance in m of the smallest reliable depth: up to the first, beyond the second. The
+sleeve paper states 7 mm beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes
+rise with depth."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press everywhere and to every depth, find the presses, and learn their forces.
+    """Press at many places and depths, locate the presses, and estimate their forces.
 
     Parameters
     ----------
@@ -60,16 +61,16 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
         coarser = recorded(scale.coarser, scale, work / "coarser", report, few=True)
     network = trained_network(first, scale, report)
     forces = estimation.estimate(network, second)
-    heard = np.isfinite(found_distance(second))
+    detected = np.isfinite(found_distance(second))
     rows = [
         *localisation_rows(first, coarser),
         *force_rows(second, forces, network),
-        *whole_echo.rows(work, describing_of(work), heard, scale, report),
+        *whole_echo.rows(work, describing_of(work), detected, scale, report),
     ]
     figures = {
         "True against estimated distance of single cycles, coloured by depth; dashed the window of "
         "the search.": flat_figures.distances(first),
-        "Mean absolute error of the distance, and share of cycles told to 25 cm, over depth and "
+        "Mean absolute error of the distance, and fraction of located cycles, over depth and "
         "distance; grey where nothing is detected.": flat_figures.maps(first),
         "Highest peak (logarithm, smoothed) over depth and distance: first dataset (left) and "
         "second; grey where nothing is detected or the mean error is over 25 cm.":
@@ -83,10 +84,11 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
 
 
 TEXT = """\
-A 25 mm rod presses a 2.5 m tube at 191 places to 15 depths, and 50 cycles of each press are
-recorded; then at five places to 60 depths. The presses are finite elements, the sound is scattered
-by each and carried by the tube with its losses, and the default rangefinder records it. The cycles
-are processed with the calibration of Fig. 3, made on the same tube.
+A 25 mm rod presses a 2.5 m tube at 191 places to 15 depths, and 50 cycles of each press
+are recorded; then at five places to 60 depths. The presses are finite elements, the sound is
+scattered by each and carried by the tube with its losses, and the default rangefinder records it.
+The cycles are processed with the calibration of Fig. 3, made on the same tube. A cycle is located
+if the error of its distance is below 25 cm.
 
 The rangefinder's noise, clutter and ring-down are its defaults, set once from stated observations:
 the dead zone, and that contacts are found only from about 2.5 mm near and 7 mm beyond 1.95 m.
@@ -94,9 +96,10 @@ the dead zone, and that contacts are found only from about 2.5 mm near and 7 mm 
 The coarser level has every fifth place and five cycles of each press.
 
 The network learns force from the first dataset and is tried on the second, as published; so do the
-networks that are told the whole echo, from a tenth of the cycles. What the
-simulation cannot know: friction and play of the test machine, the tube's own irregularities at the
-places that were pressed, and what the floor under it gave way."""
+networks whose input is the whole echo, from a tenth of the cycles.
+
+Unknown to the simulation: friction and play of the test machine, the tube's own irregularities at
+the places that were pressed, and the yielding of the floor."""
 
 
 def recorded(
@@ -116,14 +119,14 @@ def recorded(
     Returns
     -------
     xarray.Dataset
-        As of :func:`acoustube.estimation.feature_table`, with the paper's features.
+        As of :func:`acoustube.estimation.feature_table`, with the sleeve paper's features.
     """
     places = FEW_PLACES if scale.quick else FEWER_PLACES if few else PLACES
     depths = FEW_DEPTHS if scale.quick else DEPTHS
     over = {**ROD, "depth_mm": [depths], "position_cm": [places]}
     n_cycles = FEWER_CYCLES if few or scale.quick else CYCLES
     table = _cycles(work / "first", over, level, scale, n_cycles, report)
-    return table.isel(cycle=table["depth"].values > SHALLOWEST)
+    return table.isel(cycle=table["depth"].values > FIRST_DATASET_DEPTH)
 
 
 def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> xr.Dataset:
@@ -166,7 +169,7 @@ def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
 
 
 def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
-    """Return the paper's force network, trained on cycles.
+    """Return the sleeve paper's force network, trained on cycles.
 
     Parameters
     ----------
@@ -194,29 +197,29 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
 
 
 def localisation_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return Table I and the reach that the text states."""
+    """Return Table I and the reach that the sleeve paper's text states."""
     why = (
-        "Ours are of two kinds: under 1 cm, and 5 to 8 cm where trapped sound is the highest. The "
-        "paper's own complete closures scatter by 3.6 cm about a line (Fig. 3), ours by 0.1 cm: "
-        "of its tube and bench there is more in its errors than of the presses."
+        "Ours are of two kinds: small ones, and those of several centimetres where trapped sound "
+        "is the highest peak. The sleeve paper's complete closures scatter by 3.6 cm about a line "
+        "(Fig. 3), far more than ours: its errors are more of its tube and bench than of the "
+        "presses."
     )
     rows = ranged.distance_rows(table, coarser, (5.23, 13.1, 9.31), why)
     deep = table["depth"].values > 6.5e-3
     off = np.abs(found_distance(table) - table["true_distance"].values)
     rows += [
-        ranged.heard_row(table, coarser),
+        ranged.detection_row(table, coarser),
         Row(
             quantity="depth from which contacts up to 0.6 m are reliable", unit="mm",
             published=2.5, ours=MM * shallowest(table, 0.0, NEAR),
             coarser=None if coarser is None else MM * shallowest(coarser, 0.0, NEAR),
-            why="The clutter was set by this on another specimen; where a tube echoes by itself is "
-            "its own.",
+            why="The clutter was set by this on another specimen; each has its own irregularities.",
         ),
         Row(
             quantity="depth from which contacts beyond 1.95 m are reliable", unit="mm",
             published=7.0, ours=MM * shallowest(table, BEYOND, 3.0),
             coarser=None if coarser is None else MM * shallowest(coarser, BEYOND, 3.0),
-            why="The noise was set by this: of these depths only 8 mm closes the lumen.",
+            why="The noise was set by this; only the deepest presses close the lumen.",
         ),
         Row(
             quantity="distance: mean absolute error, deeper than 6.5 mm", unit="cm",
@@ -234,8 +237,9 @@ def force_rows(table: xr.Dataset, estimates: xr.Dataset, model: Model) -> list[R
     guess = estimation.errors(table["force"].values, np.full(table.sizes["cycle"], constant))
     why = (
         "Here force follows from depth alone, and a press echoes alike in both datasets; in the "
-        "paper its platforms added significant variance. As there, estimates cluster between 3 and "
-        "6 mm, where amplitude does not tell. A constant guess, the median, gives "
+        "sleeve paper its platforms added significant variance. As there, estimates cluster at "
+        "medium depths, where the amplitude is not monotonic. A constant estimate, the median, "
+        "gives "
     )
     rows = [
         Row(
@@ -254,7 +258,7 @@ def force_rows(table: xr.Dataset, estimates: xr.Dataset, model: Model) -> list[R
         Row(
             quantity="force: largest in the second dataset", unit="N",
             ours=float(table["force"].max()),
-            why="Not published in the text; predictions cluster about 4 N there.",
+            why="Not published in the text.",
         ),
         Row(
             quantity="cycles that the network was trained on", unit="1",

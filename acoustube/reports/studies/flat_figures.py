@@ -15,10 +15,10 @@ from scipy.ndimage import gaussian_filter
 from acoustube import estimation
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
-from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, told
+from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, located
 
 BIN = 0.05
-"""Of the maps, in m: the paper's 38 over the tube."""
+"""Width in m of the maps' bins: the sleeve paper's 38 over the tube."""
 
 
 def distances(table: xr.Dataset) -> Figure:
@@ -29,7 +29,7 @@ def distances(table: xr.Dataset) -> Figure:
 
 
 def draw_distances(axes: Axes, table: xr.Dataset) -> None:
-    """Draw the same on axes; of many cycles evenly chosen ones."""
+    """Draw estimated against true distance on axes, of at most some 8000 cycles."""
     some = table.isel(cycle=slice(None, None, max(1, table.sizes["cycle"] // 8000)))
     points = axes.scatter(
         CM * some["true_distance"].values, CM * found_distance(some), s=5,
@@ -68,12 +68,12 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
 
 
 def maps(table: xr.Dataset) -> Figure:
-    """Draw the mean error, and the fraction of cycles with the distance right to 25 cm."""
+    """Draw the mean error, and the fraction of located cycles."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     size = np.abs(found_distance(table) - table["true_distance"].values)
     _draw_map(left, *over_map(table, CM * size), "mean absolute error (cm)", vmax=50)
-    _draw_map(right, *over_map(table, 100.0 * told(table)), "cycles told to 25 cm (%)", vmax=100)
+    _draw_map(right, *over_map(table, 100.0 * located(table)), "located cycles (%)", vmax=100)
     return sheet
 
 
@@ -97,7 +97,7 @@ def amplitudes(first: xr.Dataset, second: xr.Dataset) -> Figure:
         wrong = np.abs(found_distance(table) - table["true_distance"].values)
         places, depths, mean = over_map(table, heights)
         mean[~(over_map(table, wrong)[2] <= FALSE_POSITIVE_ERROR)] = np.nan
-        _draw_map(axes, places, depths, smoothed(mean), "highest peak (share of the send pulse)",
+        _draw_map(axes, places, depths, smoothed(mean), "highest peak (fraction of the send pulse)",
                   norm=LogNorm(1e-3, 1.0))  # fmt: skip
     return sheet
 

@@ -19,18 +19,18 @@ from acoustube.reports.scenes import sleeve as sleeve_scene
 from acoustube.reports.studies import ranged
 from acoustube.reports.studies.arm import (
     PLACES,
-    begins,
+    announce,
     bent_around,
     by_depth,
     cycles_of,
+    estimates_of,
     over_skin,
     sleeve,
-    told,
     tool,
 )
 from acoustube.reports.studies.presses import swept
 from acoustube.reports.studies.report import Level, Row, Scale, Study
-from acoustube.reports.studies.swipe import pairs_told, swipe_figure, swipe_rows, swiped
+from acoustube.reports.studies.swipe import resolved_pairs, swipe_figure, swipe_rows, swiped
 from acoustube.runs import presses as press_runs
 from acoustube.runs.by_force import ByForce, by_force
 from acoustube.runs.config import Config, configured
@@ -40,7 +40,7 @@ from acoustube.waves import Scattering
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
 """Forces in N."""
 STATES = np.array([1, 3, 5]) / 6
-"""Shares of a level's width at which a wandering force is taken."""
+"""Fractions of a level's width at which a drifting force is taken."""
 CYCLES = (14, 13, 13)
 """Of each: 2 s in all."""
 SHIFT = -0.10
@@ -73,22 +73,23 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     coarser = None
     if scale.coarser is not None:
         coarser, _ = recorded(scale.coarser, scale, work / "coarser", report)
-    begins(report, "a swipe, and two presses at once")
+    announce(report, "a swipe, and two presses at once")
     tracks = swiped(presses, quick=scale.quick)
-    pairs = pairs_told(presses, quick=scale.quick)
+    pairs = resolved_pairs(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
     figures = {
         "True against estimated distance of averaged cycles on the first (discs) and second "
-        "(squares) tube, by force; circled: errors over 25 cm (left). Presses that are told, by "
+        "(squares) tube, by force; circled: errors over 25 cm (left). Located presses by "
         "force and distance; grey: errors over 25 cm (right).": _distances(table),
-        "Presses by force on several grounds: the tool's travel (left), and by how much the lumen "
-        "is lower (right).": _grounds(paths),
+        "Presses by force on several grounds: travel of the indenter (left), and loss of lumen "
+        "height "
+        "(right).": _grounds(paths),
         "A press that swipes along the tube at 5 cm/s (left), and two presses 20 cm apart (right): "
-        "all echoes, and the contacts that are followed.": swipe_figure(tracks),
+        "all echoes, and the tracked contacts.": swipe_figure(tracks),
     }
     drawn = _arm(table)
     if drawn is not None:
-        figures["True places on one tube, and what is told of the hardest presses."] = drawn
+        figures["True and estimated places of the hardest presses on one tube."] = drawn
     return Study(
         title="Human arm (Fig. 7, Table I)",
         text=TEXT,
@@ -100,16 +101,16 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
 TEXT = """\
 A 25 mm rod presses both tubes of the sleeve at seven places each, by 2-4, 4-6 and 6-8 N, on an arm
 of soft tissue: a layer of 20 mm and 60 kPa on bone. Depth follows from force and ground. The force
-of a hand wanders through its level in the 2 s of a press, 40 cycles, which are averaged before they
+of a hand drifts through its level in the 2 s of a press, 40 cycles, which are averaged before they
 are processed, as published. Calibration: that of each tube when it is straight.
 
 The sleeve, the bends between the presses and the curved tube under the rod are those of the
 mannequin.
 
-What the simulation cannot know: the wearer's tissue and what lies under it, how the fabric
+Unknown to the simulation: the wearer's tissue and what lies under it, how the fabric
 stretches, narrows and holds the tube (here it lies free on the arm, and rises beside the press),
 how a hand trembles and tilts its tool, and how the two tubes differ but for their irregularities.
-Of the probe's tip the paper says nothing."""
+The sleeve paper does not describe the probe's tip."""
 
 
 def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Config:
@@ -175,9 +176,9 @@ def recorded(
     Notes
     -----
     The depth for a force is interpolated on a load path of the coarse mesh; the forces of the
-    sweep's own mesh, which label the cases, are within 4 % of the prescribed ones.
+    sweep's own mesh, which label the cases, differ from the prescribed ones by its error.
     """
-    begins(report, "the depths that forces take on soft ground")
+    announce(report, "the depths that forces take on soft ground")
     levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(press_runs.pressed(ground(**ARM), GRID), wanted)
@@ -192,7 +193,7 @@ def recorded(
     rows = []
     for tube, helix in enumerate(sleeve()):
         places = (PLACES[::3] if scale.quick else PLACES) + tube * SHIFT
-        begins(report, f"cycles at {len(places)} places of tube {tube + 1}")
+        announce(report, f"cycles at {len(places)} places of tube {tube + 1}")
         for place in places:
             bends = bent_around(helix, float(place), states[0][1])
             for i, each in enumerate(levels):
@@ -205,7 +206,7 @@ def recorded(
                         zip(states[3 * i : 3 * i + 3], CYCLES, strict=True)
                     )
                 ]  # fmt: skip
-                row = told(averaged(parts), tube)
+                row = estimates_of(averaged(parts), tube)
                 row = row.assign(level=("cycle", [each[0]]), number=("cycle", [tube]))
                 rows.append(row)
     return xr.concat(rows, "cycle", combine_attrs="drop_conflicts"), presses
@@ -236,9 +237,9 @@ def substrates(*, quick: bool = False) -> dict[str, ByForce]:
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return the human arm's row of Table I, counts, and errors over the skin."""
     why = (
-        "A wrapped tube delays echoes by 3.4 cm per metre, and a press is told so or missed; what "
-        "the paper adds is a hand, whose place is itself known to some centimetres, and a sleeve "
-        "that shifts on the skin."
+        "A wrapped tube delays echoes in proportion to their distance, and a press is located with "
+        "that delay or missed; the sleeve paper adds a hand, whose place is itself known to some "
+        "centimetres, and a sleeve that shifts on the skin."
     )
     rows = ranged.distance_rows(table, coarser, (3.8, 14.5, 11.7), why)
     for low, high in LEVELS:
@@ -250,32 +251,32 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
             quantity="errors over 25 cm (false positives)", unit="1", published=3.0,
             ours=float(_wrong(table).sum()),
             coarser=None if coarser is None else float(_wrong(coarser).sum()),
-            why="Ours come with the clutter, whose draw the tubes' seeds are.",
+            why="Ours are due to the clutter, drawn by the seeds of the tubes.",
         ),
         Row(
-            quantity="farthest press that is told to 25 cm", unit="cm", published=150.0,
+            quantity="farthest located press", unit="cm", published=150.0,
             ours=_reach(table), coarser=None if coarser is None else _reach(coarser),
-            why="The paper takes the tube's narrowing on the stretched sleeve to shorten the "
-            "reach; ours is without it.",
+            why="The sleeve paper assumes that the tube's narrowing on the stretched sleeve "
+            "shortens the reach; ours is not narrowed.",
         ),
         Row(
             quantity="place on the skin: median absolute error", unit="cm",
             ours=CM * float(np.nanmedian(skin)),
-            why="Over the skin two loops are 2.9 cm apart.",
+            why=f"Over the skin two loops are {CM * sleeve()[0].pitch:.2g} cm apart.",
         ),
     ]  # fmt: skip
 
 
 def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> list[Row]:
-    """Return the number of presses of a level that are located to 25 cm."""
+    """Return the number of located presses of a level."""
     counts = [
-        None if t is None else float((ranged.told(t) & (t["level"].values == low)).sum())
+        None if t is None else float((ranged.located(t) & (t["level"].values == low)).sum())
         for t in (table, coarser)
     ]
     total = int((table["level"].values == low).sum())
     return [
         Row(
-            quantity=f"presses told to 25 cm, {words}", unit=f"of {total}", ours=counts[0] or 0.0,
+            quantity=f"located presses, {words}", unit=f"of {total}", ours=counts[0] or 0.0,
             coarser=counts[1],
             why="Published as a figure: fewer of the lower two levels, and fewer with distance.",
         )
@@ -283,11 +284,11 @@ def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: s
 
 
 def _wrong(table: xr.Dataset) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(ranged.found_distance(table)) & ~ranged.told(table))
+    return np.asarray(np.isfinite(ranged.found_distance(table)) & ~ranged.located(table))
 
 
 def _reach(table: xr.Dataset) -> float:
-    good = ranged.told(table)
+    good = ranged.located(table)
     return CM * float(table["true_distance"].values[good].max()) if good.any() else float("nan")
 
 
@@ -302,11 +303,11 @@ def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
     for name, path in paths.items():
         travel, closing = (np.interp(5.0, path.force, v) for v in (path.depth, path.closing))
         rows += [
-            Row(quantity=f"travel of the tool at 5 N, {name}", unit="mm", ours=MM * float(travel),
-                why="Depth is the ground's as well as the tube's."),
+            Row(quantity=f"travel of the indenter at 5 N, {name}", unit="mm",
+                ours=MM * float(travel), why="The ground yields as well as the tube."),
             Row(quantity=f"loss of lumen height at 5 N, {name}", unit="mm",
                 ours=MM * float(closing),
-                why="What the sound meets follows from force, almost whatever the ground."),
+                why="The shape of the lumen follows from the force, almost whatever the ground."),
         ]  # fmt: skip
     return rows
 
@@ -336,12 +337,12 @@ def _distances(table: xr.Dataset) -> Figure:
         at = edges[:-1] + 15 + (i - 1) * width
         good, bad = (
             np.histogram(true[(level == low) & which], edges)[0]
-            for which in (ranged.told(table), false)
+            for which in (ranged.located(table), false)
         )
         right.bar(at, good, width, color=colour, label=f"{low:g}-{high:g} N")
         right.bar(at, bad, width, bottom=good, color="0.6")
     right.set(
-        xlabel="true distance (cm)", ylabel="presses that are told", xticks=edges,
+        xlabel="true distance (cm)", ylabel="located presses", xticks=edges,
         yticks=[0, 1, 2], ylim=(0, 2.6),
     )  # fmt: skip
     right.legend(ncols=3)
@@ -354,7 +355,10 @@ def _grounds(paths: dict[str, ByForce]) -> Figure:
     for name, path in paths.items():
         left.plot(path.force, MM * path.depth, label=name)
         right.plot(path.force, MM * path.closing, label=name)
-    for axes, words in ((left, "travel of the tool (mm)"), (right, "loss of lumen height (mm)")):
+    for axes, words in (
+        (left, "travel of the indenter (mm)"),
+        (right, "loss of lumen height (mm)"),
+    ):
         axes.set(xlabel="force (N)", ylabel=words)
         for low, _ in LEVELS:
             axes.axvline(low, color=PRESS, lw=0.5)
@@ -370,7 +374,7 @@ def _arm(table: xr.Dataset) -> Figure | None:
     found = ranged.found_distance(part)
     picture = sleeve_scene.Picture(
         tubes=(tube,),
-        heard=layout([tube]).heard,
+        detection_range=layout([tube]).detection_range,
         outer_diameter=11.1e-3,
         contacts=tuple((0, float(z)) for z in part["true_distance"].values),
         deviation=0.0,

@@ -18,13 +18,13 @@ from acoustube.estimation import Model
 from acoustube.reports.studies import flat, flat_figures, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
-    begins,
+    announce,
     bent_around,
     by_depth,
     cycles_of,
+    estimates_of,
     over_skin,
     sleeve,
-    told,
     tool,
 )
 from acoustube.reports.studies.presses import swept
@@ -34,8 +34,8 @@ from acoustube.sleeve import Helix
 DEPTHS, FEW_DEPTHS = "1:8:0.5", "2:8:3"
 CYCLES, FEWER_CYCLES = 50, 5
 TUBE = 0
-"""Of the sleeve."""
-LISTED = ("straight", "wrapped", "flattened")
+"""Index of the pressed tube of the sleeve."""
+SHAPES = ("straight", "wrapped", "flattened")
 """Shapes of the tube that are compared; the study's numbers are those of the second."""
 
 
@@ -53,10 +53,10 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     -------
     Study
     """
-    tables = recorded(scale.level, scale, work / "arm", LISTED, report)
+    tables = recorded(scale.level, scale, work / "arm", SHAPES, report)
     coarser = None
     if scale.coarser is not None:
-        coarser = recorded(scale.coarser, scale, work / "coarser", LISTED[1:2], report)["wrapped"]
+        coarser = recorded(scale.coarser, scale, work / "coarser", SHAPES[1:2], report)["wrapped"]
     network = flat_network(scale, work / "flat", report)
     table = tables["wrapped"]
     helix = sleeve()[TUBE]
@@ -87,16 +87,16 @@ A 25 mm rod presses one tube of a sleeve at seven places to 15 depths, and 50 cy
 recorded. The sleeve is a helix of 9 loops on a cone of the size of a forearm, which takes 250 cm of
 tube. The arm is rigid, and the sleeve's pocket holds the tube on it. The tube bends away from the
 rod, which is as if a thinner one met a straight tube. Between the presses the tube is bent: its
-curvature and torsion convert the plane wave into (1,1) and back, so that what meets a press depends
-on where on the arm it stands.
+curvature and torsion convert the plane wave into (1,1) and back, so that the incident sound depends
+on the place of the press on the arm.
 
 As published, calibration and force network are those of a straight tube: the calibration of this
 specimen before it was wrapped, the network of the 25 mm rod on the flat table, from every fifth of
 its places and five cycles of each press.
 
-What the simulation cannot know: how the fabric stretches and narrows the tube, how much of a free
-tube's flattening it allows (the last rows tell what all of it would do), how the tubes differ,
-where the test machine's rod slid, and how the arm's curved surface took the deep presses."""
+Unknown to the simulation: how the fabric stretches and narrows the tube, how much of a free tube's
+flattening it allows (the last rows state the effect of all of it), how the tubes differ, where the
+test machine's rod slid, and how the arm's curved surface took the deep presses."""
 
 
 def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
@@ -127,7 +127,7 @@ def recorded(
     scale : Scale
     work : Path
     shapes : tuple of str
-        Of :data:`LISTED`.
+        Of :data:`SHAPES`.
     report : Reporter
 
     Returns
@@ -143,7 +143,7 @@ def recorded(
     swept(work, over, level, scale, report)
     presses = by_depth(work)
     places = PLACES[::3] if scale.quick else PLACES
-    begins(report, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
+    announce(report, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
     found: dict[str, list[xr.Dataset]] = {shape: [] for shape in shapes}
     like = next(iter(presses.values()))[1]
     for place in places:
@@ -158,7 +158,7 @@ def recorded(
                     name=[shape, float(place), depth],
                     labels={"depth": depth, "force": float(case["force"])},
                 )  # fmt: skip
-                found[shape].append(told(cycles, TUBE))
+                found[shape].append(estimates_of(cycles, TUBE))
     return {
         shape: xr.concat(parts, "cycle", combine_attrs="drop_conflicts")
         for shape, parts in found.items()
@@ -172,9 +172,9 @@ def recorded(
 def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -> list[Row]:
     """Return the mannequin's row of Table I, and errors over the skin."""
     why = (
-        "A wrapped tube delays echoes by 3.4 cm per metre, and shallow ones, heard by way of the "
-        "slow (1,1), by up to 12 cm; what does not rise over the clutter is missed, not "
-        "misplaced. The paper's arm adds what its fabric does to the tube."
+        "A wrapped tube delays echoes in proportion to their distance, and more so those of "
+        "shallow presses, which arrive by the slow mode (1,1); echoes below the clutter are "
+        "missed, not misplaced. The sleeve paper's arm adds the effect of its fabric on the tube."
     )
     rows = ranged.distance_rows(table, coarser, (8.48, 14.0, 12.9), why)
     skin = over_skin(helix, ranged.found_distance(table), table["true_distance"].values)
@@ -190,30 +190,32 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -
         Row(
             quantity="place on the skin: median absolute error", unit="cm",
             ours=CM * float(np.nanmedian(skin)),
-            why="Over the skin two loops are 2.9 cm apart: an error of a loop is small there.",
+            why=f"Over the skin two loops are {CM * helix.pitch:.2g} cm apart: an error of a loop "
+            "is small there.",
         ),
         Row(
             quantity="place on the skin: RMSE", unit="cm",
             ours=CM * float(np.sqrt(np.nanmean(skin**2))), why="Not published.",
         ),
-        ranged.heard_row(table, coarser),
+        ranged.detection_row(table, coarser),
         Row(
-            quantity="farthest press that is told to 25 cm", unit="cm", published=210.0,
+            quantity="farthest located press", unit="cm", published=210.0,
             ours=CM * farthest(table),
             coarser=None if coarser is None else CM * farthest(coarser),
-            why="Presses stand 30 cm apart; only the deepest reach so far, as published.",
+            why=f"Presses are {CM * (PLACES[1] - PLACES[0]):g} cm apart; as published, only the "
+            "deepest are located so far away.",
         ),
     ]  # fmt: skip
 
 
 def farthest(table: xr.Dataset) -> float:
-    """Return the largest distance in m at which half the cycles of a press are right to 25 cm."""
+    """Return the largest distance in m at which half the cycles of a press are located."""
     good = [
         place
         for place in np.unique(table["true_distance"].values)
         for depth in np.unique(table["depth"].values)
         for here in [(table["true_distance"].values == place) & (table["depth"].values == depth)]
-        if np.mean(ranged.told(table)[here]) > ranged.RELIABLE_FRACTION
+        if np.mean(ranged.located(table)[here]) > ranged.RELIABLE_FRACTION
     ]
     return max(good, default=float("nan"))
 
@@ -230,8 +232,8 @@ def force_rows(table: xr.Dataset, coarser: xr.Dataset | None, network: Model) ->
     assert found is not None
     largest = float(table["force"].max())
     why = (
-        f"Simulated forces end at {largest:.3g} N; the paper's go on where its rod met the arm. As "
-        "published, the network learned on the flat table tells little of them."
+        f"Simulated forces end at {largest:.3g} N; the sleeve paper's are larger where its rod met "
+        "the arm. As published, the network trained on the flat table estimates them poorly."
     )
     return [
         Row(
@@ -256,22 +258,22 @@ def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
         rows += [
             Row(
                 quantity=f"highest peak, {words} against straight: median", unit="dB",
-                ours=float(np.nanmedian(change)), why="Of presses told to 25 cm in both tubes.",
+                ours=float(np.nanmedian(change)), why="Of presses located in both tubes.",
             ),
             Row(
                 quantity=f"highest peak, {words} against straight: half the presses within",
                 unit="dB", ours=float(np.nanmedian(np.abs(change - np.nanmedian(change)))),
-                why="Around that median: what of the (1,1) stands at a press is a matter of phase.",
+                why="Around that median: the amplitude of (1,1) at a press depends on its phase.",
             ),
         ]  # fmt: skip
     return rows
 
 
 def peaks(table: xr.Dataset) -> Array:
-    """Return the mean highest peak of each press located to 25 cm, and nan of others."""
+    """Return the mean highest peak of each located press, and nan of others."""
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values
-    good = ranged.told(table)
+    good = ranged.located(table)
     return np.array([heights[p & good].mean() if (p & good).any() else np.nan for p in presses])
 
 
@@ -322,6 +324,6 @@ def _heights(tables: dict[str, xr.Dataset]) -> Figure:
             height = peaks(table).reshape(len(places), len(depths))[:, column]
             axes.semilogy(CM * places, height, marker + "-", ms=5, lw=0.8, label=shape)
         axes.set(xlabel="true distance (cm)", title=f"{MM * depths[column]:g} mm deep")
-        axes.set_ylabel("highest peak (share of the send pulse)")
+        axes.set_ylabel("highest peak (fraction of the send pulse)")
         axes.legend()
     return sheet

@@ -16,10 +16,10 @@ from acoustube.reports.studies.report import Row
 
 FALSE_POSITIVE_ERROR = 0.25
 """Error of the distance in m from which a detection is a false positive."""
-SHALLOWEST = 0.9e-3
-"""Depth in m from which cases of the flat table's first dataset are taken."""
+FIRST_DATASET_DEPTH = 0.9e-3
+"""Smallest depth in m of the flat table's first dataset."""
 RELIABLE_FRACTION = 0.5
-"""Fraction of the cycles with the distance right to 25 cm that makes a contact reliable."""
+"""Fraction of located cycles above which a contact is reliable."""
 
 
 def distance_errors(table: xr.Dataset) -> Errors:
@@ -32,22 +32,22 @@ def found_distance(table: xr.Dataset) -> Array:
     return np.asarray(table["features"].sel(feature="distance").values)
 
 
-def told(table: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which cycles have a distance error below 25 cm."""
+def located(table: xr.Dataset) -> NDArray[np.bool_]:
+    """Return the mask of located cycles: their distance error is below 25 cm."""
     return np.asarray(
         np.abs(found_distance(table) - table["true_distance"].values) < FALSE_POSITIVE_ERROR
     )
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
-    """Return the least depth in m from which most cycles in a range have the distance right.
+    """Return the smallest depth in m from which on most cycles in a range are located.
 
-    Of all places in the range together; nan if even of the deepest presses most do not.
+    Of all places in the range together; nan if the deepest presses are not.
     """
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))
     depths, number = np.unique(inside["depth"].values.round(9), return_inverse=True)
-    good = [np.mean(told(inside)[number == i]) > RELIABLE_FRACTION for i in range(len(depths))]
+    good = [np.mean(located(inside)[number == i]) > RELIABLE_FRACTION for i in range(len(depths))]
     if not good or not good[-1]:
         return float("nan")
     unreliable = np.flatnonzero(~np.array(good))
@@ -64,7 +64,7 @@ def measure_rows(
     published: Sequence[float | None] = (None, None, None),
     coarser: Errors | None = None,
 ) -> list[Row]:
-    """Return median, RMSE and IQR of absolute errors: the columns of the paper's tables.
+    """Return median, RMSE and IQR of absolute errors: the columns of the sleeve paper's tables.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def measure_rows(
 def distance_rows(
     table: xr.Dataset, coarser: xr.Dataset | None, published: Sequence[float], why: str
 ) -> list[Row]:
-    """Return a row of the paper's Table I."""
+    """Return a row of the sleeve paper's Table I."""
     ours, other = (None if t is None else distance_errors(t) for t in (table, coarser))
     assert ours is not None
     return measure_rows(
@@ -103,7 +103,7 @@ def distance_rows(
     )
 
 
-def heard_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
+def detection_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
     """Return the fraction of cycles with an echo."""
     ours, other = (
         None if t is None else 100 * float(np.mean(np.isfinite(found_distance(t))))

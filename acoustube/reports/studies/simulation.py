@@ -1,4 +1,4 @@
-"""The sleeve paper's simulations (section II-D, Fig. 2): three rods, all depths, a tube of 40 cm.
+"""The sleeve paper's simulations (section II-D, Fig. 2): three rods on a tube of 40 cm.
 
 In addition: effects of losses and of the source end, sound trapped near a rod, the modes of the
 reflection, and the same presses at 10 and 20 kHz.
@@ -13,12 +13,15 @@ import xarray as xr
 
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
-from acoustube.base.units import CM
+from acoustube.base.units import CM, KHZ
 from acoustube.reports.studies.presses import swept
 from acoustube.reports.studies.report import Level, Row, Scale, Study
 from acoustube.reports.studies.simulation_cases import (
     CARRIER,
+    CUT_ON,
+    PROBE,
     RODS,
+    SOUND_SPEED,
     carried_power,
     chosen,
     of_rod,
@@ -69,7 +72,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     )
 
 
-TEXT = """\
+TEXT = f"""\
 The sleeve paper's 40 cm tube is pressed in its middle by rods of 10, 25 and 35 mm until it is
 closed. A pulse of 11 cycles at 42 kHz is launched at a pressure-driven end, which is a pressure
 release after the pulse; the probe is a plane 2 cm away; the far end absorbs. The distance follows
@@ -78,15 +81,16 @@ from the envelope's highest peak, if it is over 0.1 % of the send pulse.
 As published there are no losses. The same presses are computed with losses, and with an absorbing
 source end, which is closer to a transducer.
 
-The distance's error has two values: under 1 cm where the direct echo is highest, 5 to 6 cm where
-the highest is sound that was trapped near the rod, in a mode (2,1) whose cut-on in the widened
-lumen lies below the carrier and in the round bore just above. A mean over depths is a mixture of
-the two. With a pressure-release end the echo passes the probe twice, 0.117 ms apart, which adds
-2 to 3 cm where the second lobe is the higher.
+The distance's error has two values: small where the direct echo is highest, and several
+centimetres where the highest is sound that was trapped near the rod, in a mode (2,1) whose cut-on
+in the widened lumen lies below the carrier and in the round bore just above. A mean over depths is
+a mixture of the two. With a pressure-release end the echo passes the probe twice,
+{1e3 * 2 * PROBE / SOUND_SPEED:.3f} ms apart, which adds about {CM * PROBE:g} cm where the second
+lobe is the higher.
 
-The direct echo itself moves from about a centimetre beyond the press to almost one before it as the
-press deepens, since its near flank takes over: time of flight does depend on depth, though the
-speed of sound does not."""
+The direct echo itself moves from beyond the press to before it as the press deepens, since the
+reflection from its near flank prevails: time of flight does depend on depth, though the speed of
+sound does not."""
 
 
 def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tuple[float, float]:
@@ -99,7 +103,7 @@ def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tupl
 
 def _error_rows(lossless: xr.Dataset, lossy: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     why = (
-        "A mixture of two values, under 1 cm and 5 to 6 cm (see the text); which depths show which "
+        "A mixture of small and large values (see the text); the number of depths with each "
         "decides the mean. The sleeve paper does not state its depths and least prominence."
     )
     rows = []
@@ -133,7 +137,7 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
             quantity="depths at which the 10 mm rod echoes most", unit="%", published=100.0,
             ours=_smallest_wins(lossless),
             coarser=None if coarser is None else _smallest_wins(coarser),
-            why="Published as: the largest amplitudes occur for the 10 mm indenter.",
+            why="Published in words: the largest amplitudes occur for the 10 mm indenter.",
         )
     ]  # fmt: skip
     for frequency in (10e3, 20e3, 42e3):
@@ -144,9 +148,9 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
                     quantity=f"{rod} mm rod, {frequency / 1e3:g} kHz: steps of depth at which "
                     "the echo rises", unit="%",
                     ours=100 * rising(chosen(some, "absorbing")["amplitude"].values),
-                    why="100 % is monotonic. The sleeve paper expects it below 25.5 kHz, where "
-                    "only the plane wave propagates; but at 20 kHz the reflections of both flanks "
-                    "of a press of 24 mm and more interfere.",
+                    why="100 % is monotonic. The sleeve paper expects it below "
+                    f"{KHZ * CUT_ON:.1f} kHz, where only the plane wave propagates; but at 20 kHz "
+                    "the reflections of both flanks of a long press interfere.",
                 )
             )  # fmt: skip
     return rows
@@ -168,7 +172,7 @@ def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     """Return the shift of the direct echo with depth, while it is the highest."""
     why = (
         "The wall is rigid for sound at 42 kHz, the speed of sound the same at all depths: what "
-        "moves is the part of the press that reflects. The sleeve paper suspects a speed that "
+        "moves is the reflecting part of the press. The sleeve paper suspects a speed that "
         "depends on depth, and finds little of it in its simulations too."
     )
     return [

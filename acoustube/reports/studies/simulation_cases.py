@@ -17,6 +17,7 @@ from acoustube.runs.config import Config
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.sweep import select
 from acoustube.waves import Scattering
+from acoustube.waves.modes import cut_on_frequency
 
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
 """Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
@@ -27,6 +28,9 @@ DEFAULT = settings_in_si(Config())
 """Settings of the sweeps, but for those that vary."""
 CARRIER, PROBE = DEFAULT.pulse.frequency, DEFAULT.probe
 """Carrier in Hz, and position of the probe in m."""
+SOUND_SPEED = DEFAULT.air.sound_speed
+CUT_ON = cut_on_frequency(1, 1, DEFAULT.radius, SOUND_SPEED)
+"""Sound speed in m/s, and cut-on of the first higher mode in Hz."""
 
 
 def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:

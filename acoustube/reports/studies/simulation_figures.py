@@ -10,10 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from acoustube.base.types import Array
-from acoustube.base.units import CM, MM
+from acoustube.base.units import CM, KHZ, MM, MS
 from acoustube.lumen import deformed_wall
 from acoustube.reports.figures import sweep as sweep_figure
-from acoustube.reports.studies.simulation_cases import RODS, chosen, late_fraction, of_rod, only
+from acoustube.reports.studies.simulation_cases import (
+    CUT_ON,
+    RODS,
+    SOUND_SPEED,
+    TRAPPED_AFTER_S,
+    chosen,
+    late_fraction,
+    of_rod,
+    only,
+)
 from acoustube.runs import presses as press_runs
 from acoustube.runs.config import Config, configured
 
@@ -47,14 +56,18 @@ def figures(
         ),
         "Envelopes of the reflected pulses (release end, no losses). Dotted: the press; red: "
         "the highest echo. Later ones are sound that was trapped near the rod.": _pulses(lossless),
-        "Echo energy later than 0.4 ms after the direct echo, as a fraction of the whole, "
-        "absorbing end: trapped sound, without and with losses.": _late(lossless, lossy),
+        f"Echo energy later than {MS * TRAPPED_AFTER_S:g} ms after the direct echo, as a fraction "
+        "of "
+        "the whole, absorbing end: trapped sound, without and with losses.": _late(lossless, lossy),
         "Reflected (left) and transmitted (right) power of an incident plane wave by modes, in "
-        "the band of the pulse, against depth. Most of the reflected power at 42 kHz is in (1,1), "
-        "which a plane-averaging probe does not record.": _modes(carried),
-        "The highest echo at 10, 20 and 42 kHz, absorbing end, with losses. Below 25.5 kHz only "
-        "the plane wave propagates; the echo rises steadily with depth only where the press is "
-        "short against the wavelength, 34 mm at 10 kHz and 17 mm at 20 kHz.": _frequencies(low),
+        "the pulse's band, against depth. A plane-averaging probe records only the plane wave.": (
+            _modes(carried)
+        ),
+        "The highest echo at 10, 20 and 42 kHz, absorbing end, with losses. Below "
+        f"{KHZ * CUT_ON:.1f} kHz only the plane wave propagates; the echo rises steadily with "
+        "depth only where the press is short against the wavelength, "
+        f"{MM * SOUND_SPEED / 10e3:.0f} mm at "
+        f"10 kHz and {MM * SOUND_SPEED / 20e3:.0f} mm at 20 kHz.": _frequencies(low),
     }
 
 

@@ -1,4 +1,4 @@
-"""A press that swipes along a tube, and two presses at once, followed through the whole sensor."""
+"""A press that swipes along a tube, and two presses at once, tracked through the whole sensor."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from acoustube.reports.figures.run import PRESS
 from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.reports.studies.report import Row
-from acoustube.sleeve import ContactTracker, Following
+from acoustube.sleeve import ContactTracker, TrackingSettings
 from acoustube.waves import PlacedScatterer, Scattering
 
 RATE = Rangefinder().cycle_rate
 SPEED = 0.05
 """Of a swipe in m/s."""
-START, SWIPED = 0.40, 8.0
+START, SWIPE_DURATION = 0.40, 8.0
 """Start of a swipe in m, and its duration in s."""
-PAIR, HELD = (0.60, 0.80), 2.0
+PAIR, PAIR_DURATION = (0.60, 0.80), 2.0
 """Places of two presses in m, and their duration in s."""
 FORCES = (4.3, 7.0)
 """In N: of the nearer press, and of the farther or of the swipe."""
-LIGHT, HARD, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
+NEARER_FORCES, FARTHER_FORCES, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
-TOLD, SHORT = 0.10, 6
-"""Error in m up to which a press of a pair counts as located, half the least distance between
-them, and number of cycles for which a pair is tracked."""
-LEAST = 0.06
-"""Height of an echo, as a fraction of the highest, from which it is a candidate: with 0.12 a press
-behind another is missed, with 0.03 a hard one has twice as many echoes of its own."""
-HOW = Following(deviation=0.015)
-"""The deviation includes the delays of echoes by trapped sound."""
+PAIR_TOLERANCE, PAIR_CYCLES = 0.10, 6
+"""Largest error in m of a located press of a pair, half the smallest distance between them, and
+number of cycles for which a pair is tracked."""
+CANDIDATE_RATIO = 0.06
+"""Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
+is missed, with 0.03 a hard one has twice as many ghost echoes."""
+TRACKING = TrackingSettings(deviation=0.015)
+"""Of the contacts; the deviation includes the delays of echoes by trapped sound."""
 
 
 class Track(NamedTuple):
@@ -54,9 +54,9 @@ class Track(NamedTuple):
     candidates : list of array
         Of each cycle, the places of all echoes in m.
     contacts : list
-        Of each cycle, those that count; see :class:`acoustube.sleeve.ContactTracker`.
+        Of each cycle, the confirmed ones; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)
-        Of the processor, that processing and following took.
+        Processor time of processing and tracking.
     """
 
     times: Array
@@ -67,7 +67,7 @@ class Track(NamedTuple):
 
 
 def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> tuple[Track, Track]:
-    """Follow a swipe, and two presses.
+    """Record and track a swipe, and two simultaneous presses.
 
     Parameters
     ----------
@@ -86,14 +86,14 @@ def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> t
     """
     light, hard = (_of_force(presses, force) for force in FORCES)
     share = 0.25 if quick else 1.0
-    times = np.arange(int(share * SWIPED * RATE)) / RATE
+    times = np.arange(int(share * SWIPE_DURATION * RATE)) / RATE
     swipe = _followed([hard], (START + SPEED * times)[:, None], times)
-    times = np.arange(int(share * HELD * RATE)) / RATE
+    times = np.arange(int(share * PAIR_DURATION * RATE)) / RATE
     pair = _followed([light, hard], np.tile(PAIR, (len(times), 1)), times)
     return swipe, pair
 
 
-def pairs_told(
+def resolved_pairs(
     presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool
 ) -> NDArray[np.bool_]:
     """Return the mask of the pairs that are resolved as two presses, each near its place.
@@ -101,18 +101,22 @@ def pairs_told(
     Returns
     -------
     ndarray of bool
-        (gap, light, hard), in the order of :data:`GAPS`, :data:`LIGHT` and :data:`HARD`; in a quick
-        study only the first of each.
+        (gap, light, hard), in the order of :data:`GAPS`, :data:`NEARER_FORCES` and
+        :data:`FARTHER_FORCES`; in a quick study only the first of each.
     """
-    gaps, lights, hards = (every[: 1 if quick else None] for every in (GAPS, LIGHT, HARD))
-    times = np.arange(SHORT) / RATE
-    told = np.zeros((len(gaps), len(lights), len(hards)), bool)
-    for at in np.ndindex(told.shape):
+    gaps, lights, hards = (
+        every[: 1 if quick else None] for every in (GAPS, NEARER_FORCES, FARTHER_FORCES)
+    )
+    times = np.arange(PAIR_CYCLES) / RATE
+    resolved = np.zeros((len(gaps), len(lights), len(hards)), bool)
+    for at in np.ndindex(resolved.shape):
         places = PAIR[0] + np.array([0.0, gaps[at[0]]])
         pair = [_of_force(presses, lights[at[1]]), _of_force(presses, hards[at[2]])]
-        found = _followed(pair, np.tile(places, (SHORT, 1)), times).contacts[-1].place
-        told[at] = len(found) == 2 and bool(np.all(np.abs(np.sort(found) - places) < TOLD))
-    return told
+        found = _followed(pair, np.tile(places, (PAIR_CYCLES, 1)), times).contacts[-1].place
+        resolved[at] = len(found) == 2 and bool(
+            np.all(np.abs(np.sort(found) - places) < PAIR_TOLERANCE)
+        )
+    return resolved
 
 
 def _of_force(presses: Mapping[float, tuple[Any, Scattering]], force: float) -> Scattering:
@@ -121,9 +125,9 @@ def _of_force(presses: Mapping[float, tuple[Any, Scattering]], force: float) -> 
 
 
 def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Track:
-    """Record presses at places (cycle, contact), find echoes and follow them."""
+    """Record presses at places (cycle, contact), find their echoes and track the contacts."""
     candidates, contacts, seconds = [], [], []
-    following = ContactTracker(HOW)
+    tracker = ContactTracker(TRACKING)
     known: signals.Tracker | None = None
     for i, (at, places) in enumerate(zip(times, true, strict=True)):
         presses = [PlacedScatterer(m, float(z)) for m, z in zip(matrices, places, strict=True)]
@@ -132,13 +136,13 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
             first_cycle=i, seed=7, tube_seed=TUBE_SEEDS[0],
         )  # fmt: skip
         known = known or signals.Tracker(cycle["time"].values, processing_of(0))
-        warmth = float(cycle["temperature"].values[0])
+        temperature = float(cycle["temperature"].values[0])
         begun = time.thread_time()
-        ranging = known.update(cycle["signal"].values[0], warmth)
-        loud = ranging.echoes.amplitudes >= LEAST * ranging.amplitude
-        found = signals.distance(ranging.echoes.times[loud] - ranging.send_time, warmth)
+        ranging = known.update(cycle["signal"].values[0], temperature)
+        loud = ranging.echoes.amplitudes >= CANDIDATE_RATIO * ranging.amplitude
+        found = signals.distance(ranging.echoes.times[loud] - ranging.send_time, temperature)
         presses_found = sleeve.remove_ghost_echoes(found, ranging.echoes.amplitudes[loud])
-        contacts.append(following.update(float(at), presses_found))
+        contacts.append(tracker.update(float(at), presses_found))
         seconds.append(time.thread_time() - begun)
         candidates.append(found[np.isfinite(found)])
     return Track(times, true, candidates, contacts, np.array(seconds))
@@ -147,7 +151,7 @@ def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Trac
 def errors_of(track: Track) -> Array:
     """Return the error of the tracked contact nearest to each true one, (cycle, contact), in m.
 
-    nan where no contact counts yet.
+    nan where no contact is confirmed yet.
     """
     return np.array(
         [
@@ -157,7 +161,7 @@ def errors_of(track: Track) -> Array:
     )
 
 
-def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row]:
+def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list[Row]:
     """Return tracking errors, the numbers of resolved pairs, and the computing time."""
     swipe, pair = tracks
     off, both = errors_of(swipe), errors_of(pair)
@@ -166,19 +170,20 @@ def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row
     taken = np.concatenate([swipe.seconds, pair.seconds])
     why = "Through the whole simulated sensor, on a straight tube; the paper shows no numbers."
     of_two = (
-        "Behind a hard press another one is heard 20 dB lower, as what the first traps beside it "
-        "is; where both meet they are told as one, or the farther too far."
+        "Behind a hard press the echo of another is as low as the sound that the first one traps; "
+        "where both overlap they are taken for one, or the farther is placed too far away."
     )
     return [
         Row(quantity="swipe of 5 cm/s: RMSE of the place", unit="cm",
             ours=CM * float(np.sqrt(np.nanmean(off**2))), why=why),
-        Row(quantity="swipe of 5 cm/s: median speed told", unit="cm/s",
+        Row(quantity="swipe of 5 cm/s: median estimated speed", unit="cm/s",
             ours=CM * float(np.median(speeds)) if speeds else float("nan"), why=why),
         Row(quantity="swipe of 5 cm/s: cycles with a contact", unit="%",
-            ours=100 * float(np.mean(np.isfinite(off))), why="It counts from the fourth cycle on."),
-        Row(quantity="swipe of 5 cm/s: contacts that count at its end", unit="1",
+            ours=100 * float(np.mean(np.isfinite(off))),
+            why="Contacts are confirmed after a few cycles."),
+        Row(quantity="swipe of 5 cm/s: confirmed contacts at its end", unit="1",
             ours=float(len(swipe.contacts[-1].number)), why="One is there."),
-        Row(quantity="two presses 20 cm apart: contacts that count", unit="1",
+        Row(quantity="two presses 20 cm apart: confirmed contacts", unit="1",
             ours=float(len(pair.contacts[-1].number)), why="Two are there."),
         *(
             Row(quantity=f"two presses 20 cm apart: RMSE of the {which}", unit="cm",
@@ -186,12 +191,13 @@ def swipe_rows(tracks: tuple[Track, Track], told: NDArray[np.bool_]) -> list[Row
             for which, part in zip(("nearer", "farther"), both.T, strict=True)
         ),
         *(
-            Row(quantity=f"pairs {100 * gap:g} cm apart told as two, within 10 cm, of {pairs.size}",
+            Row(quantity=f"pairs {100 * gap:g} cm apart located as two, of {pairs.size}",
                 unit="1", ours=float(pairs.sum()), why=of_two)
-            for gap, pairs in zip(GAPS, told, strict=False)
+            for gap, pairs in zip(GAPS, resolved, strict=False)
         ),
-        Row(quantity="processing and following of a cycle: processor time", unit="ms",
-            ours=1e3 * float(np.median(taken)), why="The rangefinder sends one every 50 ms."),
+        Row(quantity="processing and tracking of a cycle: processor time", unit="ms",
+            ours=1e3 * float(np.median(taken)),
+            why=f"The rangefinder sends one every {1e3 / RATE:g} ms."),
     ]  # fmt: skip
 
 

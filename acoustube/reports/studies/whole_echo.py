@@ -1,4 +1,4 @@
-"""The flat table again, by an estimator whose input is the whole echo, on the same test cycles."""
+"""Estimates on the flat table from the features of the whole echo, on the same test cycles."""
 
 from __future__ import annotations
 
@@ -15,17 +15,21 @@ from acoustube.base.console import watched_interrupts
 from acoustube.base.report import Reporter, ShowProgress
 from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.model import TARGETS
-from acoustube.reports.studies.ranged import SHALLOWEST, measure_rows
+from acoustube.reports.studies.ranged import FIRST_DATASET_DEPTH, measure_rows
 from acoustube.reports.studies.report import Row, Scale
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.training import DISPLAY_UNITS
 
-EVERY = 10
-"""Of the cycles one is taken: those of a press differ by noise alone."""
+CYCLE_STRIDE = 10
+"""Stride of the cycles used: those of a press differ by noise alone."""
 
 
 def rows(
-    work: Path, how: FeatureSettings, heard: NDArray[np.bool_], scale: Scale, report: Reporter
+    work: Path,
+    settings: FeatureSettings,
+    detected: NDArray[np.bool_],
+    scale: Scale,
+    report: Reporter,
 ) -> list[Row]:
     """Return the errors of the whole-echo networks on the second dataset of the flat table.
 
@@ -33,10 +37,10 @@ def rows(
     ----------
     work : Path
         The flat study's, with the cycles of both datasets.
-    how : FeatureSettings
-    heard : array of bool of shape (cycle,)
-        In which cycles of the second dataset the paper's processing finds an echo: where both can
-        be compared.
+    settings : FeatureSettings
+    detected : array of bool of shape (cycle,)
+        Mask of the cycles of the second dataset in which the sleeve paper's processing detects an
+        echo: there both can be compared.
     scale : Scale
     report : Reporter
 
@@ -44,30 +48,34 @@ def rows(
     -------
     list of Row
     """
-    every = 1 if scale.quick else EVERY
+    every = 1 if scale.quick else CYCLE_STRIDE
     with watched_interrupts() as check, report.progress(check) as show:
-        first, second = (_described(work / name, how, every, show) for name in ("first", "second"))
-        first = first.isel(cycle=first["depth"].values > SHALLOWEST)
-        model = _trained(first, how, scale, show)
+        first, second = (
+            _described(work / name, settings, every, show) for name in ("first", "second")
+        )
+        first = first.isel(cycle=first["depth"].values > FIRST_DATASET_DEPTH)
+        model = _trained(first, settings, scale, show)
     return [
-        *_rows(model, second, heard[::every], "where the highest peak is found"),
-        *_rows(model, second, np.ones_like(heard[::every]), "of all cycles"),
+        *_rows(model, second, detected[::every], "where the highest peak is found"),
+        *_rows(model, second, np.ones_like(detected[::every]), "of all cycles"),
     ]
 
 
-def _described(work: Path, how: FeatureSettings, every: int, show: ShowProgress) -> xr.Dataset:
+def _described(work: Path, settings: FeatureSettings, every: int, show: ShowProgress) -> xr.Dataset:
     cycles = open_dataset(work / "cycles").isel(cycle=slice(None, None, every)).load()
-    return estimation.feature_table(cycles, how, lambda share: show("whole echoes", share))
+    return estimation.feature_table(cycles, settings, lambda share: show("whole echoes", share))
 
 
-def _trained(table: xr.Dataset, how: FeatureSettings, scale: Scale, show: ShowProgress) -> Model:
-    settings: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
-    total = settings.get("epochs", 25)
+def _trained(
+    table: xr.Dataset, settings: FeatureSettings, scale: Scale, show: ShowProgress
+) -> Model:
+    options: dict[str, Any] = {"epochs": 2, "n_folds": 2} if scale.quick else {}
+    total = options.get("epochs", 25)
 
     def learned(step: float, *_losses: float) -> None:
         show("training", min(step / total, 1.0))
 
-    return estimation.train(table, "echo", how, progress=learned, **settings)
+    return estimation.train(table, "echo", settings, progress=learned, **options)
 
 
 def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) -> Iterator[Row]:

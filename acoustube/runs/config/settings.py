@@ -163,5 +163,5 @@ class SignalSettings(Section):
         ),
     )
     prominence: float = setting(
-        0.001, Number(0.0001, 1, "", "least prominence of an echo, as a share of the send pulse")
+        0.001, Number(0.0001, 1, "", "least prominence of an echo, as a fraction of the send pulse")
     )
