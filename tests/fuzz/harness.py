@@ -1,0 +1,299 @@
+"""Cases in forked processes, so that a crash, a hang or a full memory has a case to its name."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import io
+import json
+import os
+import re
+import resource
+import select
+import shutil
+import signal
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import Any
+
+HANG_S, WAIT_S = 10.0, 45.0
+"""Processor time, and time, after which a case hangs; the second allows for a busy machine."""
+MEMORY = 2 * 1024**3
+"""Address space in bytes that the cases of a process may take beyond what is loaded."""
+BATCH = 50
+"""Cases of a process."""
+LONGEST = 1500
+"""Characters of the longest sentence."""
+NOISE = re.compile(
+    r"Traceback|Exception ignored|Warning:|\[Errno|Error:|HDF5-DIAG|dumped|^\w+:\d+:"
+)
+SENTENCE = re.compile(r"^(acoustube: |not processed: )")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case: the words of a command run in `folder`, or a call that returns what is wrong.
+
+    Attributes
+    ----------
+    words : tuple of str
+    call : callable, optional
+        In place of words; returns a complaint, or an empty text.
+    told : tuple of str
+        Words of which an error names one; those of the command if empty.
+    """
+
+    words: tuple[str, ...] = ()
+    call: Callable[[], str] | None = None
+    told: tuple[str, ...] = ()
+
+
+Maker = Callable[[Random, Path, Path], Case]
+"""Function that makes a case by chance: of the generator, the good files, and the case's folder."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A case that broke the promise."""
+
+    category: str
+    number: int
+    what: str
+    folder: Path | None
+
+
+def seeded(seed: int, category: str, number: int) -> Random:
+    """Return the generator of a case, which depends on nothing else."""
+    return Random(f"{seed} {category} {number}")
+
+
+def run(
+    maker: Maker, category: str, numbers: list[int], seed: int, corpus: Path, kept: Path
+) -> Iterator[Finding | int]:
+    """Run cases in processes of their own; yield each number that passed, or what was found."""
+    left = list(numbers)
+    while left:
+        batch, left = left[:BATCH], left[BATCH:]
+        with _scratch(kept) as scratch:
+            done = 0
+            for number, what in _forked(maker, category, batch, seed, corpus, scratch):
+                done += 1
+                if not what:
+                    yield number
+                    continue
+                yield Finding(category, number, what, _keep(scratch, kept, category, seed, number))
+            left = batch[done:] + left
+
+
+@contextlib.contextmanager
+def _scratch(kept: Path) -> Iterator[Path]:
+    """Yield a folder for a batch, removed at the end."""
+    folder = kept / f".batch-{os.getpid()}-{time.monotonic_ns()}"
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _keep(scratch: Path, kept: Path, category: str, seed: int, number: int) -> Path | None:
+    """Move the folder of a case that failed to where it is kept."""
+    folder, target = scratch / str(number), kept / f"{category}-{seed}-{number}"
+    if folder.is_dir() and not target.exists():
+        shutil.move(folder, target)
+        return target
+    return None
+
+
+def _forked(
+    maker: Maker, category: str, batch: list[int], seed: int, corpus: Path, scratch: Path
+) -> Iterator[tuple[int, str]]:
+    """Yield the number and the complaint of each case, up to one that ends the process."""
+    reading, writing = os.pipe()
+    sys.stdout.flush()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of threads: there are none that matter before the fork
+        child = os.fork()
+    if child == 0:
+        os.close(reading)
+        _child(maker, category, batch, seed, corpus, scratch, writing)
+    os.close(writing)
+    number, ended = batch[0], ""
+    with os.fdopen(reading, "rb") as results:
+        for number in batch:
+            line, ended = _line(results, child)
+            if ended:
+                break
+            yield number, json.loads(line)
+    if ended == "hang":
+        os.killpg(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)  # what it may have left running
+    if ended:
+        how = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"status {status}"
+        crash = scratch / str(number) / "stderr.txt"
+        words = crash.read_text(errors="replace")[-1500:] if crash.exists() else ""
+        yield (
+            number,
+            f"hang of over {HANG_S:g} s\n{words}" if ended == "hang" else f"crash: {how}\n{words}",
+        )
+
+
+def _line(results: Any, child: int) -> tuple[bytes, str]:
+    """Return a line of results, or how the process ended: ``end`` or ``hang``."""
+    start, used = time.monotonic(), _processor_time(child)
+    while not select.select([results], [], [], 0.2)[0]:
+        slow = _processor_time(child) - used > HANG_S
+        if slow or time.monotonic() - start > WAIT_S:
+            return b"", "hang"
+    line = results.readline()
+    return line, "" if line.endswith(b"\n") else "end"
+
+
+def _processor_time(child: int) -> float:
+    """Return the seconds of processor time of a process and its children that have ended."""
+    try:
+        fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+
+def _child(
+    maker: Maker, category: str, batch: list[int], seed: int, corpus: Path, scratch: Path, to: int
+) -> None:
+    """Run a batch and write a line for each case; never returns."""
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    home = scratch / "home"
+    os.environ |= {"HOME": str(home), "ACOUSTUBE_CACHE": str(home / "cache"), "COLUMNS": "80"}
+    os.environ |= {"XDG_DATA_HOME": str(home), "XDG_CONFIG_HOME": str(home), "SHELL": "/bin/bash"}
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    code = 0
+    try:
+        for number in batch:
+            folder = scratch / str(number)
+            folder.mkdir()
+            what = one(maker, seeded(seed, category, number), corpus, folder)
+            os.write(to, json.dumps(what[:4000]).encode() + b"\n")
+            if not what:
+                shutil.rmtree(folder, ignore_errors=True)
+    except BaseException:
+        traceback.print_exc(file=(scratch / str(number) / "stderr.txt").open("a"))
+        code = 70
+    os._exit(code)
+
+
+def one(maker: Maker, chance: Random, corpus: Path, folder: Path) -> str:
+    """Make a case and run it; return what is wrong, or nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # while the case is made
+        case = maker(chance, corpus, folder)
+    if case.call is not None:
+        return case.call()
+    before = _content(folder)
+    os.chdir(folder)
+    (out, err), code = _captured(case.words, folder)
+    (folder / "command.txt").write_text(
+        " ".join(map(repr, ("acoustube", *case.words))), encoding="utf-8", errors="backslashreplace"
+    )
+    return judged(case, code, out, err, before, _content(folder))
+
+
+def _captured(words: tuple[str, ...], folder: Path) -> tuple[tuple[str, str], Any]:
+    """Run a command in this process; return what it wrote, of libraries too, and its exit code."""
+    from acoustube.cli import main
+
+    paths = folder / "stdout.txt", folder / "stderr.txt"
+    files = [os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC) for path in paths]
+    for number, file in zip((1, 2), files, strict=True):
+        os.dup2(file, number)
+    sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), encoding="utf-8")
+    sys.stderr = io.TextIOWrapper(
+        io.FileIO(2, "w", closefd=False), encoding="utf-8", errors="backslashreplace"
+    )
+    faulthandler.enable(2)
+    code: Any
+    try:
+        with warnings.catch_warnings():
+            code = main(list(words))
+    except SystemExit as error:
+        code = f"SystemExit {error.code}"
+    except BaseException:
+        code = "exception"
+        traceback.print_exc()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    for file in files:
+        os.close(file)
+    return (_text(paths[0]), _text(paths[1])), code
+
+
+def _text(path: Path) -> str:
+    with path.open(errors="replace") as file:
+        return file.read(200_000)
+
+
+OURS = {"stdout.txt", "stderr.txt", "command.txt"}
+
+
+def _content(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return the files and folders of a folder by name, with their size and time of change."""
+    found = {}
+    for path in folder.rglob("*"):
+        name = str(path.relative_to(folder))
+        if name not in OURS:
+            status = path.lstat()
+            plain = not path.is_dir()
+            found[name] = (status.st_size, status.st_mtime_ns) if plain else (-1, 0)
+    return found
+
+
+def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -> str:
+    """Return what is wrong with the end of a command, or nothing."""
+    told = f"\n{err[-1500:]}"
+    if code not in (0, 1, 2):
+        return f"exit code {code}{told}"
+    if NOISE.search(err) or "Traceback" in out:
+        return f"not a sentence{told or out[-1500:]}"
+    lines = [line for line in err.splitlines() if line.strip()]
+    if code:
+        sentences = [line for line in lines if SENTENCE.match(line)]
+        if not sentences or len(lines) > max(1, len(sentences)):
+            return f"{len(lines)} lines, {len(sentences)} sentences{told}"
+        if max(map(len, sentences)) > LONGEST:
+            return f"sentence of {max(map(len, sentences))} characters{told}"
+        if not _names_something(case, err):
+            return f"names neither a file nor an argument{told}"
+    changed = [name for name, state in before.items() if after.get(name) != state]
+    if changed:
+        return f"changed {changed}{told}"
+    new = sorted(set(after) - set(before))
+    hidden = [name for name in new if ".acoustube" in name]
+    if hidden or (code == 2 and new):
+        return f"left {hidden or new}{told}"
+    return ""
+
+
+def _names_something(case: Case, err: str) -> bool:
+    """Return whether an error names a word of the command, or an argument with its value."""
+    words = case.told or case.words
+    given = [
+        part for word in words for part in (word, Path(word).name) if part not in ("", "1", "2")
+    ]
+    shown = " ".join(err.split())
+    return any(word[:20] in shown for word in given) or bool(
+        re.search(r"\w+ = |--\w|needs |give |line \d|\"", shown)
+    )

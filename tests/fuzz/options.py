@@ -1,0 +1,23 @@
+"""Options of all commands, as the commands themselves state them."""
+
+from __future__ import annotations
+
+from acoustube.cli._app import COMMANDS, app
+
+POSITIONAL = {
+    "process": ("good.npz",), "scatter": ("lumen.stl",), "sleeve": ("markers.csv",),
+    "evaluate": ("boosting.model", "good.npz"), "train": ("good.npz",), "calibrate": ("good.npz",),
+    "show": (".",), "export": (".",), "dataset": (".",), "cite": (".",), "reproduce": ("all",),
+}  # fmt: skip
+"""Words that come before the options, good ones."""
+
+
+def _options(command: str) -> list[str]:
+    found = app[command].assemble_argument_collection()
+    return sorted({name for argument in found for name in argument.names if name.startswith("--")})
+
+
+OPTIONS = {name: _options(name) for name in COMMANDS} | {
+    f"cache {name}": ["--quiet", "--help"] for name in ("list", "size", "clear")
+}
+"""Options by command."""

@@ -1,0 +1,52 @@
+"""Computations that take minutes, replaced by a sentence: what is fuzzed is what leads to them."""
+
+from __future__ import annotations
+
+import gc
+from importlib import import_module
+from typing import Any
+
+from acoustube.base.errors import SimulationError
+
+HEAVY = (
+    "acoustube.runs.presses:press_to", "acoustube.runs.simulate:press_to",
+    "acoustube.waves.scattering:scatter", "acoustube.runs.sweep.run:run_sweep",
+    "acoustube.runs.sweep.dataset:run_dataset", "acoustube.cli.reproduce:run_reproduce",
+    "acoustube.runs.selftest:all_trials", "acoustube.estimation:train",
+)  # fmt: skip
+DRAWING = ("acoustube.reports.scenes.sleeve:draw", "acoustube.cli.check:can_draw")
+PRELOADED = (
+    "acoustube.cli.simulate", "acoustube.cli.indent", "acoustube.cli.sweep", "acoustube.cli.show",
+    "acoustube.cli.export", "acoustube.cli.cite", "acoustube.cli.process", "acoustube.cli.train",
+    "acoustube.cli.evaluate", "acoustube.cli.calibrate", "acoustube.cli.sleeve",
+    "acoustube.cli.scatter", "acoustube.cli.live", "acoustube.recordings", "acoustube.signals",
+    "acoustube.runs.recordings", "acoustube.runs.opening", "acoustube.runs.training",
+    "acoustube.base.surfaces", "acoustube.indentation.tetrahedra", "acoustube.reports.page",
+    "acoustube.reports.figures.sweep", "acoustube.reports.export.tables", "h5netcdf", "h5py",
+    "rich.console", "rich.progress", "rich.table", "rich.markup", "scipy.io", "pandas", "pyvista",
+    "acoustube.sleeve", "acoustube.reports.sleeve_table", "sklearn.ensemble", "acoustube.waves",
+    "matplotlib.backends.backend_agg", "tomlkit", "acoustube.runs.sweep.graph", "ezc3d", "cobs",
+)  # fmt: skip
+
+
+def _not_computed(*_arguments: Any, **_settings: Any) -> Any:
+    raise SimulationError("nothing = 0 is computed while fuzzing; run the command by itself")
+
+
+def _not_drawn(*_arguments: Any, **_settings: Any) -> bool:
+    return False
+
+
+def install() -> None:
+    """Load what the commands need, once for all cases, and replace what takes long."""
+    for name in PRELOADED:
+        try:
+            import_module(name)
+        except ImportError:
+            continue  # of an optional package, or moved: the case itself loads it, or says so
+    for place, stub in (*((p, _not_computed) for p in HEAVY), *((p, _not_drawn) for p in DRAWING)):
+        module, _, name = place.partition(":")
+        loaded = import_module(module)
+        getattr(loaded, name)  # raises where it has moved, rather than leave it to run for minutes
+        setattr(loaded, name, stub)
+    gc.freeze()  # or each process would copy all of it to count references
