@@ -1,11 +1,11 @@
-"""How long does the paper's force network take, and is it as good as that of other libraries?
+"""How long does the force network of the sleeve paper take, and is it as good as other libraries?
 
-143 250 rows as in the paper's flat table: peak amplitude and estimated distance of presses, made by
-a formula with noise, and their force. Ten folds, 100 epochs, batches of 32. Beside it the same
-network in PyTorch's plain loop and in scikit-learn's ``MLPRegressor``: one epoch of one fold,
+143 250 rows as in the sleeve paper's flat table: peak amplitude and estimated distance of presses,
+made by a formula with noise, and their force. Ten folds, 100 epochs, batches of 32. Beside it the
+same network in PyTorch's plain loop and in scikit-learn's ``MLPRegressor``: one epoch of one fold,
 scaled up, and 20 epochs of one fold on a tenth of the rows, for the held-out loss. PyTorch is left
-out where it is not installed. The epochs of the first line can be given:
-``OMP_NUM_THREADS=1 python benchmarks/estimation_force_network.py [EPOCHS]``.
+out where it is not installed. The epochs of the first line can be given: ``OMP_NUM_THREADS=1 python
+benchmarks/estimation_force_network.py [EPOCHS]``.
 """
 
 from __future__ import annotations

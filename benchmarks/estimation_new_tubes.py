@@ -1,10 +1,10 @@
 """What do estimators tell in tubes that they have not learned from?
 
-Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with irregularities of its
-own, at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split
-holds out a part: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors
-of the paper's highest peak and force network, of the whole-echo networks and of boosting, up to
-1.2 m, as a table in Markdown. Sweeps and cycles are kept in the folder.
+Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with irregularities of its own,
+at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split holds
+out a part: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors of the
+sleeve paper's highest peak and force network, of the whole-echo networks and of boosting, up to 1.2
+m, as a table in Markdown. Sweeps and cycles are kept in the folder.
 
     python benchmarks/estimation_new_tubes.py FOLDER
 """

@@ -1,6 +1,6 @@
 """How long does a press to 6 mm take, next to CalculiX at the same accuracy?
 
-The paper's tube, free on a rigid floor, under a 25 mm rod; quarter model, 60 mm long. Both codes
+The default tube, free on a rigid floor, under a 25 mm rod; quarter model, 60 mm long. Both codes
 get nodes from the same sweep. CalculiX has 20-node elements with reduced integration, and contact
 of surface with surface by a penalty as stiff as acoustube's. Its meshes and acoustube's each go
 from coarse to fine, so that times can be compared where the errors at 6 mm are about the same, and

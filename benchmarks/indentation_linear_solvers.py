@@ -1,6 +1,6 @@
 """Which direct solver factorises the stiffness matrix of a pressed tube quickest?
 
-The paper's tube, held, 1 mm under a 25 mm rod: the quarter that symmetry leaves, its half, the
+The default tube, held, 1 mm under a 25 mm rod: the quarter that symmetry leaves, its half, the
 whole, and two refinements of the quarter. The state is that of the quarter, interpolated. Each row:
 unknowns, bandwidth as numbered and in the order of sections, entries of the lower triangle, and per
 solver the processor time to factorise and to solve (median of three, one thread) and the residual

@@ -1,6 +1,6 @@
 """What force do rods, a punch and a sphere need, to a closed lumen, held and free?
 
-Presses the paper's tube to 8 mm with each, draws the force against the depth in one figure,
+Presses the default tube to 8 mm with each, draws the force against the depth in one figure,
 ``indentation_presses.png``, and prints a table: ``python benchmarks/indentation_presses.py``. Ten
 presses of about a minute each on two cores; each is cached, so that a second run only draws.
 The sharpest turn is the largest angle between neighbouring chords from node to node along the sides

@@ -1,6 +1,6 @@
 """How far is the press from an independent solution, to a closed lumen, and what does it cost?
 
-The paper's tube on a free support, 25 mm rod. First, on the default mesh, every row of the CalculiX
+The default tube on a free support, 25 mm rod. First, on the default mesh, every row of the CalculiX
 solution in ``tests/data/indentation_rod25.csv``, which ends at 7 mm, and the area along the tube at
 4 mm. Then to 8 mm, on several meshes, with several distances at which the lumen's walls begin to
 feel each other, and with reduced integration: errors beside the time and the memory of a warm run.

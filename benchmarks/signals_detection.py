@@ -1,6 +1,6 @@
 """How often is an echo found, and how often one that is not there, against its ratio to the noise?
 
-White noise on synthetic cycles, the paper's processing, the least prominence at 2.8 and at 8
+White noise on synthetic cycles, the sleeve paper's processing, the least prominence at 2.8 and at 8
 standard deviations of untouched cycles. Prints a table and draws ``signals_detection.png`` into the
 current folder: ``python benchmarks/signals_detection.py``.
 """

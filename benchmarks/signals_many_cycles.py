@@ -1,4 +1,4 @@
-"""How long do 143 250 cycles of 4000 samples take, as many as the paper's flat table has?
+"""How long do 143 250 cycles of 4000 samples take, as many as the sleeve paper's flat table has?
 
 They are made and written to a netCDF file piece by piece; then they are read and processed as
 `acoustube process` does. Printed: seconds and the largest memory of the process, beside a plain

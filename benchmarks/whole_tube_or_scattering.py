@@ -1,7 +1,7 @@
 """Do the whole tube, marched, and its press joined to straight tube give the same recording?
 
-The paper's 40 cm tube with a 25 mm rod in its middle. Each row: losses, source end, difference of
-the two recordings over the norm of the first (all of it, and behind the pulse), and the seconds
+The default tube of 40 cm with a 25 mm rod in its middle. Each row: losses, source end, difference
+of the two recordings over the norm of the first (all of it, and behind the pulse), and the seconds
 that each took. Takes some minutes: ``python benchmarks/whole_tube_or_scattering.py [RESOLUTION]``.
 """
 

@@ -11,7 +11,7 @@ from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import HEX20
 
 HEXAHEDRA_AT_4_MM = 2.1182
-"""Force in N of the paper's tube under a 25 mm rod, free, on the default mesh of hexahedra."""
+"""Force in N of the default tube under a 25 mm rod, free, on the default mesh of hexahedra."""
 
 
 class OpenLumen:

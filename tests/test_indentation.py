@@ -49,7 +49,7 @@ def _pressed(depths_mm, tool, mesh, support, tube, whole):
 
 
 def pressed(*depths_mm, tool=None, size=None, support="free", tube=None, whole=False):
-    """Press the paper's tube, by default with the reference's rod; shared between tests."""
+    """Press the default tube, by default with the reference's rod; shared between tests."""
     return _pressed(
         depths_mm,
         tool or Indenter(diameter=ROD),

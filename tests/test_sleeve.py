@@ -21,7 +21,7 @@ ASKEW = Frame(
 
 
 def arc_by_quadrature(helix):
-    """The helix's length by adaptive quadrature of the paper's density, written out again."""
+    """The helix's length by adaptive quadrature of the sleeve paper's density."""
     rho = 2 * np.pi * helix.loops / helix.length
     return quad(
         lambda z: np.sqrt(1 + helix.taper**2 + (rho * (helix.radius + helix.taper * z)) ** 2),

@@ -25,7 +25,7 @@ from acoustube.runs.imported_wall import read_surface
 pytestmark = pytest.mark.usefixtures("double_precision")
 
 MU, K = 0.5e6, 25e6
-BORE, WALL, LENGTH = 7.9, 1.6, 160.0  # the paper's tube, in mm, cut shorter
+BORE, WALL, LENGTH = 7.9, 1.6, 160.0  # the default tube, in mm, cut shorter
 AROUND = 128  # facets; the chords leave the circle by 1.2 um, the area by 0.04 %
 D_BORE = Path(__file__).parents[1] / "meshes" / "d_bore.stl"
 

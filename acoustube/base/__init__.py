@@ -1,1 +1,1 @@
-"""Ground that every package stands on: errors, rules, files, the cache, surfaces, the console."""
+"""Common base of all packages: errors, rules, files, the cache, surfaces, the console."""

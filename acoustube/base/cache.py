@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # the command line lists and clears without NumPy
 DIGEST = "digest"
 NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
 LIBRARIES = ("ipctk", "pytetwild")
-"""Packages on whose version results depend, in addition to acoustube's own code."""
+"""Packages whose versions are part of the key, in addition to acoustube's own code."""
 CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
     "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
@@ -58,7 +58,7 @@ SOURCES = "sources.json"
 COMPILED = "compiled-"
 """Start of the names of folders in which JAX keeps machine code."""
 MOST_COMPILED = 4000
-"""Files in one of them; every new size of mesh adds some, of 7 kB in the mean."""
+"""Largest number of files in such a folder; each new mesh adds some, of 7 kB on average."""
 UNUSABLE = (
     "Error reading persistent compilation cache entry",
     "Error writing persistent compilation cache entry",
@@ -94,7 +94,7 @@ class Entry(NamedTuple):
 
 
 def folder() -> Path:
-    """Return where entries are kept: ``$ACOUSTUBE_CACHE``, or the user's cache folder.
+    """Return the folder of the cache: ``$ACOUSTUBE_CACHE``, or the user's cache folder.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def folder() -> Path:
 
 
 def key(kind: str, dependencies: Mapping[str, Any]) -> str:
-    """Return the name of a result.
+    """Return the key of a result: a hash of all that it depends on.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def _imports(tree: ast.AST, package: str) -> Iterator[str]:
 
 
 def _tree_digest(tree: ast.AST) -> str:
-    """Return the hash of a module's code without its docstrings, which it loses."""
+    """Return the hash of a module's syntax tree, from which docstrings are removed."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = [part for part in node.body if not _is_text(part)]

@@ -55,7 +55,7 @@ class SimulationError(RuntimeError):
 
 
 def short(value: Any) -> str:
-    """Return a value in the digits that say it exactly, 12 rather than 12.0; words as they are."""
+    """Return a number with as few digits as are exact, 12 rather than 12.0; text unchanged."""
     if isinstance(value, int | str) or not isinstance(value, Real):
         return str(value)
     return repr(float(value)).removesuffix(".0")

@@ -1,7 +1,7 @@
 """Range of the model: limits that the settings and the solvers share."""
 
 CLEARANCE = 0.5
-"""Least distance, in outer diameters, from where a press ends to a probe or an end of the tube.
+"""Smallest distance, in outer diameters, between a press's deformed part and a probe or tube end.
 
 Pressing moves the modelled end outwards by up to a tenth of a millimetre, and leaves it oval.
 """
@@ -16,7 +16,7 @@ SHALLOWEST_MM = 0.05
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
     """Return the length of tube that a press deforms, to each side.
 
-    Four outer diameters beyond the indenter's edge. At the end of it the paper's tube, held and
+    Four outer diameters beyond the indenter's edge. At the end of it the default tube, held and
     pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm but has its area to 0.1 %; modelling half
     as much again changes the force by 0.2 %.
 

@@ -12,12 +12,12 @@ Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
 
 def variable(dims: str, values: Any, units: str, long_name: str) -> Variable:
-    """Return a dataset's variable; `dims` are names separated by spaces."""
+    """Return a variable with unit and long name; `dims` are names separated by spaces."""
     return tuple(dims.split()), np.asarray(values), {"units": units, "long_name": long_name}
 
 
 def flag(dims: str, values: Any, long_name: str) -> Variable:
-    """Return a dataset's yes-or-no variable; `dims` are names separated by spaces."""
+    """Return a Boolean variable as netCDF stores it; `dims` are names separated by spaces."""
     attributes = {"long_name": long_name, "flag_values": [0, 1], "flag_meanings": "no yes"}
     return tuple(dims.split()), np.asarray(values, np.int8), {"units": "1"} | attributes
 

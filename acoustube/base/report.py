@@ -46,7 +46,7 @@ class Reporter(Protocol):
         """Receive a sentence about settings or results."""
 
     def note(self, text: str) -> None:
-        """Receive a sentence that limits how far a result holds."""
+        """Receive a sentence on the validity of a result."""
 
     def failure(self, text: str) -> None:
         """Receive a sentence about a part that failed."""

@@ -141,7 +141,7 @@ class File:
 
 
 def _is_number(value: Any) -> bool:
-    """Tell numbers from the rest; a bool is one to Python, but `wall_mm = true` is a slip."""
+    """Return whether a value is a number; `wall_mm = true`, a number to Python, is a mistake."""
     return isinstance(value, Real) and not isinstance(value, bool)
 
 

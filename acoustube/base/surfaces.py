@@ -1,4 +1,4 @@
-"""Closed surfaces from files: what walls and lumens have in common."""
+"""Closed surfaces from files, of walls and of lumens."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SHORTEST = 1.0
 
 
 def load(path: Path) -> trimesh.Trimesh:
-    """Read triangles from an STL, PLY, OBJ or VTP file, corners at one place joined.
+    """Read triangles from an STL, PLY, OBJ or VTP file, with coincident corners merged.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
 
 
 def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
-    """Read a lumen that sound may pass.
+    """Read the closed surface of a lumen.
 
     Parameters
     ----------

@@ -4,16 +4,16 @@ For messages, figures and tables only. Settings become SI in :mod:`acoustube.run
 """
 
 CM, MM, UM = 1e2, 1e3, 1e6
-"""Of a length in m."""
+"""For lengths in m."""
 CM2, MM2 = 1e4, 1e6
-"""Of an area in m2."""
+"""For areas in m2."""
 MS, US = 1e3, 1e6
-"""Of a time in s."""
+"""For times in s."""
 KHZ = 1e-3
-"""Of a frequency in Hz."""
+"""For frequencies in Hz."""
 MPA = 1e-6
-"""Of a stress in Pa."""
+"""For stresses in Pa."""
 PERCENT = 100
-"""Of a fraction."""
+"""For fractions."""
 MEGABYTES, GIGABYTES = 1e-6, 1e-9
-"""Of a number of bytes."""
+"""For numbers of bytes."""

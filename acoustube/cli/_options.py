@@ -66,13 +66,13 @@ FLAG = Parameter(show_default=False)
 
 
 def setting(name: str) -> Parameter:
-    """Return an option that is helped by its setting's own meaning, default and range."""
+    """Return an option whose help is its setting's meaning, default and range."""
     converter = whole if is_whole(SETTINGS[name]) else None
     return Parameter(help=describe(SETTINGS[name]), show_default=False, converter=converter)
 
 
 def axis(name: str) -> Parameter:
-    """Return an option of several values, helped by its setting's own meaning."""
+    """Return an option of several values, whose help is its setting's meaning."""
     words = describe(SETTINGS[name], DEFAULTS["waves"].get(SETTINGS[name]))
     return Parameter(help=words, show_default=False, consume_multiple=True)
 
@@ -103,7 +103,7 @@ class Checked:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """Options of what a command prints.
+    """Options of the printed output.
 
     Attributes
     ----------

@@ -11,11 +11,11 @@ class Reference(NamedTuple):
     Attributes
     ----------
     key : str
-        Its name in BibTeX.
+        BibTeX key.
     kind : str
-        Its BibTeX type.
+        BibTeX type.
     topic : str
-        Method that it is the source of; see :data:`acoustube.cli.references.TOPICS`.
+        Key of the method; see :data:`acoustube.cli.references.TOPICS`.
     author, title : str
         Authors in the order of the publication, joined by "and"; either may be empty.
     fields : dict of str

@@ -38,7 +38,7 @@ PURPOSES = {
     "pardiso": "factorises large meshes faster",
     "serial": "reads the board of `acoustube live`",
 }
-"""Of the optional extras."""
+"""Purposes of the optional extras."""
 FOR_OTHERS = ("test", "docs", "page")
 DRAWING = """\
 import pyvista
@@ -213,7 +213,7 @@ def extras(requirements: list[str]) -> tuple[Extra, ...]:
 
 
 def can_draw() -> bool:
-    """Return whether VTK can draw off screen, tried in a process of its own, which it may end."""
+    """Return whether VTK can draw off screen, tested in a separate process, which may crash."""
     command = [sys.executable, "-c", DRAWING]
     try:
         subprocess.run(command, capture_output=True, check=True, timeout=DRAWING_SECONDS)

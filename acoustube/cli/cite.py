@@ -15,7 +15,7 @@ from acoustube.cli._reference import Reference
 from acoustube.cli.references import TOPICS, references
 
 CREASING = 0.72
-"""Share of the bore beyond which the inner surface of the folds may crease."""
+"""Depth, as a fraction of the bore, beyond which the inner surface of the folds may crease."""
 OF_ESTIMATORS = {
     "network": {"network", "intervals"},
     "echo": {"network", "ensemble", "intervals"},

@@ -96,7 +96,7 @@ def _write_table(rows: list[Row], out: Path) -> None:
 
 
 def _written(row: Row) -> list[object]:
-    """Return a row of :data:`COLUMNS`, in human units."""
+    """Return a row of :data:`COLUMNS`, in display units."""
     from acoustube.estimation.model import TARGETS
     from acoustube.runs.training import DISPLAY_UNITS
 

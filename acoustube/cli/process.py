@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from acoustube.signals import Processing
 
 LOUD = 1.5
-"""Height of an echo over the send pulse above which the record is suspected to begin elsewhere."""
+"""Echo amplitude relative to the send pulse above which the record may begin after that pulse."""
 
 
 def process(

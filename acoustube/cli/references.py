@@ -34,7 +34,7 @@ TOPICS = {
     "ensemble": "ensembles of networks",
     "intervals": "prediction intervals",
 }
-"""Methods that references are the sources of, in the order of the data."""
+"""Methods by the keys of their references, in the order of the data."""
 
 _STATISTICS = "Journal of the American Statistical Association"
 

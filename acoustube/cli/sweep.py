@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from acoustube.base.report import Reporter
 
 LOOKED_UP = 20_000
-"""Cases of a plan up to which each is checked, and looked up, in a dry run."""
+"""Largest number of cases that a dry run checks one by one."""
 SAMPLED = 2000
-"""Cases that are checked of a larger one."""
+"""Number of cases that are checked of a larger plan."""
 Values = list[str] | None
 
 
@@ -81,7 +81,7 @@ class Choice(Checked):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """Options of what is computed, and where.
+    """Options of the extent and the place of the computation.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ FACETS_PER_ELEMENT = 6
 RINGS_PER_ELEMENT = 6
 """Rings along the tube per element."""
 STRAIGHTENING_ROOM = 1.02
-"""Length of a straightened pressed part over its undeformed length, at most."""
+"""Largest ratio of the length of a straightened pressed part to its undeformed length."""
 
 
 @dataclass(frozen=True, eq=False)

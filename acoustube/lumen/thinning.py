@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 RINGS = 49
-"""Rings kept; in the default tube the others are within 20 um of their interpolation."""
+"""Number of rings kept; in the default tube the others are within 20 um of their interpolation."""
 AROUND = 120
-"""Points kept of a ring, at most."""
+"""Largest number of points kept per ring."""
 
 
 def decimate_rings(

@@ -1,1 +1,1 @@
-"""Results drawn and written: figures, scenes, the page, exports, studies."""
+"""Presentation of results: figures, scenes, the page, exports, studies."""

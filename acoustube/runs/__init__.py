@@ -1,4 +1,4 @@
-"""Computations as users ask for them: settings, one press, sweeps, datasets, and their files.
+"""Complete computations: settings, one press, sweeps, datasets, and their files.
 
 Read `config` with `config.si`, then `presses`, `sound`, `simulate`, and for many presses `sweep`.
 """

@@ -37,7 +37,7 @@ RATE = 80e3
 """Samples per second of EchoTube's board."""
 BAUD = 1_000_000
 RECENT = 2000
-"""Latencies that are kept."""
+"""Number of latencies of which the median is taken."""
 LIVE_COLUMNS = (*COLUMNS, "received_s", "pulse_width")
 
 
@@ -130,7 +130,7 @@ Show = Callable[[Tally, Ranging | None], None]
 def follow(
     stream: Stream, show: Show, *, out: Path | None = None, duration: float | None = None
 ) -> tuple[Tally, Exception | None]:
-    """Process the cycles of a board until the line or the time ends, or the user interrupts.
+    """Process the cycles of a board until the stream or the duration ends, or an interrupt.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
 def _taken(
     receiver: Receiver, duration: float | None, check: Callable[[], None]
 ) -> Iterator[tuple[float, Frame | None]]:
-    """Yield the cycles with their times, and now and then None, until the end of line or time."""
+    """Yield the cycles with their times, and None while none comes, until the stream ends."""
     end = np.inf if duration is None else time.perf_counter() + duration
     while True:
         check()

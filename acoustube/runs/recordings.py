@@ -32,7 +32,7 @@ LABEL_COLUMNS = {
     "true_distance": ("true_distance_cm", 100.0), "depth": ("depth_mm", 1e3),
     "force": ("force_n", 1.0),
 }  # fmt: skip
-"""Columns of the labels that a recording may have, and how many of their unit make one of SI."""
+"""Columns of the labels that a recording may have, with the factors from SI to their units."""
 
 
 def located(

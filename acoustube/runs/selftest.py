@@ -166,6 +166,6 @@ def _bore(narrowing: Array, z: Array, resolution: int) -> CutCells:
 
 
 def _force() -> float:
-    """Return the force in N of a press on a coarse mesh of the paper's tube."""
+    """Return the force in N of a press on a coarse mesh of the default tube."""
     pressed = indent(Tube(), Indenter(diameter=25e-3), depth=0.2e-3, mesh=COARSE)
     return float(pressed.contact_force[-1])

@@ -26,12 +26,12 @@ from acoustube.waves import attenuation, cut_ons_in_band
 
 
 def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
-    """Press a tube once, send a pulse through it, and find the press by its echo.
+    """Simulate a press, a pulse in the lumen, and the localisation of the press by its echo.
 
     Parameters
     ----------
     config : Config, optional
-        The settings; see :func:`acoustube.load_config`. The paper's tube and a 25 mm rod by
+        The settings; see :func:`acoustube.load_config`. The sleeve paper's tube and a 25 mm rod by
         default.
     report : callable, optional
         Called with the name of a stage and the fraction of it that is done.

@@ -16,9 +16,9 @@ from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
 
 DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
-"""Units of the tables, and how many make one of SI."""
+"""Units of the tables, with the factors from SI."""
 BINS = {"depth": 0.5e-3, "true_distance": 0.05}
-"""Widths in m of the bins of the table: the paper's steps of depth, and of its error map."""
+"""Widths in m of the bins of the table: the sleeve paper's steps of depth, and of its error map."""
 # Target, by what its cycles are chosen, from where to where in SI, how many, and their errors.
 Row = tuple[str, str, float, float, int, estimation.Errors]
 

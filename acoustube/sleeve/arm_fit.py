@@ -106,7 +106,7 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
     axis : str
         ``fitted``: the columns lie on opposite sides of the arm, and the axis is midway between
         them; one line of the radius holds for both. ``z``: the axis is that of the coordinates, as
-        in the paper, and each column has a line of its own.
+        in the sleeve paper, and each column has a line of its own.
 
     Returns
     -------

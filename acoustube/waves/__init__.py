@@ -6,6 +6,7 @@ Reading order: the packages `grid` (lumens as cut cells), `scheme` (the leapfrog
 `budget` (the errors of a run).
 """
 
+from acoustube.base.moved import renamed
 from acoustube.waves.bends import Bent, bend, joined_bends
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.grid.cells import CutCells, cut_cells
@@ -19,7 +20,7 @@ from acoustube.waves.modes import (
 )
 from acoustube.waves.modes.probes import ModalProbe, PointProbe
 from acoustube.waves.modes.round_duct import Mode
-from acoustube.waves.network import Placed, heard, probe_pressure, transfer
+from acoustube.waves.network import probe_pressure, transfer
 from acoustube.waves.propagation import Recording, grid_spacing, propagate
 from acoustube.waves.scattering import PlacedScatterer, Scattering, scatter
 from acoustube.waves.scheme.problem import SourceEnd
@@ -32,7 +33,6 @@ __all__ = [
     "CutCells",
     "ModalProbe",
     "Mode",
-    "Placed",
     "PlacedScatterer",
     "PointProbe",
     "Pulse",
@@ -48,7 +48,6 @@ __all__ = [
     "cut_ons_in_band",
     "error_budget",
     "grid_spacing",
-    "heard",
     "joined_bends",
     "modes_below",
     "probe_pressure",
@@ -58,3 +57,5 @@ __all__ = [
     "stable_step",
     "transfer",
 ]
+
+__getattr__ = renamed(__name__, {"Placed": "PlacedScatterer", "heard": "probe_pressure"})

@@ -43,10 +43,6 @@ WRAPAROUND_ATTENUATION = 1e4
 """Attenuation of time-domain wrap-around by the exponential window."""
 
 
-Placed = PlacedScatterer
-"""Former name of `acoustube.waves.scattering.PlacedScatterer`."""
-
-
 def probe_pressure(
     presses: Sequence[PlacedScatterer],
     air: Air,
@@ -116,10 +112,6 @@ def probe_pressure(
     )  # fmt: skip
     pressure = np.fft.irfft(answer, n_cycle) * np.exp(damping * time)
     return time[:n], pressure[:, :n]
-
-
-heard = probe_pressure
-"""Former name of `probe_pressure`."""
 
 
 def transfer(

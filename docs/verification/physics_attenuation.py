@@ -18,7 +18,7 @@ frequency = np.linspace(3e3, 58e3, 300)
 bores = np.linspace(3, 20, 60)
 
 # %%
-# By frequency in the paper's bore, and by bore
+# By frequency in the default bore, and by bore
 # ---------------------------------------------
 # The plane mode's loss goes with the root of the frequency, and with one over the bore. A higher
 # mode loses more, without bound next to its cut-on, where it hardly moves.

@@ -2,7 +2,7 @@
 Physics: what a press does to the lumen and to its modes
 ========================================================
 
-A 25 mm rod on the paper's tube, on a coarse mesh: the section under it, and the frequencies from
+A 25 mm rod on the default tube, on a coarse mesh: the section under it, and the frequencies from
 which the modes of that section travel.
 """
 

@@ -40,7 +40,7 @@ print(f"order {order:.2f}; {usual:.1e} of the area with the usual {MeshSize().ar
 # The modulus
 # -----------
 # Gent (1958, doi:10.5254/1.3542351) derived E = 0.0981 (56 + 7.62336 S) / (0.137505 (254 - 2.54 S))
-# MPa from the durometer's geometry. Ours is the paper's fit to silicones.
+# MPa from the durometer's geometry. Ours is the sleeve paper's fit to silicones.
 hardness = np.linspace(15, 75, 61)
 fitted = 3e-6 * shear_modulus_from_shore(hardness)
 gent = 0.0981 * (56 + 7.62336 * hardness) / (0.137505 * (254 - 2.54 * hardness))

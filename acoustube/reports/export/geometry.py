@@ -24,7 +24,7 @@ from acoustube.runs.sweep import store
 PARTS = 8
 """Triangles along the edge of an element's face."""
 SEAM = 1e-7
-"""Distance from a plane of symmetry, as a fraction of the size, up to which a point is in it."""
+"""Largest distance of a point in a symmetry plane from it, as a fraction of the size."""
 TEXT = """\
 The air space of a pressed tube as closed surfaces, in mm, z along the tube, y up.
 

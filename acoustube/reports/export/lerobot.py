@@ -1,4 +1,4 @@
-"""Cycles in the layout of LeRobotDataset v3.0, the form in which robot learners keep episodes.
+"""Cycles in the layout of LeRobotDataset v3.0, of episodes for robot learning.
 
 A frame is a cycle, an episode the cycles of one press in one recording session.
 """
@@ -120,8 +120,8 @@ def _frames(data: xr.Dataset, table: pd.DataFrame, part: NDArray[np.int64]) -> C
     rows = table.iloc[part]
     counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values
     touched = rows["depth"].to_numpy() > 0
-    told = [touched, *(rows[name].to_numpy() for name in ("true_distance", "depth", "force"))]
-    action = np.stack(told, axis=-1).astype(np.float32)
+    labels = [touched, *(rows[name].to_numpy() for name in ("true_distance", "depth", "force"))]
+    action = np.stack(labels, axis=-1).astype(np.float32)
     return {
         "observation.signal": ((counts - half) / half).astype(np.float32),
         "observation.temperature": rows["temperature"].to_numpy().astype(np.float32),
@@ -176,7 +176,7 @@ class _Stats:
         self.count = 0
 
     def add(self, columns: Columns) -> None:
-        """Take the frames of an episode into account."""
+        """Add the frames of an episode to the statistics."""
         self.count += len(columns["index"])
         for name, values in columns.items():
             x = values.reshape(len(values), -1).astype(float)
@@ -191,7 +191,7 @@ class _Stats:
             ]  # fmt: skip
 
     def in_json(self) -> dict[str, Any]:
-        """Return them as the layout's ``stats.json`` has them."""
+        """Return the statistics as the layout's ``stats.json``."""
         found = {}
         for name, (low, high, total, squares) in self.known.items():
             mean = total / self.count

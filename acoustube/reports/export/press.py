@@ -1,4 +1,4 @@
-"""A press as it was written to ``run.nc``, opened again."""
+"""Press read back from ``run.nc``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from acoustube.runs.config import Mechanics, configured
 from acoustube.runs.config.si import press_in_si
 
 SAME = 1e-9
-"""Difference in m up to which nodes are the same."""
+"""Largest distance in m between coincident nodes."""
 
 
 def settings_of(run: xr.Dataset) -> Mechanics:
@@ -28,7 +28,7 @@ def settings_of(run: xr.Dataset) -> Mechanics:
 
 
 def reached(run: xr.Dataset) -> NDArray[np.int64]:
-    """Return the numbers of the depths that the press came to."""
+    """Return the indices of the depths that were reached."""
     if "converged" not in run:
         return np.arange(run.sizes["depth"])
     return np.flatnonzero(run["converged"].values)
@@ -58,7 +58,7 @@ def mesh_of(run: xr.Dataset) -> Mesh:
 
 
 def indentation_of(run: xr.Dataset) -> Indentation:
-    """Return the press of a round tube, with a row for each depth that it came to.
+    """Return the press of a round tube, with a row for each depth that was reached.
 
     Parameters
     ----------

@@ -13,16 +13,16 @@ from acoustube.base.errors import ConfigError
 TABLES = {
     "press": "cases", "cycle": "cycles", "depth": "press", "time": "signal", "z": "profile",
 }  # fmt: skip
-"""Names of the tables, by the dimension that their rows follow."""
+"""Names of the tables, by the dimension of their rows."""
 EXPANDED = ("source_end",)
 """Short dimensions, each entry of which becomes a column."""
 LEFT_OUT = ("configuration",)
 COEFFICIENTS = ["s_real", "s_imag", "settled"]
-"""Of a scattering matrix, whose table has a row for each of them."""
+"""Dimensions of a scattering matrix's coefficients, each of which has a row."""
 
 
 def write_tables(data: xr.Dataset, folder: Path) -> str:
-    """Write a table for each dimension with all variables that follow it alone.
+    """Write a table for each dimension, of all variables along it alone.
 
     A scattering matrix has one table, with a row for each of its coefficients.
 
@@ -85,7 +85,7 @@ def _described(stem: str, name: str, variable: xr.DataArray) -> dict[str, Any]:
 
 
 def check_parquet(what: str) -> None:
-    """Raise if Parquet is needed where its package is missing.
+    """Raise if the package for Parquet is missing.
 
     Raises
     ------

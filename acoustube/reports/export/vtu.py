@@ -20,7 +20,7 @@ VTK_HEXAHEDRON = (
 )
 """Local coordinates, times one and plus one, in the order of VTK's quadratic hexahedron."""
 VTK_TETRAHEDRON = (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)
-"""Of the mid-nodes VTK takes 01, 12, 02, 03, 13, 23; ours are 01, 02, 03, 12, 13, 23."""
+"""Node order: VTK's mid-nodes are 01, 12, 02, 03, 13, 23; ours 01, 02, 03, 12, 13, 23."""
 
 
 def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path:
@@ -70,7 +70,7 @@ def _grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
 
 
 def _order(reference: Reference) -> NDArray[np.int64]:
-    """Return our numbers of an element's nodes in the order of VTK."""
+    """Return the node numbers of an element in VTK's order."""
     if reference is not HEX20:
         return np.array(VTK_TETRAHEDRON)
     ours = [tuple(node) for node in (reference.nodes + 1).astype(int)]

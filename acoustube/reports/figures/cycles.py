@@ -13,7 +13,7 @@ from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL
 from acoustube.signals import Calibration, Processing, Ranging, distance, rectify, remove_offset
 
 MOST_ROWS = 1000
-"""Rows of a waterfall; of more cycles, evenly chosen ones are drawn."""
+"""Largest number of rows of a waterfall; of more cycles, evenly spaced ones are drawn."""
 
 
 def draw_cycle(
@@ -64,7 +64,7 @@ def draw_waterfall(
 
 
 def calibration_figure(calibration: Calibration) -> Figure:
-    """Draw a calibration as the paper's Fig. 3: amplitudes and gain, and the line of distances."""
+    """Draw a calibration as the sleeve paper's Fig. 3: amplitudes, gain and line of distances."""
     sheet = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = sheet.subplots(1, 2)
     draw_fall(left, calibration)

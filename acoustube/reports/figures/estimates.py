@@ -13,7 +13,7 @@ from acoustube.estimation import bins
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 
 MOST_POINTS = 5000
-"""Points of a panel; of more cycles, evenly chosen ones are drawn."""
+"""Largest number of points of a panel; of more cycles, evenly spaced ones are drawn."""
 PANELS = {
     "true_distance": ("distance", "distance (cm)", CM),
     "depth": ("depth", "depth (mm)", MM),

@@ -94,7 +94,7 @@ def draw_area(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 
 def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
-    """Plot signal and envelope against the distance that their delay stands for."""
+    """Plot signal and envelope against the distance that corresponds to their delay."""
     chosen = str(dataset["distance"].attrs["source_end"])
     case = dataset.sel(source_end=chosen)
     distance = _place(case, case["time"].values)
@@ -116,7 +116,7 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 
 def _place(case: xr.Dataset, time: Any) -> Any:
-    """Return the distance in cm that a delay after the send pulse stands for."""
+    """Return the distance in cm that corresponds to a delay after the send pulse."""
     delay = time - float(case["send_time"])
     return CM * (float(case["probe_position"]) + float(case["sound_speed"]) * delay / 2)
 

@@ -15,7 +15,7 @@ from acoustube.base.units import CM, MM
 from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 
 MOST_TOOLS = 4
-"""Tools whose echoes are drawn."""
+"""Largest number of indenters whose echoes are drawn."""
 FAINTEST = 1e-3
 """Lower end of the scale of echoes, as a fraction of the send pulse."""
 

@@ -16,7 +16,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import CM
 from acoustube.reports.page.content import (
-    HEARD,
+    PULSED,
     Along,
     Content,
     Group,
@@ -36,7 +36,7 @@ from acoustube.runs.sweep import select, store
 from acoustube.waves.network import at_sound_speed
 
 MOST_CASES = 400
-"""Cases of a page; of more, some places are left out."""
+"""Largest number of cases of a page; of more, some places are omitted."""
 UNTOUCHED_REACH = 0.08
 """Drawn length of an untouched tube to each side, in m."""
 TOOL = ("shape", "indenter_mm", "yaw_deg", "offset_mm")
@@ -88,7 +88,7 @@ def read_sweep(folder: Path) -> Content:
     shared, varying = _shared([case.config for group in groups.values() for case in group])
     return Content(
         title=f"{folder.resolve().name}: a soft tube, pressed {len(states)} times",
-        lead=HEARD,
+        lead=PULSED,
         groups=[_group(group, states, varying) for group in groups.values()],
         settings=shared,
         origin=described | {"cases": f"{len(states)} of {len(cases)}"},
@@ -138,7 +138,7 @@ def _settings(config: Config) -> dict[str, dict[str, Any]]:
 
 
 def _thinned(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
-    """Leave out places, evenly, until the cases are few enough."""
+    """Limit the number of cases by omitting places evenly."""
     places = sorted({place for _, place, _ in groups})
     count = sum(map(len, groups.values()))
     if count <= MOST_CASES:

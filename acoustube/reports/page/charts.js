@@ -263,7 +263,7 @@ function signalChart(group, state, sameScale) {
       note(limit < 100 ? "send pulse, cut off" : "send pulse", signal.probe, { xshift: 4, font: { size: 12, color: COLOUR.send } }),
       note("true place", group.position, { y: 0, yanchor: "bottom", xshift: 4, font: { size: 12, color: COLOUR.press } }),
     ],
-    xaxis: axis(NARROW.matches ? "distance (cm)" : "distance that the delay stands for (cm)", { range: [0, group.length] }),
+    xaxis: axis(NARROW.matches ? "distance (cm)" : "distance from the delay (cm)", { range: [0, group.length] }),
     yaxis: axis(NARROW.matches ? "% of the send pulse" : "fraction of the send pulse (%)", { range: [-limit, limit] }),
   })];
 }

@@ -15,9 +15,9 @@ from acoustube.reports.page.shapes import Shape, Tool
 from acoustube.runs.config import Config, Mechanics
 
 SAMPLES = 4000
-"""Samples of a signal that are drawn, about."""
+"""Approximate number of drawn samples of a signal."""
 PRESSED = "A soft tube is pressed. Move the slider to press deeper."
-HEARD = (
+PULSED = (
     "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo "
     "comes back. Move the slider to press deeper."
 )
@@ -155,7 +155,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """All that a page shows.
+    """Content of a page.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ def signal_of(
     *,
     place: Callable[[Array], Array],
     faded: float,
-    **told: Any,
+    **others: Any,
 ) -> Signal:
     """Return the signal to draw from a recording.
 
@@ -212,7 +212,7 @@ def signal_of(
         Returns the distance in m that an echo at a time comes from.
     faded : float
         Time in s at which the send pulse has decayed.
-    **told
+    **others
         The other attributes of :class:`Signal`.
 
     Returns
@@ -229,7 +229,7 @@ def signal_of(
         peak_distance=place(peak_times),
         peak=peaks,
         height=float(np.abs([pressure, envelope])[:, time > faded].max(initial=0.0)),
-        **told,
+        **others,
     )
 
 

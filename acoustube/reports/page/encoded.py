@@ -25,11 +25,11 @@ COLOURS = {
     "signal": run_figure.SIGNAL, "envelope": run_figure.ENVELOPE, "send": run_figure.SEND,
     "echo": run_figure.RETURN, "press": run_figure.PRESS,
 }  # fmt: skip
-"""Those of the figures."""
+"""Colours, as in the figures."""
 
 
 class Arrays:
-    """Arrays of a page, each of which is kept once however often it is used.
+    """Arrays of a page, each stored once.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ def encoded(content: Content) -> str:
 
 
 def _said(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
-    """Return settings as words, those that are not given left out."""
+    """Return the given settings as text."""
     return {
         section: [[name, _word(value)] for name, value in values.items() if value is not None]
         for section, values in settings.items()

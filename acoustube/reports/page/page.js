@@ -103,8 +103,8 @@ function numbers(state) {
   if (signal) {
     const error = signal.estimate === null ? "" : signal.estimate - group.position;
     rows.push(
-      signal.estimate === null ? ["echo", "none found", ""]
-        : ["echo from", `${fixed(signal.estimate, 2)} cm`, `error ${error < 0 ? "" : "+"}${fixed(error, 2)} cm`],
+      signal.estimate === null ? ["echo", "none detected", ""]
+        : ["estimated distance", `${fixed(signal.estimate, 2)} cm`, `error ${error < 0 ? "" : "+"}${fixed(error, 2)} cm`],
       ["echo height", signal.amplitude === null ? "–" : `${Number(signal.amplitude.toPrecision(3))} %`, "of the send pulse"],
     );
   }
@@ -128,7 +128,7 @@ function captions(state) {
       ? `Cross-section of the lumen along the tube; at the press ${open} % of ${fixed(group.bore, 1)} mm² is open. Pale: the other depths.`
       : `Cross-section of the lumen at the press for all depths; ${open} % of ${fixed(group.bore, 1)} mm² is open.`,
     spectrum: state.spectrum
-      ? "Share of the plane wave's amplitude that the press sends back, by frequency. Dashed: where higher modes of the duct begin to travel (nodal diameters, nodal circles). Open circles: the computation was still ringing. Pale: the other depths."
+      ? "Reflected fraction of the plane wave's amplitude, by frequency. Dashed: cut-on frequencies of higher duct modes (nodal diameters, nodal circles). Open circles: the computation was still ringing. Pale: the other depths."
       : "",
     signal: state.signal
       ? `Sound pressure ${fixed(state.signal.probe, 1)} cm from the source end, its envelope and the peaks found in it, each drawn where an echo of that delay would come from. Source end: ${state.signal.sourceEnd}.`
@@ -210,6 +210,6 @@ for (const button of document.querySelectorAll("[data-view]")) {
   button.addEventListener("click", () => look(button.dataset.view));
 }
 NARROW.addEventListener("change", ask);
-const heard = group.states.filter((state) => state.signal);
-begin(heard.length === group.states.length ? heard[Math.floor(0.6 * heard.length)].depth
-  : (heard.at(-1) ?? group.states[Math.floor(0.6 * group.states.length)]).depth);
+const recorded = group.states.filter((state) => state.signal);
+begin(recorded.length === group.states.length ? recorded[Math.floor(0.6 * recorded.length)].depth
+  : (recorded.at(-1) ?? group.states[Math.floor(0.6 * group.states.length)]).depth);

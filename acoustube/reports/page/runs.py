@@ -12,8 +12,8 @@ import xarray as xr
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import CM, MM
 from acoustube.reports.page.content import (
-    HEARD,
     PRESSED,
+    PULSED,
     Along,
     Content,
     Group,
@@ -68,7 +68,7 @@ def read_run(folder: Path) -> Content:
         ) from error
     return Content(
         title=f"{folder.resolve().name}: a soft tube, pressed",
-        lead=HEARD if simulated else PRESSED,
+        lead=PULSED if simulated else PRESSED,
         groups=[group],
         settings=settings,
         origin=_origin(data),
@@ -93,7 +93,7 @@ def _missing(data: xr.Dataset, simulated: bool) -> dict[str, str]:
     last = MM * float(data["indentation_depth"][-1])
     return {
         "signal": f"The sound was computed at the last depth only, {last:g} mm.",
-        "spectrum": "A run of acoustube simulate hears one pulse and keeps no scattering matrix; "
+        "spectrum": "A run of acoustube simulate records one pulse and has no scattering matrix; "
         "acoustube sweep and acoustube scatter compute the reflection over frequency.",
     }
 

@@ -17,11 +17,11 @@ from acoustube.indentation.self_contact import triangulated
 from acoustube.lumen import TRIANGLES_PER_EDGE, profile
 from acoustube.reports.page.shapes import Shape
 
-FLAT = 1e-6
+PLANE_TOLERANCE = 1e-6
 """Distance from a plane up to which a node lies in it, in lengths of the mesh."""
-PARTS = 3
+FACE_SUBDIVISIONS = 3
 """Edges of triangles along the edge of an element's face, as it is drawn."""
-BESIDE = 1e-7
+SECTION_OFFSET = 1e-7
 """Axial position in m of the section at the press: nodes lie exactly in z = 0."""
 
 
@@ -40,8 +40,8 @@ class Solid:
         self.nodes = nodes
         size = float(np.ptp(nodes, axis=0).max())
         low = nodes.min(axis=0)
-        self.halved = bool(low[0] > -FLAT * size), bool(low[2] > -FLAT * size)
-        self._find_faces(elements, FLAT * size)
+        self.halved = bool(low[0] > -PLANE_TOLERANCE * size), bool(low[2] > -PLANE_TOLERANCE * size)
+        self._find_faces(elements, PLANE_TOLERANCE * size)
 
     def _find_faces(self, elements: Index, flat: float) -> None:
         """Sort the faces into those of each wall and of the cut at x = 0."""
@@ -63,7 +63,9 @@ class Solid:
         )
         middle = self.nodes[elements].mean(axis=1)
         self.walls = {
-            wall: _surface(mesh, faces[name == wall], middle[owner[name == wall]], PARTS)
+            wall: _surface(
+                mesh, faces[name == wall], middle[owner[name == wall]], FACE_SUBDIVISIONS
+            )
             for wall in ("inner", "outer", "cut")
         }
         inner = name == "inner"
@@ -126,7 +128,7 @@ class Solid:
         if not self.halved[1]:
             return points, triangles
         # Points in the plane z = 0 are their own images.
-        own = np.abs(sampling @ self.nodes)[:, 2] < BESIDE
+        own = np.abs(sampling @ self.nodes)[:, 2] < SECTION_OFFSET
         image = np.where(own, np.arange(len(points)), np.arange(len(points)) + len(points))
         mirrored = image[triangles[:, ::-1]]
         return np.concatenate([points, points * [1, 1, -1]]), np.concatenate([triangles, mirrored])
@@ -138,7 +140,9 @@ class Solid:
         sampling, triangles = self.walls[wall]
         points, faces = sampling @ position, triangles.astype(int)
         surface: Any = pyvista.PolyData.from_regular_faces(points, faces)
-        path = surface.slice(normal="z", origin=(0, 0, BESIDE)).strip(join=True, max_length=10_000)
+        path = surface.slice(normal="z", origin=(0, 0, SECTION_OFFSET)).strip(
+            join=True, max_length=10_000
+        )
         line = max(path.cell, key=lambda cell: cell.n_points).points[:, :2]
         return np.concatenate([line, line[::-1] * [-1, 1]]) if self.halved[0] else line
 

@@ -28,13 +28,14 @@ SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
 """Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
 250 cm fit. The sleeve paper states no sizes."""
 PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
-"""Of the presses along a tube in m: seven, spread over the reach."""
+"""Distances in m of the presses along a tube: seven, spread over the reach."""
 ROD = 25e-3
-"""Diameter in m of the tool."""
+"""Diameter in m of the indenter."""
 REACH = 0.03
-"""In m, to either side: at 29 mm from a 25 mm rod the lumen has 99 % of its area."""
+"""Half length in m of the scattering part of a press: 29 mm from a 25 mm rod the lumen has 99 % of
+its area."""
 TUBE_SEEDS = (0, 1)
-"""Of the irregularities of the sleeve's tubes."""
+"""Seeds of the irregularities of the sleeve's tubes."""
 
 
 def sleeve() -> tuple[Helix, ...]:
@@ -43,7 +44,7 @@ def sleeve() -> tuple[Helix, ...]:
 
 
 def rod_on_a_bend(diameter: float, curvature: float) -> float:
-    """Return the rod that meets a straight tube as another meets a bent one.
+    """Return the diameter of the rod whose gap to a straight tube equals another's to a bent one.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from acoustube.waves import PlacedScatterer
 from acoustube.waves.modes import axial_wavenumber
 
 BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
-"""In mm."""
+"""Bores in mm."""
 REACHES = {4.0: 75.0, 6.0: 178.0, 8.0: 245.0, 10.0: 315.0}
 """Farthest places that were located, in cm: the middle where a range is published."""
 WIDEST_REACH = 390.0

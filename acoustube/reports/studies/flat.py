@@ -29,7 +29,7 @@ from acoustube.signals import Processing
 
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
-"""In mm: those of the simulations, which share their presses. The study itself begins at 1 mm."""
+"""Depths in mm, as in the simulations, which share their presses. The study begins at 1 mm."""
 PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]

@@ -38,21 +38,21 @@ from acoustube.sleeve import layout
 from acoustube.waves import Scattering
 
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
-"""Forces in N."""
+"""Ranges of force in N."""
 STATES = np.array([1, 3, 5]) / 6
 """Fractions of a level's width at which a drifting force is taken."""
 CYCLES = (14, 13, 13)
-"""Of each: 2 s in all."""
+"""Number of cycles at each of these forces: 2 s in all."""
 SHIFT = -0.10
-"""In m, from the places on the first tube to those on the second."""
+"""Offset in m of the places on the second tube from those on the first."""
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
-"""Soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
+"""Layer of soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
 GRID = tuple(1e-3 * np.arange(0.5, 13.01, 0.5))
 """Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(1e-3 * np.arange(0.5, 8.01, 0.5))
 COLOURS = ("#7fb3d5", "#e59866", "#943126")
-"""Of the levels."""
+"""Colours of the levels."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:

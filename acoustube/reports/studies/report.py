@@ -141,9 +141,9 @@ def write(study: Study, name: str, folder: Path) -> None:
     ----------
     study : Study
     name : str
-        The study's, for the table.
+        Name of the study in the table.
     folder : Path
-        Which exists.
+        Existing folder.
     """
     pictures = {}
     for number, (caption, figure) in enumerate(study.figures.items(), 1):
@@ -176,7 +176,7 @@ def index_page(names: Sequence[str]) -> str:
 
 
 def page(study: Study, pictures: Mapping[str, bytes]) -> str:
-    """Return a page that needs nothing else: text, table, and figures as PNG by caption."""
+    """Return a self-contained page: text, table, and figures as PNG by caption."""
     figures = "\n".join(
         f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
         f'{base64.b64encode(png).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'

@@ -31,7 +31,8 @@ from acoustube.reports.studies.simulation_figures import figures
 
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
-"""With losses, lower carriers too. Their pulses of 11 cycles, 38 cm long at 10 kHz, need the longer
+"""Settings of the sweep with losses, of lower carriers too. Their pulses of 11 cycles, 38 cm long
+at 10 kHz, need the longer
 tube; one scattering matrix serves all."""
 
 

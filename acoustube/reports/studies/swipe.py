@@ -23,13 +23,13 @@ from acoustube.waves import PlacedScatterer, Scattering
 
 RATE = Rangefinder().cycle_rate
 SPEED = 0.05
-"""Of a swipe in m/s."""
+"""Speed of a swipe in m/s."""
 START, SWIPE_DURATION = 0.40, 8.0
 """Start of a swipe in m, and its duration in s."""
 PAIR, PAIR_DURATION = (0.60, 0.80), 2.0
 """Places of two presses in m, and their duration in s."""
 FORCES = (4.3, 7.0)
-"""In N: of the nearer press, and of the farther or of the swipe."""
+"""Forces in N of the nearer press, and of the farther one or the swipe."""
 NEARER_FORCES, FARTHER_FORCES, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
 PAIR_TOLERANCE, PAIR_CYCLES = 0.10, 6
@@ -39,7 +39,7 @@ CANDIDATE_RATIO = 0.06
 """Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
 is missed, with 0.03 a hard one has twice as many ghost echoes."""
 TRACKING = TrackingSettings(deviation=0.015)
-"""Of the contacts; the deviation includes the delays of echoes by trapped sound."""
+"""Settings of the tracker; the deviation includes the delays of echoes by trapped sound."""
 
 
 class Track(NamedTuple):
@@ -168,7 +168,9 @@ def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list
     speeds = [now.speed[np.argmin(np.abs(now.place - z))] for now, (z,) in zip(
         swipe.contacts, swipe.true, strict=True) if len(now.place)]  # fmt: skip
     taken = np.concatenate([swipe.seconds, pair.seconds])
-    why = "Through the whole simulated sensor, on a straight tube; the paper shows no numbers."
+    why = (
+        "Through the whole simulated sensor, on a straight tube; the sleeve paper shows no numbers."
+    )
     of_two = (
         "Behind a hard press the echo of another is as low as the sound that the first one traps; "
         "where both overlap they are taken for one, or the farther is placed too far away."

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 MM_PER_CM = 10
 
 CELLS_PER_WAVELENGTH = 8
-"""Coarsest grid of the wave stage."""
+"""Least number of cells per wavelength of the wave stage."""
 
 BAND_WIDTH = 3.83
 """Half width of the pulse's band at -70 dB, times its cycles, in carrier frequencies."""
 MOST_CELLS = 50_000_000
-"""Largest grid of the wave stage, which then takes some 15 GB of memory."""
+"""Largest number of cells of the wave stage, which takes some 15 GB of memory."""
 
 
 def check_touched(config: Config | Mechanics) -> None:
@@ -184,7 +184,7 @@ def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
-    """Raise if the pulse has not left when the echo of the far end is back."""
+    """Raise if the pulse overlaps the echo of the far end."""
     pulse_ms = waves.cycles / waves.frequency_khz
     record_ms = _record_ms(tube, waves)
     if pulse_ms > record_ms:

@@ -108,7 +108,7 @@ class Config:
         return min(10.0, self.waves.frequency_khz / 2) if given is None else given
 
     def _fill(self, section: str, name: str, value: float) -> None:
-        """Set a setting that is None to the default derived from the others."""
+        """Replace a setting that is None by its default, derived from the others."""
         settings = getattr(self, section)
         if getattr(settings, name) is None:
             object.__setattr__(self, section, dataclasses.replace(settings, **{name: value}))

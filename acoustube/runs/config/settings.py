@@ -19,7 +19,7 @@ DEFAULT_SHORE_A = 35.0
 
 @dataclass(frozen=True, kw_only=True)
 class TubeSettings(Section):
-    """The tube. The defaults are the paper's silicone tube.
+    """The tube. The defaults are those of the sleeve paper's silicone tube.
 
     The material is given by its hardness or by its shear modulus, not both; with neither, the
     hardness is 35 Shore A.
@@ -77,43 +77,43 @@ class IndentationSettings(Section):
         "rod",
         Choice(
             ("rod", "punch", "sphere"),
-            "a cylinder lying across the tube, an upright one with a flat end, or a sphere",
+            "indenter: cylinder across the tube, upright cylinder with a flat end, or sphere",
         ),
     )
-    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the pressing tool"))
-    depth_mm: float = setting(4.0, _Depth(0, 50, "mm", "how far it is pressed in"))
+    indenter_mm: float = setting(25.0, Number(2, 100, "mm", "diameter of the indenter"))
+    depth_mm: float = setting(4.0, _Depth(0, 50, "mm", "indentation depth from first contact"))
     steps: int = setting(
         16,
-        Number(1, 1000, "", "equally spaced depths that acoustube indent reports", whole=True),
+        Number(1, 1000, "", "number of equally spaced depths of acoustube indent", whole=True),
     )
     position_cm: float | None = setting(
         None,
         Number(0.1, 1000, "cm", "distance of the press from the source end (the middle)"),
     )
     offset_mm: float = setting(
-        0.0, Number(-50, 50, "mm", "how far beside the tube's axis a punch or sphere comes down")
+        0.0, Number(-50, 50, "mm", "lateral offset of a punch or sphere from the tube's axis")
     )
     yaw_deg: float = setting(
-        0.0, Number(-60, 60, "deg", "by how much a rod is turned from across the tube")
+        0.0, Number(-60, 60, "deg", "yaw of a rod from the direction across the tube")
     )
     support: Literal["held", "free"] = setting(
         "held",
         Choice(
             ("held", "free"),
-            "bottom line held down along its length, or resting on a floor with free ends",
+            "support of the tube: bottom line fixed, or resting on a floor with free ends",
         ),
     )
     layer_mm: float | None = setting(
         None, Number(0.1, 100, "mm", "thickness of an elastic layer under a free tube")
     )
     layer_mpa: float | None = setting(
-        None, Number(0.001, 1000, "MPa", "Young's modulus of that layer")
+        None, Number(0.001, 1000, "MPa", "Young's modulus of the elastic layer")
     )
     mesh: Literal["coarse", "usual", "fine"] = setting(
         "usual",
         Choice(
             ("coarse", "usual", "fine"),
-            "finite elements of a round tube, to see what they change",
+            "finite-element mesh of a round tube, for a convergence study",
         ),
     )
 
@@ -122,12 +122,10 @@ class IndentationSettings(Section):
 class WaveSettings(Section):
     """The sound in the lumen, and the grid on which it is computed."""
 
-    frequency_khz: float = setting(42.0, Number(5, 100, "kHz", "carrier of the pulse"))
+    frequency_khz: float = setting(42.0, Number(5, 100, "kHz", "carrier frequency of the pulse"))
     cycles: int = setting(11, Number(1, 100, "", "carrier cycles in the pulse", whole=True))
     temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
-    humidity_percent: float = setting(
-        50.0, Number(0, 100, "%", "relative humidity of the air, which absorbs sound")
-    )
+    humidity_percent: float = setting(50.0, Number(0, 100, "%", "relative humidity of the air"))
     pressure_kpa: float = setting(101.325, Number(10, 200, "kPa", "pressure of the air at rest"))
     losses: Literal["off", "on"] = setting(
         "off", Choice(("off", "on"), "losses at the wall and in the air")
@@ -136,13 +134,14 @@ class WaveSettings(Section):
         "full",
         Choice(
             ("full", "scattering"),
-            "march the whole tube, or the press alone and join it to straight tube",
+            "solver: FDTD of the whole tube, or scattering matrix of the press joined to straight "
+            "tube",
         ),
     )
     resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))
     source_end: Literal["release", "absorbing"] = setting(
         "release",
-        Choice(("release", "absorbing"), "what the source end does once the pulse has left"),
+        Choice(("release", "absorbing"), "boundary condition at the source end after the pulse"),
     )
     probe_cm: float = setting(
         2.0, Number(0.1, 100, "cm", "distance of the probe plane from the source end")
@@ -159,7 +158,7 @@ class SignalSettings(Section):
             0.5,
             50,
             "kHz",
-            "cut-off of the envelope's low-pass (half of frequency_khz, at most 10)",
+            "cut-off of the envelope's low-pass filter (half of frequency_khz, at most 10)",
         ),
     )
     prominence: float = setting(

@@ -13,13 +13,13 @@ from acoustube.waves.modes import modes_below
 
 # Measured on two quiet cores; they serve the estimates only.
 SCATTERING_SECONDS, RECORDING_SECONDS, GIGABYTES = 4e-9, 0.2, 1.0
-"""Per cell and step of a scattering; per metre of tube of a case; memory per worker."""
+"""Seconds per cell and step of a scattering, and per metre of tube of a case; GB per worker."""
 CASE_BYTES, MATRIX_BYTES = 6.0, 370e3
-"""Per sample of a case, both source ends together; of a scattering matrix with its walls."""
+"""Bytes per sample of a case, of both source ends; and of a scattering matrix with its walls."""
 RINGING = 12e-3
-"""Time in s that a scattering is marched for."""
+"""Simulated time in s of a scattering."""
 COURANT_NUMBER = 0.45
-"""Time step of the march, in cell sizes over the speed of sound."""
+"""Time step of the scheme, in cell sizes over the speed of sound."""
 SOUND_SPEED = 343.0
 SAMPLING_RATE = 1e6
 

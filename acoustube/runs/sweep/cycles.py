@@ -26,7 +26,7 @@ from acoustube.runs.sweep.plan import digest, tube_name
 from acoustube.waves import Scattering
 
 LONGEST_SESSION = 72_000
-"""Cycles of an hour, over which a session's cases are spread."""
+"""Number of cycles in an hour, over which a session's cases are spread."""
 SIGNAL_CHUNK = 64
 """Cycles per chunk of the file."""
 CARRIED = {
@@ -34,7 +34,7 @@ CARRIED = {
     "lumen_area": "m2", "lumen_height": "m", "inner_diameter": "m", "wall_thickness": "m",
     "shear_modulus": "Pa", "tube_length": "m", "carrier_frequency": "Hz",
 }  # fmt: skip
-"""Labels of a cycle that are its case's, with their units."""
+"""Labels that a cycle has from its case, with their units."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,13 +27,13 @@ from acoustube.runs.sweep import store
 from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
 from acoustube.runs.sweep.plan import digest
 from acoustube.runs.sweep.progress import Board
-from acoustube.runs.sweep.run import run_in_sight
+from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
 CYCLES_PER_FILE = 5000
 SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
-"""Measured on one quiet core, for the estimates."""
+"""Costs measured on one idle core, for the estimates."""
 RANGES = {
     "true_distance": ("place", 1e2, "cm"), "depth": ("depth", 1e3, "mm"),
     "force": ("force", 1.0, "N"), "diameter": ("indenter", 1e3, "mm"),
@@ -216,7 +216,7 @@ def _record(
             _task(name, cases, folder, recipe, costs[name], board) for name, cases in todo.items()
         ]
         try:
-            run_in_sight(tasks, board, workers=workers, executor=executor)
+            run_with_progress(tasks, board, workers=workers, executor=executor)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
                 "interrupted; complete files are kept, run the same command again to go on"

@@ -49,7 +49,7 @@ class Case(NamedTuple):
 
     @property
     def settings(self) -> SISettings:
-        """Its settings in SI units."""
+        """Settings of the case in SI units."""
         return settings_in_si(self.config)
 
 
@@ -92,7 +92,7 @@ class LoadPath:
 
     @property
     def presses(self) -> bool:
-        """True if a case of it is pressed."""
+        """Whether one of its cases is pressed."""
         return any(group.depth > 0 for group in self.groups)
 
     @property

@@ -274,7 +274,7 @@ def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
 
 
 def to_toml(plan: Plan) -> str:
-    """Return a plan as a TOML document that :func:`load_plan` reads back as it is."""
+    """Return a plan as a TOML document that :func:`load_plan` reads back unchanged."""
     import tomlkit
 
     document = tomlkit.document()

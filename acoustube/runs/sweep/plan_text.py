@@ -113,7 +113,7 @@ def _number(name: str, word: str, part: str) -> Fraction:
 
 
 def _literal(word: str) -> Any:
-    """Return a number where the word is one."""
+    """Return a word as a number if it is one."""
     try:
         return int(word)
     except ValueError:

@@ -118,7 +118,7 @@ def run_sweep(
             board = Board(totals_of(work.todo), at_once, show)
             runner = Runner(folder, board, failed, done)
             try:
-                run_in_sight(
+                run_with_progress(
                     runner.first(work.todo), board, workers=workers, executor=executor,
                     width=at_once,
                 )  # fmt: skip
@@ -132,7 +132,7 @@ def run_sweep(
     return not failed
 
 
-def run_in_sight(
+def run_with_progress(
     tasks: Iterable[Task],
     board: Board,
     *,
@@ -140,7 +140,7 @@ def run_in_sight(
     executor: Executor | None = None,
     width: int | None = None,
 ) -> None:
-    """Run tasks, and show their progress.
+    """Run tasks and show their progress.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ CASES_PER_TASK = 100
 
 
 class Runner:
-    """Makes tasks of a sweep's work, and writes their results.
+    """Scheduler of a sweep: creates the tasks, and writes their results.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Runner:
         self.folder, self.board, self.failed, self.done = folder, board, failed, done
 
     def first(self, paths: Sequence[LoadPath]) -> list[Task]:
-        """Return the tasks that need no other, the longest first."""
+        """Return the tasks that depend on no other, the longest first."""
         tasks = []
         for path in paths:
             if path.presses:

@@ -1,4 +1,4 @@
-"""The folder of a sweep: results in files that are complete or not there, failures, the plan.
+"""Folder of a sweep: result files, which are never incomplete, failures, and the plan.
 
 A file of results is named by the hash of its cases' names and holds the hash of its own content.
 Nothing is written twice, so that any number of sweeps may write to one folder.

@@ -131,7 +131,7 @@ class Workers:
         return self._pool
 
     def end(self) -> None:
-        """End them without waiting for what they are doing."""
+        """End the processes without waiting for their tasks."""
         if self._pool is None:
             return
         processes = list((getattr(self._pool, "_processes", None) or {}).values())
@@ -243,7 +243,7 @@ def _hand_over(
     width: int,
     lost: Counter[Task],
 ) -> bool:
-    """Hand tasks over while there is room; return False if the workers are gone."""
+    """Submit tasks up to the limit; return False if the workers are lost."""
     while waiting and len(running) < width:
         last_try = lost[waiting[0]] == ATTEMPTS - 1 or any(
             lost[task] == ATTEMPTS - 1 for task in running.values()

@@ -1,7 +1,8 @@
 """Discretisation of a lumen in a basis and in an enriched one, for the error estimate.
 
-All matrices are those of the enriched basis: polynomials of a total degree higher by `RICHER`, and
-along each element one degree more. The basis itself consists of the first functions of each.
+All matrices are those of the enriched basis: polynomials of a total degree higher by
+`DEGREE_INCREASE`, and along each element one degree more. The basis itself consists of the first
+functions of each.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from acoustube.waves.spectral.polynomials import Array, polynomials
 from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes, port_functions, port_modes
 from acoustube.waves.spectral.walls import Wall
 
-RICHER = 2
-"""By how much the total degree of the richer basis is higher."""
+DEGREE_INCREASE = 2
+"""Difference of total degree between the richer basis and the basis."""
 LAYER_RATIO = 0.476
-"""(gamma - 1) / sqrt(Pr): the thermal layer's share, next to the viscous one's."""
+"""(gamma - 1) / sqrt(Pr): effect of the thermal layer relative to the viscous one."""
 LAYER_BLOCKS = 2
-"""Powers of what the layers do to a field that are added to a Krylov space."""
+"""Number of powers of the layers' operator that extend a Krylov space."""
 SPARE_POINTS = 3
 """Number of Gauss points along an element, in excess of its degree."""
 
@@ -130,7 +131,7 @@ def discretise(
         Number of Gauss points along an element, in excess of its degree.
     """
     halved = wall.reversible
-    basis = polynomials(degree + RICHER, odd)
+    basis = polynomials(degree + DEGREE_INCREASE, odd)
     elements = assemble(wall, edges, basis, order + 1, order + spare_points)
     reach = MARGIN + wavenumber * wall.radius
     modes = port_modes(reach, odd)

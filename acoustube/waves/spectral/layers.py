@@ -31,12 +31,12 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, PortModes
 from acoustube.waves.spectral.sound import Air
 
-NARROW = 60.0
+NARROW_SECTION = 60.0
 """Heights of a section, in viscous layers, under which the gaps are measured point by point."""
 SAMPLES = 10
-"""Frequencies from which the few functions of place are taken."""
+"""Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
-"""Share of the greatest singular value from which another function is needed."""
+"""Smallest singular value of a function that is kept, relative to the greatest."""
 
 
 class LayerSeries(NamedTuple):
@@ -82,7 +82,7 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     if len(frequency) > 1:
         sampled = np.geomspace(frequency[0], frequency[-1], SAMPLES)
     layers = layer_thickness(sampled, air)
-    width = gap_widths(points, NARROW * float(np.abs(layers[0][0])))
+    width = gap_widths(points, NARROW_SECTION * float(np.abs(layers[0][0])))
     roundness = np.clip(_curvature(points) * width / 2, 0.0, 1.0)
     both = np.stack(
         [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]

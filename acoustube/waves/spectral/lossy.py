@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
-from acoustube.waves.spectral.discretisation import RICHER, Discretisation
+from acoustube.waves.spectral.discretisation import DEGREE_INCREASE, Discretisation
 from acoustube.waves.spectral.layers import LayerSeries, layer_series, lossy_ends
 from acoustube.waves.spectral.polynomials import Array, polynomials
 from acoustube.waves.spectral.ports import Complex, scattering_of
@@ -16,8 +16,8 @@ from acoustube.waves.spectral.reduction import Reduced, lossy_impedance, reassem
 from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Wall
 
-EVERY = 12
-"""One frequency in so many is solved in the poorer space too."""
+CHECK_STRIDE = 12
+"""Stride of the frequencies that are solved in the smaller space too."""
 
 
 def with_layers(
@@ -25,7 +25,7 @@ def with_layers(
 ) -> Discretisation:
     """Return a discretisation with the wall's integrals, for which fields are added to the span."""
     points = wall_points(wall, edges, n_points)
-    functions = wall_functions(points, polynomials(degree + RICHER, odd))
+    functions = wall_functions(points, polynomials(degree + DEGREE_INCREASE, odd))
     one = np.ones_like(points.area)
     layers = wall_matrices(points, functions, edges, system.order + 1, one, tangential=True)
     return replace(system, layers=layers)
@@ -44,7 +44,7 @@ def wall_projections(
 ) -> tuple[LayerSeries, list[list[Reduced]]]:
     """Return the wall's losses over a band, and their integrals in the space of each side."""
     points = wall_points(wall, edges, n_points)
-    functions = wall_functions(points, polynomials(degree + RICHER, odd))
+    functions = wall_functions(points, polynomials(degree + DEGREE_INCREASE, odd))
     series = layer_series(points, frequency, air)
     found: list[list[Reduced]] = [[] for _ in spaces]
     for weight in series.weights:
@@ -96,7 +96,7 @@ def lossy_scattering(
     flux = np.stack([block_diag(*[f] * n_ports) for f in flux])
     kz_all = np.tile(kz, (1, n_ports))
     losses = series.viscous, series.thermal
-    few = np.unique(np.append(np.arange(0, len(k), EVERY), len(k) - 1))
+    few = np.unique(np.append(np.arange(0, len(k), CHECK_STRIDE), len(k) - 1))
     travels = np.tile(k.real[:, None] * system.radius > system.modes.zeros, (1, n_ports))
     lacking = np.zeros(len(few))
     found = []

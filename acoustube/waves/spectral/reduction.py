@@ -11,7 +11,7 @@ from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
-LEAST = 1e-9
+DEPENDENCE_TOLERANCE = 1e-9
 """Relative norm of a field's component outside the span below which it is dropped."""
 
 
@@ -110,7 +110,7 @@ def _orthonormal(new: Array, old: Array) -> Array:
     new, triangle = np.linalg.qr(new - old @ (old.T @ new))
     # Not by the diagonal of R: a field dropped there would be missing from later ones.
     turned, size, _ = np.linalg.svd(triangle)
-    new = new @ turned[:, size > LEAST * size[0]]
+    new = new @ turned[:, size > DEPENDENCE_TOLERANCE * size[0]]
     return np.asarray(np.linalg.qr(new - old @ (old.T @ new))[0])
 
 

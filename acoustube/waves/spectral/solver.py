@@ -29,8 +29,8 @@ import numpy as np
 
 from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
+    DEGREE_INCREASE,
     LAYER_BLOCKS,
-    RICHER,
     SPARE_POINTS,
     Discretisation,
     Response,
@@ -54,24 +54,24 @@ from acoustube.waves.spectral.result import SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
-ORDER = 7
-"""Degree along an element."""
-MOST_DEGREE = 16
-BLOCKS = 3
-"""Of the Krylov space at each shift."""
-PROBES = (0.5, 0.8, 1.0)
+ELEMENT_DEGREE = 7
+"""Polynomial degree along an element."""
+MAX_DEGREE = 16
+KRYLOV_BLOCKS = 3
+"""Number of blocks of the Krylov space at each shift."""
+ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
-SHARE = 0.25
+ADAPTATION_TOLERANCE = 0.25
 """Fraction of the tolerance for each of the three errors while the basis is adapted."""
-FAR_OFF = 30.0
+COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
-SAFETY = 2.0
+CORRECTION_SAFETY = 2.0
 """Safety factor on a correction, which neglects its own effect on the basis."""
-MORE_POINTS = 3
+EXTRA_GAUSS_POINTS = 3
 """Additional Gauss points along an element for the final matrices."""
-TRIALS = 2
+MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
-ROUNDS = 8
+MAX_ADAPTATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def scatter_spectral(
     symmetric_only: bool = False,
     velocity: Velocity | None = None,
 ) -> SpectralScattering:
-    """Return how a lumen with rigid walls scatters the modes of its ends.
+    """Return the scattering matrix of the modes at the ends of a lumen, over a band.
 
     Parameters
     ----------
@@ -203,13 +203,17 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    basis, wanted, spare = first_basis(wall, odd, k, BLOCKS), SHARE * tolerance, SPARE_POINTS
-    for _ in range(TRIALS):
+    basis, wanted, spare = (
+        first_basis(wall, odd, k, KRYLOV_BLOCKS),
+        ADAPTATION_TOLERANCE * tolerance,
+        SPARE_POINTS,
+    )
+    for _ in range(MAX_SOLUTIONS):
         system, basis, responses = _adapted(task, odd, basis, wanted, spare)
         spaces, rough, error, sizes = _swept(system, basis, responses, k, tolerance)
         finer = discretise(
-            wall, basis.edges, basis.degree, ORDER, odd, float(k[-1]),
-            spare_points=spare + MORE_POINTS,
+            wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(k[-1]),
+            spare_points=spare + EXTRA_GAUSS_POINTS,
         )  # fmt: skip
         fine = [reassembled(finer, space) for space in spaces]
         s = _scattering(finer, fine, k)
@@ -218,23 +222,27 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         if task.lossy or (error + by_points).max() <= tolerance:
             break
         # Narrow resonances amplify errors that are small at the shifts.
-        if by_points.max() > SHARE * tolerance:
-            spare += 2 * MORE_POINTS
-        if error.max() > SHARE * tolerance:
+        if by_points.max() > ADAPTATION_TOLERANCE * tolerance:
+            spare += 2 * EXTRA_GAUSS_POINTS
+        if error.max() > ADAPTATION_TOLERANCE * tolerance:
             wanted *= min(0.5 * tolerance / error.max(), 0.3)
     kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
     if task.lossy:
         series, walls = wall_projections(
-            finer, fine, wall, basis.edges, basis.degree, odd, ORDER + spare, task.frequency,
-            task.air,
+            finer, fine, wall, basis.edges, basis.degree, odd, ELEMENT_DEGREE + spare,
+            task.frequency, task.air,
         )  # fmt: skip
         sides, kz, lacking = lossy_scattering(
             finer, fine, walls, series, task.frequency, task.air, sizes
         )
-        s, error = of_both_ports(sides), SAFETY * lacking
+        s, error = of_both_ports(sides), CORRECTION_SAFETY * lacking
     moved = np.zeros_like(s)
     if task.velocity is not None:
-        where = basis.edges, ORDER + spare + MORE_POINTS, polynomials(basis.degree + RICHER, odd)
+        where = (
+            basis.edges,
+            ELEMENT_DEGREE + spare + EXTRA_GAUSS_POINTS,
+            polynomials(basis.degree + DEGREE_INCREASE, odd),
+        )
         all_kz = np.tile(kz, (1, len(system.ports)))
         moved = of_both_ports(moved_scattering(finer, fine, wall, *where, task.velocity, k, all_kz))
     s, moved, names, zeros = _at_reference(s, moved, kz, system, task)
@@ -264,25 +272,31 @@ def _adapted(
 ) -> tuple[Discretisation, Basis, dict[float, list[Response]]]:
     """Raise the degree and split elements until both errors at the probes are as wanted."""
     shifts = basis.shifts
-    probes = shifts[np.round(np.array(PROBES) * (len(shifts) - 1)).astype(int)]
-    for _ in range(ROUNDS):
+    probes = shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
+    for _ in range(MAX_ADAPTATIONS):
         system = discretise(
-            task.wall, basis.edges, basis.degree, ORDER, odd, float(task.k[-1]), spare_points=spare
+            task.wall,
+            basis.edges,
+            basis.degree,
+            ELEMENT_DEGREE,
+            odd,
+            float(task.k[-1]),
+            spare_points=spare,
         )
         if task.lossy:
-            where = basis.edges, basis.degree, odd, ORDER + spare
+            where = basis.edges, basis.degree, odd, ELEMENT_DEGREE + spare
             system = with_layers(system, task.wall, *where)
-        responses = {float(shift): respond(system, float(shift), BLOCKS) for shift in probes}
+        responses = {float(shift): respond(system, float(shift), KRYLOV_BLOCKS) for shift in probes}
         by_degree, by_element = _errors(system, responses)
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
         if not (too_low or too_long):
             return system, basis, responses
         degree, edges = basis.degree, basis.edges
         if too_low:
-            degree += 4 if by_degree > FAR_OFF * wanted else 2
+            degree += 4 if by_degree > COARSE_ERROR_RATIO * wanted else 2
         if too_long:
             edges = split(edges, by_element > 0.5 * wanted / len(by_element))
-        if degree > MOST_DEGREE:
+        if degree > MAX_DEGREE:
             break
         basis = Basis(degree, edges, shifts)
     return system, basis, responses
@@ -300,8 +314,8 @@ def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> t
             changes = np.concatenate([side.by_degree[None], side.by_element])
             changed = changed_scattering(side.impedance[None], changes, kz)
             largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2))
-            by_degree = max(by_degree, SAFETY * float(largest[0]))
-            by_element = np.maximum(by_element, SAFETY * largest[1:])
+            by_degree = max(by_degree, CORRECTION_SAFETY * float(largest[0]))
+            by_element = np.maximum(by_element, CORRECTION_SAFETY * largest[1:])
     return by_degree, by_element
 
 
@@ -315,9 +329,9 @@ def _swept(
     """Return the richest space of each side, S, its errors, and sizes without the last shift."""
     for shift in basis.shifts:
         if float(shift) not in responses:
-            responses[float(shift)] = respond(system, float(shift), BLOCKS)
+            responses[float(shift)] = respond(system, float(shift), KRYLOV_BLOCKS)
     fields = [[r[side].fields for r in responses.values()] for side in range(len(system.sides))]
-    n_blocks = BLOCKS + LAYER_BLOCKS * (system.layers is not None)
+    n_blocks = KRYLOV_BLOCKS + LAYER_BLOCKS * (system.layers is not None)
     kept = (n_blocks - 1) * fields[0][0].shape[-1] // n_blocks
     spaces = [extended(system, None, _side_by_side(f, slice(None, kept))) for f in fields]
     before = _scattering(system, spaces, k)
@@ -326,17 +340,17 @@ def _swept(
         for space, f in zip(spaces, fields, strict=True)
     ]
     now = _scattering(system, spaces, k)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ADAPTATIONS):
         doubt = _difference(system, now, before, k)
         shift = _worst(k, doubt, np.array(list(responses)))
-        responses[shift] = respond(system, shift, BLOCKS)
+        responses[shift] = respond(system, shift, KRYLOV_BLOCKS)
         before, sizes = now, [space.size for space in spaces]
         spaces = [
             extended(system, space, response.fields)
             for space, response in zip(spaces, responses[shift], strict=True)
         ]
         now = _scattering(system, spaces, k)
-        if _difference(system, now, before, k).max() <= SHARE * tolerance:
+        if _difference(system, now, before, k).max() <= ADAPTATION_TOLERANCE * tolerance:
             break
     corrections = [[r[side].correction for r in responses.values()] for side in range(len(spaces))]
     spaces = [
@@ -344,7 +358,7 @@ def _swept(
         for space, c in zip(spaces, corrections, strict=True)
     ]
     richest = _scattering(system, spaces, k)
-    lacking = SAFETY * _difference(system, richest, now, k)
+    lacking = CORRECTION_SAFETY * _difference(system, richest, now, k)
     error = lacking + _difference(system, now, before, k)
     return spaces, richest, error, sizes
 
