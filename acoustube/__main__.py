@@ -1,36 +1,88 @@
 """The command ``acoustube``, also as ``python -m acoustube``."""
 
+import io
 import os
 import signal
 import sys
+from contextlib import suppress
+from typing import Any, NoReturn
 
 
-def entry() -> None:
+def entry() -> NoReturn:
     """Run the command line and leave with its exit code.
 
     An interrupt at any moment, also while modules are being loaded, ends in one sentence. A request
     to terminate counts as one, so that a batch system leaves no half-written folder either.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # Ignored are they in the background of a script, or under nohup.
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _leave)
+    _keep_streams()
+    code: Any = 1
     try:
-        from acoustube.base.console import watched_interrupts
+        from acoustube.base.interrupts import end_in_time, watched_interrupts
+        from acoustube.base.writing import discard
 
-        with watched_interrupts():
-            from acoustube.base.cache import keep_compiled_code
+        with watched_interrupts(_leave):
+            end_in_time(discard)
+            code = _run()
+    except KeyboardInterrupt:  # a second one, while the first was being dealt with
+        code = _said(signal.SIGINT)
+    except SystemExit as error:
+        code = error.code
+    # Python would wait for, or pull the ground from under, kernels that still run.
+    discard()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code if isinstance(code, int) else 1)
 
-            keep_compiled_code()
-            from acoustube.cli._app import main
 
-            code = main()
-    except KeyboardInterrupt:
-        print("acoustube: interrupted", file=sys.stderr)
-        code = 130
-    if code == 130:
-        # Python would wait for, or pull the ground from under, kernels that still run.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    sys.exit(code)
+def _run() -> int:
+    """Run the command line; return its exit code."""
+    if not sys.warnoptions:  # those of libraries concern developers; notes say what concerns users
+        os.environ["PYTHONWARNINGS"] = "ignore"
+        import warnings
+
+        warnings.simplefilter("ignore")
+    from acoustube.base.cache import keep_compiled_code
+
+    keep_compiled_code()
+    from acoustube.cli._app import main
+
+    try:
+        return main()
+    except Exception:  # a defect, which its traceback tells best
+        sys.excepthook(*sys.exc_info())
+        return 1
+
+
+def _keep_streams() -> None:
+    """Open the standard streams that are closed, and let any character be written to them.
+
+    Otherwise the next file that is opened would get the number of a stream, and be written to.
+    """
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            number = os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(number, "r" if name == "stdin" else "w"))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _leave(number: int, _frame: object) -> None:
+    """Leave before anything has begun, or when all is over."""
+    os._exit(_said(number))
+
+
+def _said(number: int) -> int:
+    """Say that a signal has ended the command; return its exit code."""
+    with suppress(OSError):
+        os.write(2, b"acoustube: interrupted; no incomplete run is left\n")
+    return 128 + number
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ import pytest
 from rich.console import Console
 
 from acoustube.base import console as base_console
-from acoustube.base.console import ConsoleReporter, watched_interrupts
+from acoustube.base.console import ConsoleReporter
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, TimeLeft, time_in_words
 
 

@@ -245,7 +245,10 @@ def recall(name: str) -> dict[str, NDArray[Any]] | None:
     except Exception:  # a damaged archive fails in many ways, and all mean the same
         return None
     digest = arrays.pop(DIGEST, None)
-    return arrays if digest is not None and str(digest) == _digest(arrays) else None
+    if digest is None or str(digest) != _digest(arrays):
+        return None
+    _KEPT.add(True)
+    return arrays
 
 
 def store(name: str, arrays: Arrays, label: str = "") -> None:
@@ -266,11 +269,23 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
     np.savez_compressed(content, **named)
     with zipfile.ZipFile(content, "a") as archive:
         archive.comment = label.encode()
-    _write_in_one_step(f"{name}.npz", content.getvalue())
+    _KEPT.add(_write_in_one_step(f"{name}.npz", content.getvalue()))
 
 
-def _write_in_one_step(name: str, content: bytes) -> None:
-    """Write a file of the cache in one step, if the folder can be written."""
+_KEPT: set[bool] = set()
+"""Whether results of this process are in the cache, or could not be written to it, or both."""
+
+
+def has_kept() -> bool | None:
+    """Return whether all results that this process could use again are in the cache.
+
+    None if it has had none of the kinds that are cached.
+    """
+    return None if not _KEPT else False not in _KEPT
+
+
+def _write_in_one_step(name: str, content: bytes) -> bool:
+    """Write a file of the cache in one step; return whether the folder could be written."""
     try:
         folder().mkdir(parents=True, exist_ok=True)
         part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
@@ -284,7 +299,8 @@ def _write_in_one_step(name: str, content: bytes) -> None:
                 Path(file.name).unlink(missing_ok=True)
                 raise
     except OSError:
-        return
+        return False
+    return True
 
 
 def _digest(arrays: Arrays) -> str:

@@ -1,9 +1,7 @@
-"""Terminal output of computations: messages, progress, and interrupts."""
+"""Terminal output of computations: messages and progress."""
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,15 +11,11 @@ from acoustube.base.report import ShowProgress, TimeLeft, time_in_words
 from acoustube.base.version import __version__
 
 if TYPE_CHECKING:
-    from types import FrameType
-
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
 REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
 """Seconds between two lines of progress without a terminal, at first and in work of hours."""
-IMPORT_POLL = 0.05
-"""Seconds after which an interrupt during an import is tried again."""
 
 
 def note(console: Console, text: str) -> None:
@@ -146,66 +140,3 @@ class _Bars(_Lines):
         if stage not in self.rows:
             self.rows[stage] = self.bars.add_task(stage, total=total, amount="", left="")
         self.bars.update(self.rows[stage], completed=done, total=total, amount=amount, left=left)
-
-
-class _Interrupt:
-    """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
-
-    In an extension that is being loaded an interrupt becomes an ImportError, or is lost.
-    """
-
-    def __init__(self) -> None:
-        self.raised = False
-
-    def __call__(self, _number: int, frame: FrameType | None) -> None:
-        if _importing(frame):
-            signal.signal(signal.SIGALRM, self)  # asks again, until the import has ended
-            signal.setitimer(signal.ITIMER_REAL, IMPORT_POLL)
-            return
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        self.raised = True
-        raise KeyboardInterrupt
-
-    def check(self) -> None:
-        """Raise again an interrupt that was raised before."""
-        if self.raised:
-            raise KeyboardInterrupt
-
-
-def _importing(frame: FrameType | None) -> bool:
-    """Return whether a frame belongs to an import under way."""
-    while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
-        frame = frame.f_back
-    return False
-
-
-@contextmanager
-def watched_interrupts() -> Iterator[Callable[[], None]]:
-    """Let interrupts wait for the end of an import, and yield a check that raises lost ones.
-
-    JAX has a hook in Python's garbage collection, where an exception is printed and ignored.
-
-    Yields
-    ------
-    callable
-        Raises KeyboardInterrupt again if it was raised before.
-    """
-    in_main = threading.current_thread() is threading.main_thread()
-    found = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM) if in_main}
-    handler = next((h for h in found.values() if isinstance(h, _Interrupt)), None)
-    if handler is not None:  # one for all, so that none is lost between two of them
-        yield handler.check
-        return
-    handler = _Interrupt()
-    replaced = [n for n, before in found.items() if before is signal.default_int_handler]
-    for number in replaced:
-        signal.signal(number, handler)
-    try:
-        yield handler.check
-    finally:
-        if replaced:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        for number in replaced:
-            signal.signal(number, signal.default_int_handler)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import os
-import shutil
 import tempfile
-import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acoustube.base import interrupts, remnants
 from acoustube.base.errors import ConfigError
+from acoustube.base.remnants import ASIDE
+from acoustube.base.writing import DiskFullError, aside, to_disk
 
 if TYPE_CHECKING:  # the command line imports this module before it needs xarray
     from tomlkit.items import Array
@@ -41,8 +43,8 @@ def check_out(path: str | Path) -> Path:
         _check_free(path, folder)
         ancestor = next(parent for parent in folder.parents if parent.exists())
         # Trying is the only test that holds for root, read-only disks and access lists alike.
-        with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=ancestor):
-            return folder
+        check_writable(ancestor)
+        return folder
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -88,18 +90,31 @@ def check_new_file(path: Path, name: str = "out") -> None:
     ------
     ConfigError
     """
-    if path.exists():
+    if os.path.lexists(path):
         raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
     folder = path.absolute().parent
     if not folder.is_dir():
         raise ConfigError(f"{name} = {path} is in a folder that does not exist; make it first")
     try:
-        with tempfile.TemporaryDirectory(prefix=".acoustube-", dir=folder):
-            pass
+        check_writable(folder)
     except OSError as error:
         raise ConfigError(
             f"{name} = {path} cannot be written ({error.strerror}); name a writable folder"
         ) from error
+
+
+def check_writable(folder: Path) -> None:
+    """Raise OSError if nothing can be made in a folder."""
+    with contextlib.suppress(AttributeError, NotImplementedError, IsADirectoryError):
+        # A file without a name: there is no trace of it, whenever this process is ended.
+        try:
+            os.close(os.open(folder, os.O_TMPFILE | os.O_RDWR))
+            return
+        except OSError as error:
+            if error.errno != errno.EOPNOTSUPP:
+                raise
+    with tempfile.TemporaryDirectory(prefix=ASIDE, dir=folder):
+        pass
 
 
 def fresh_folder(stem: str) -> Path:
@@ -146,22 +161,28 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
     ------
     ConfigError
         If the folder is taken or cannot be made.
+    DiskFullError
+        If there is no room for a file that :func:`write` writes to it.
     """
     folder = check_out(path)
     made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
-    partial = folder.parent / f".acoustube-partial-{uuid.uuid4().hex[:8]}"
-    try:
+    with aside(folder) as partial:
         try:
-            partial.mkdir(parents=True)
-        except OSError as error:
-            raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
-        yield partial
-    finally:
-        if partial.exists():
-            shutil.rmtree(partial, ignore_errors=True)
-            for parent in made:
-                with contextlib.suppress(OSError):  # another run has put something there
-                    parent.rmdir()
+            try:
+                partial.mkdir(parents=True)
+            except OSError as error:
+                raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
+            yield partial
+        except DiskFullError as error:
+            shown = Path(str(error.path).replace(str(partial), str(path)))
+            needed = remnants.size(partial) + error.needed
+            raise DiskFullError(shown, error.reason, needed) from error
+        finally:
+            if partial.exists():
+                remnants.remove(partial)
+                for parent in made:
+                    with contextlib.suppress(OSError):  # another run has put something there
+                        parent.rmdir()
 
 
 def publish(partial: Path, path: str | Path) -> Path:
@@ -180,33 +201,27 @@ def publish(partial: Path, path: str | Path) -> Path:
         The name that it got: where another run has taken `path` in the meantime, a number is
         added, so that nothing is overwritten and nothing lost.
     """
+    interrupts.check()
     folder = Path(path).absolute()
     for name in itertools.chain([folder], _numbered(folder)):
         try:
             _check_free(path, name)
             with contextlib.suppress(FileNotFoundError):
                 name.rmdir()  # only ever an empty one; not every system renames onto it
-            return partial.rename(name)
-        except (ConfigError, FileExistsError):
+            published = partial.rename(name)
+        except (ConfigError, FileExistsError, NotADirectoryError):
             continue
+        except OSError as error:
+            if error.errno != errno.ENOTEMPTY:  # another run was a moment earlier
+                raise
+            continue
+        to_disk(published.parent)
+        return published
     raise AssertionError  # the numbers do not end
 
 
 def _numbered(folder: Path) -> Iterator[Path]:
     return (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
-
-
-@contextlib.contextmanager
-def partial_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary name, which becomes the file's if the block ends without error."""
-    partial = path.with_name(f".acoustube-partial-{uuid.uuid4().hex[:8]}")
-    try:
-        yield partial
-        with partial.open("rb+") as file:
-            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def toml_array(values: Iterable[Any]) -> Array:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from acoustube.base.writing import write
+
 Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
 
@@ -40,15 +42,17 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
         return bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 
-def write_dataset(dataset: xr.Dataset, path: Path) -> None:
-    """Write a dataset as a compressed netCDF-4 file.
+def write_dataset(dataset: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
+    """Write a dataset as a compressed netCDF-4 file, in one step.
 
     Parameters
     ----------
     dataset : xarray.Dataset
     path : path
-        The file; an existing one is replaced.
+        The file.
+    overwrite : bool
+        Whether an existing file is replaced.
     """
     packed = {"zlib": True, "complevel": 4, "shuffle": True}
     large = [name for name, variable in dataset.variables.items() if variable.size > 1000]
-    path.write_bytes(to_netcdf(dataset, dict.fromkeys(large, packed)))
+    write(path, to_netcdf(dataset, dict.fromkeys(large, packed)), overwrite=overwrite)

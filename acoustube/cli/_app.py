@@ -14,9 +14,11 @@ from contextlib import suppress
 
 from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
-from acoustube.base.console import watched_interrupts
+from acoustube.base import cache
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.interrupts import SENTENCE, exit_code, watched_interrupts
 from acoustube.base.version import __version__
+from acoustube.base.writing import FULL, DiskFullError
 
 COMMANDS = (
     "simulate", "sweep", "dataset", "show", "export", "indent", "scatter", "process", "live",
@@ -52,15 +54,16 @@ def main(tokens: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 1 a stage failed, 2 wrong usage, 130 interrupted.
+        Exit code: 0 done, 1 a stage failed, 2 wrong usage, 130 interrupted, 143 terminated.
     """
     words = sys.argv[1:] if tokens is None else tokens
     try:
-        with watched_interrupts():
+        with watched_interrupts() as check:
             if not words or words[0] not in (*COMMANDS, "cache"):
                 _load_commands()
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
             sys.stdout.flush()
+            check()
     except CycloptsError as error:
         return _fail(_in_one_sentence(error), 2)
     except ConfigError as error:
@@ -68,10 +71,14 @@ def main(tokens: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as head, has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (SimulationError, OSError) as error:
+    except DiskFullError as error:
+        return _fail(f"{error}; {_kept()}", 1)
+    except SimulationError as error:
         return _fail(str(error), 1)
+    except OSError as error:
+        return _fail(_about_file(error), 1)
     except KeyboardInterrupt as error:
-        return _fail(str(error) or "interrupted; no incomplete run is left", 130)
+        return _fail(str(error) or SENTENCE, exit_code())
     return code if isinstance(code, int) else 0
 
 
@@ -123,7 +130,28 @@ def _advice_on_setting(option: str, command: str) -> str:
     return f"--{option} is not an option, but {name} is a setting; give {how}"
 
 
+def _kept() -> str:
+    """Return what became of computed results where there was no room for a file, and what to do."""
+    again = "make room and repeat the command"
+    kept = cache.has_kept()
+    if kept is None:
+        return again
+    return (
+        f"{again}, which finds in the cache what was computed"
+        if kept
+        else (f"{again}, which computes all again, since the cache could not be written either")
+    )
+
+
+def _about_file(error: OSError) -> str:
+    """Return an error of the system with the file that it is about, where that is known."""
+    if error.errno in FULL:
+        return f"{error.filename or 'standard output'}: {FULL[error.errno]}; make room"
+    return str(error) if error.filename is None else f"{error.filename}: {error.strerror}"
+
+
 def _fail(message: str, code: int) -> int:
     """Print one line on standard error and return the exit code."""
-    print(f"acoustube: {' '.join(message.split())}", file=sys.stderr)
+    with suppress(OSError):  # it is closed, or a pipe that nobody reads
+        print(f"acoustube: {' '.join(message.split())}", file=sys.stderr, flush=True)
     return code

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
+from acoustube.base.writing import write_all
 from acoustube.cli._options import Output, Recording, check_files
 
 if TYPE_CHECKING:
@@ -64,6 +66,7 @@ def calibrate(
     path = _free_path(out, name)
 
     from acoustube import signals
+    from acoustube.signals.calibration_file import in_toml
 
     console = output.console()
     closed, free = (_together(paths, recording) for paths in (blocked, untouched))
@@ -77,12 +80,13 @@ def calibrate(
     except ValueError as error:
         raise ConfigError(str(error)) from error
     path.parent.mkdir(parents=True, exist_ok=True)
-    signals.save(found, path)
+    contents: dict[Path, bytes | str] = {path: in_toml(found)}
     if figure is not None:
         from acoustube.reports.figures import cycles as cycle_figures
-        from acoustube.reports.figures import run as run_figure
+        from acoustube.reports.figures.run import picture
 
-        run_figure.save(cycle_figures.calibration_figure(found), figure)
+        contents[figure] = picture(cycle_figures.calibration_figure(found), figure)
+    write_all(contents)
     _print_calibration(found, closed["true_distance"].values, console)
     console.print(f"Written to [bold]{escape(str(path))}[/].", soft_wrap=True)
 
@@ -97,7 +101,7 @@ def _free_path(out: Path | None, name: str | None) -> Path:
         path = calibration_folder() / f"{name}.toml"
     else:
         raise ConfigError("give the calibration either a file with --out or a name with --name")
-    if path.exists():
+    if os.path.lexists(path):
         raise ConfigError(f"{path} exists and nothing is overwritten; remove it or name another")
     return path
 

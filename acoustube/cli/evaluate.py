@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acoustube.base.console import ConsoleReporter, watched_interrupts
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_file
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.version import __version__
+from acoustube.base.writing import write_all
 from acoustube.cli._options import Output, check_files
 
 if TYPE_CHECKING:
@@ -72,14 +74,16 @@ def evaluate(
             "give it in the files or in a sidecar"
         )
     _print_errors(rows, table, trained, console)
+    contents: dict[Path, bytes | str] = {}
     if out is not None:
-        _write_table(rows, out)
+        contents[out] = _table(rows)
     if figure is not None:
         from acoustube.reports.figures import estimates as estimate_figures
-        from acoustube.reports.figures import run as run_figure
+        from acoustube.reports.figures.run import picture
 
-        run_figure.save(estimate_figures.figure(table, estimates), figure)
-    written = " and ".join(str(p) for p in (out, figure) if p is not None)
+        contents[figure] = picture(estimate_figures.figure(table, estimates), figure)
+    write_all(contents)
+    written = " and ".join(map(str, contents))
     console.print(
         (f"Written to [bold]{escape(written)}[/] in " if written else "Evaluated in ")
         + f"{time.perf_counter() - start:.0f} s.",
@@ -87,12 +91,11 @@ def evaluate(
     )
 
 
-def _write_table(rows: list[Row], out: Path) -> None:
-    """Write the errors as CSV."""
-    with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(_written(row) for row in rows)
+def _table(rows: list[Row]) -> str:
+    """Return the errors as CSV."""
+    table = io.StringIO()
+    csv.writer(table, lineterminator="\n").writerows([COLUMNS, *map(_written, rows)])
+    return table.getvalue()
 
 
 def _written(row: Row) -> list[object]:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note, watched_interrupts
+from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.files import check_surface, partial_folder, publish
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import MM, MM2
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.cli._header import print_wall
 from acoustube.cli._options import Output, Run, Tool, setting, settings_of
 from acoustube.runs.config import Mechanics, load_config, to_toml
@@ -112,11 +114,12 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
                 device=jax.devices()[0].device_kind,
             )
             write_dataset(dataset, partial / "run.nc")
-            (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
+            write(partial / "config.toml", to_toml(config))
             rows = indentation.rows_at(depths)
             reached, displacements = indentation.depth[rows], indentation.displacement[rows]
             vtu.write(indentation.mesh, reached, displacements, partial / "vtu")
-            run_figure.save(run_figure.press_figure(dataset), partial / "figure.png")
+            figure = partial / "figure.png"
+            write(figure, run_figure.picture(run_figure.press_figure(dataset), figure))
             check()
             folder = publish(partial, folder)
     _print_press(dataset, console)

@@ -7,8 +7,9 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acoustube.base.console import ConsoleReporter, watched_interrupts
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
 from acoustube.cli._options import Output, Ranging, Recording, check_files
 
@@ -50,8 +51,9 @@ def process(
 
     known, settings = chosen(ranging.calibration, ranging.prominence)
     report = ConsoleReporter(output.console(stderr=out is None))
-    failures, n_cycles, n_found, drawn = 0, 0, 0, False
-    with watched_interrupts() as check, opened(out) as file:
+    failures, n_cycles, n_found = 0, 0, 0
+    pictures: dict[Path, bytes] = {}
+    with watched_interrupts() as check, opened(out, pictures) as file:
         writer = csv.writer(file, lineterminator="\n")
         header = [[*COLUMNS, *(name for name, _ in LABEL_COLUMNS.values())]]
         for path, data in recordings.read_all(files, **dataclasses.asdict(recording)):
@@ -67,9 +69,8 @@ def process(
             header = []
             n_cycles, n_found = n_cycles + len(found.rows), n_found + found.n_detected
             _note_recording(path, data, found, report)
-            if figure is not None and not drawn and found.first is not None:
-                _draw(data, settings, *found.first, figure)
-                drawn = True
+            if figure is not None and not pictures and found.first is not None:
+                pictures[figure] = _drawn(data, settings, *found.first, figure)
         if failures and not n_cycles:
             raise ConfigError("no file could be processed, and nothing was written; see above")
     if known is None:
@@ -77,7 +78,7 @@ def process(
             "without a calibration distances are from the maximum of the send pulse and may be "
             "some centimetres off; acoustube calibrate makes one"
         )
-    if figure is not None and not drawn:
+    if figure is not None and not pictures:
         report.note("no echo, and no picture")
     failed = f"; {failures} files could not be processed" if failures else ""
     report.line(f"{n_cycles} cycles, echoes in {n_found}{failed}")
@@ -106,16 +107,16 @@ def _note_recording(path: Path, data: xr.Dataset, found: Processed, report: Repo
         report.note(f"{path}: {words}")
 
 
-def _draw(
+def _drawn(
     data: xr.Dataset, settings: Processing, first: int, ranging: signals.Ranging, figure: Path
-) -> None:
-    """Draw the first cycle with an echo of a batch that begins at `first`, and the batch."""
+) -> bytes:
+    """Return a picture of a batch that begins at `first`, and of its first cycle with an echo."""
     import numpy as np
     from matplotlib.figure import Figure
 
     from acoustube import signals
     from acoustube.reports.figures import cycles as cycle_figures
-    from acoustube.reports.figures import run as run_figure
+    from acoustube.reports.figures.run import picture
 
     index = first + int(np.argmax(ranging.detected))
     time, cycle = data["time"].values, data["signal"].values[index]
@@ -131,4 +132,4 @@ def _draw(
     cycle_figures.draw_cycle(above, time, cycle, one, temperature)
     sent = float(np.nanmedian(ranging.send_time))
     cycle_figures.draw_waterfall(below, time, ranging.envelope, sent, temperature)
-    run_figure.save(sheet, figure)
+    return picture(sheet, figure)

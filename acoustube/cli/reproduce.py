@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_out, partial_file
+from acoustube.base.files import check_out
 from acoustube.base.report import Reporter, time_in_words
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.cli._options import FLAG, Output, Workers
 
 if TYPE_CHECKING:
@@ -138,8 +139,7 @@ def _prepared(out: Path, scale: Scale) -> Path:
         return folder
     folder = check_out(out)
     folder.mkdir(parents=True, exist_ok=True)
-    with partial_file(folder / MARK) as part:
-        part.write_text(json.dumps(mark) + "\n", encoding="utf-8")
+    write(folder / MARK, json.dumps(mark) + "\n")
     return folder
 
 
@@ -158,8 +158,9 @@ def _write_index(folder: Path) -> None:
 
     there = [name for name in STUDIES if (folder / name / "index.html").is_file()]
     tables = [pd.read_csv(folder / name / "table.csv", dtype=str) for name in there]
-    pd.concat(tables).to_csv(folder / "table.csv", index=False, lineterminator="\n")
-    (folder / "index.html").write_text(index_page(there), encoding="utf-8")
+    table = pd.concat(tables).to_csv(index=False, lineterminator="\n")
+    write(folder / "table.csv", table, overwrite=True)
+    write(folder / "index.html", index_page(there), overwrite=True)
 
 
 def _print(study: Study, console: Console) -> None:

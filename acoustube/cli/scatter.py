@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note, watched_interrupts
+from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_netcdf_name, check_new_file, check_surface, partial_file
+from acoustube.base.files import check_netcdf_name, check_new_file, check_surface
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output
 from acoustube.runs.config import CELLS_PER_WAVELENGTH
@@ -131,17 +132,16 @@ def scatter(
     found, notes = _scattering(
         lumen, band.band, n_steps, medium, resolution, ConsoleReporter(console)
     )
-    with partial_file(out) as partial:
-        dataset = to_dataset(found)
-        dataset.attrs |= {
-            "lumen": lumen.name,
-            "warnings": "\n".join(notes),
-            "temperature": medium.temperature,
-            "humidity_percent": medium.humidity,
-            "pressure_kpa": medium.pressure,
-            "losses": "none" if medium.lossless else "wall and air",
-        }
-        write_dataset(dataset, partial)
+    dataset = to_dataset(found)
+    dataset.attrs |= {
+        "lumen": lumen.name.encode("utf-8", "backslashreplace").decode(),
+        "warnings": "\n".join(notes),
+        "temperature": medium.temperature,
+        "humidity_percent": medium.humidity,
+        "pressure_kpa": medium.pressure,
+        "losses": "none" if medium.lossless else "wall and air",
+    }
+    write_dataset(dataset, out)
     _print(found, notes, console)
     elapsed = time.perf_counter() - started
     console.print(f"Written to [bold]{out}[/] in {elapsed:.0f} s.", soft_wrap=True)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
+from acoustube.base.writing import write_all
 from acoustube.cli._options import Output, check_picture
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 PAGES = (".html", ".htm")
 
@@ -47,17 +44,28 @@ def show(
         check_new_file(html, "html")
         if html.suffix.lower() not in PAGES:
             raise ConfigError(f"html = {html} must end in .html")
+    from rich.markup import escape
+
     console = output.console()
+    contents: dict[Path, bytes | str] = {}
+    said = []
     if html is not None:
-        _write_page(results, html, console)
+        from acoustube.reports.page.write import assembled, plotly_js, read
+
+        contents[html] = assembled(read(results), plotly_js())
+        said.append(f"Written to [bold]{escape(str(html))}[/], {len(contents[html]) / 1e6:.1f} MB.")
     if out is not None:
-        _write_figure(results, out, console)
+        contents[out], count = _figure(results, out)
+        said.append(f"{count} cases drawn in [bold]{escape(str(out))}[/].")
+    write_all(contents)
+    for line in said:
+        console.print(line, soft_wrap=True)
 
 
-def _write_figure(where: Path, out: Path, console: Console) -> None:
-    """Draw the results of a sweep."""
-    from acoustube.reports.figures import run as run_figure
+def _figure(where: Path, out: Path) -> tuple[bytes, int]:
+    """Draw the results of a sweep; return the picture, and the number of cases."""
     from acoustube.reports.figures import sweep as sweep_figure
+    from acoustube.reports.figures.run import picture
     from acoustube.runs.opening import open_dataset
 
     if (where / "run.nc").is_file():
@@ -73,14 +81,4 @@ def _write_figure(where: Path, out: Path, console: Console) -> None:
         raise ConfigError(
             f"{where} holds a damaged file; repeat the command acoustube sweep to mend it"
         ) from error
-    run_figure.save(sweep_figure.figure(cases), out)
-    console.print(f"{cases.sizes['press']} cases drawn in [bold]{out}[/].", soft_wrap=True)
-
-
-def _write_page(where: Path, out: Path, console: Console) -> None:
-    """Write a page that shows a run."""
-    from acoustube.reports.page import write_page
-
-    page = write_page(where, out)
-    size = page.stat().st_size / 1e6
-    console.print(f"Written to [bold]{page}[/], {size:.1f} MB.", soft_wrap=True)
+    return picture(sweep_figure.figure(cases), out), cases.sizes["press"]

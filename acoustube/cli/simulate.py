@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note, watched_interrupts
+from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.files import partial_folder, publish
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import CM, MM, MM2, PERCENT
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.cli._header import print_wall
 from acoustube.cli._options import Output, Run, Tool, setting, settings_of
 from acoustube.runs.config import Config, check_touched, load_config, to_toml
@@ -85,7 +87,7 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
             with ConsoleReporter(console).progress(check) as report:
                 dataset = simulated(config, report=report)
             write_dataset(dataset, partial / "run.nc")
-            (partial / "config.toml").write_text(to_toml(config), encoding="utf-8")
+            write(partial / "config.toml", to_toml(config))
             drawn = _write_figure(dataset, partial)
             check()
             folder = publish(partial, folder)
@@ -103,7 +105,8 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
     from acoustube.reports.scenes import tube as tube_scene
 
     images = tube_scene.draw(folder / "run.nc")
-    run_figure.save(run_figure.figure(dataset, images), folder / "figure.png")
+    figure = folder / "figure.png"
+    write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
     return images is not None
 
 

@@ -17,6 +17,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_folder, publish
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.cli._options import WHOLE, Checked, Output, checked_folder
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def _run(
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     with partial_folder(folder) as partial:
         write_table(partial / "sleeve.csv", tubes, found, sensing.step / 100)
-        (partial / "layout.txt").write_text("\n".join(words) + "\n", encoding="utf-8")
+        write(partial / "layout.txt", "\n".join(words) + "\n")
         picture = sleeve_scene.Picture(
             tubes=tuple(tubes), detection_range=found.detection_range, outer_diameter=diameter,
             contacts=tuple(contacts), deviation=deviation, markers=seen,

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note, watched_interrupts
+from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
@@ -99,7 +100,7 @@ def train(
         _print_cycles(table, estimator, console)
         with ConsoleReporter(console).progress(check) as show:
             model = _trained(table, estimator, features, training, show, console)
-        estimation.save(model, out)
+        estimation.save(model, out, overwrite=False)
     _print_overfitting(model, console)
     console.print(
         f"Written to [bold]{escape(str(out))}[/] in {time.perf_counter() - start:.0f} s.",

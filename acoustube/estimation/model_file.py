@@ -7,6 +7,7 @@ make an endless walk, and depends on the version of scikit-learn that wrote them
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from collections.abc import Mapping
@@ -19,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_file
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.features import FeatureSettings, names
 from acoustube.estimation.model import ESTIMATORS, TARGETS, Estimator, Model, kind_of_features
@@ -42,19 +43,22 @@ FILE_NAMES = {
 """Names in files of settings that are called otherwise in Python."""
 
 
-def save(model: Model, path: str | Path) -> None:
+def save(model: Model, path: str | Path, *, overwrite: bool = True) -> None:
     """Write a model as a NumPy archive (the format of .npz) under any name.
 
     Parameters
     ----------
     model : Model
     path : str or Path
-        An existing file is replaced once the new one is complete.
+    overwrite : bool
+        Whether an existing file is replaced, once the new one is complete.
 
     Raises
     ------
     ConfigError
         If the file cannot be written.
+    SimulationError
+        If there is no room for it, or it exists and is not to be replaced.
     """
     header = {
         "kind": KIND,
@@ -73,11 +77,9 @@ def save(model: Model, path: str | Path) -> None:
         "origin": dict(model.origin),
     }
     arrays: dict[str, Any] = {"header": np.array(json.dumps(header))} | _arrays(model.estimator)
-    try:
-        with partial_file(Path(path)) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    write(path, content.getvalue(), overwrite=overwrite)
 
 
 def load(path: str | Path) -> Model:

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_netcdf_name, partial_file
+from acoustube.base.files import check_netcdf_name
 from acoustube.base.netcdf import write_dataset
 from acoustube.recordings.cycles import assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
@@ -174,8 +174,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     """
     path = Path(path)
     check_netcdf_name(path)
-    with partial_file(path) as partial:
-        write_dataset(dataset, partial)
+    write_dataset(dataset, path, overwrite=True)
 
 
 def _entries(paths: str | Path | Iterable[str | Path]) -> list[Path]:

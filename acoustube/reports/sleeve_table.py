@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.writing import write
 from acoustube.recordings.markers import Markers
 from acoustube.sleeve import Helix, Layout, nearest
 from acoustube.sleeve.arm_fit import Arm
@@ -148,21 +150,20 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
     step : float
         Between two distances in m; the last row of a tube is its end.
     """
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        for number, (tube, (near, far)) in enumerate(
-            zip(tubes, found.detection_range, strict=True), start=1
-        ):
-            end = tube.tube_length
-            distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
-            z = tube.height(distance)
-            loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
-            angle = np.round(np.degrees(tube.angle(z)), 2) % 360
-            for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
-                at, place, along, turned, turn = row
-                detected = int(near - 1e-9 <= at <= far + 1e-9)
-                cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
-                table.writerow(
-                    [number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, detected]
-                )
+    text = io.StringIO()
+    table = csv.writer(text)
+    table.writerow(COLUMNS)
+    for number, (tube, (near, far)) in enumerate(
+        zip(tubes, found.detection_range, strict=True), start=1
+    ):
+        end = tube.tube_length
+        distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
+        z = tube.height(distance)
+        loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
+        angle = np.round(np.degrees(tube.angle(z)), 2) % 360
+        for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
+            at, place, along, turned, turn = row
+            detected = int(near - 1e-9 <= at <= far + 1e-9)
+            cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
+            table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, detected])
+    write(path, text.getvalue())

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import errno
+import io
 import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
 from acoustube import signals
-from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.writing import FULL
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
     MISSING,
@@ -232,17 +235,27 @@ def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
         yield lambda _: None
         return
     try:
-        file: TextIO = out.open("x", encoding="utf-8", newline="")
+        file = out.open("xb", buffering=0)
     except OSError as error:
         raise ConfigError(
             f"out = {out} cannot be written ({error.strerror}); name a new file"
         ) from error
     with file:
-        writer = csv.writer(file, lineterminator="\n")
 
         def write(row: list[object]) -> None:
-            writer.writerow(row)
-            file.flush()
+            line = io.StringIO()
+            csv.writer(line, lineterminator="\n").writerow(row)
+            whole = file.tell()
+            content = line.getvalue().encode("utf-8", "backslashreplace")
+            try:
+                if file.write(content) < len(content):
+                    raise OSError(errno.ENOSPC, FULL[errno.ENOSPC])
+            except OSError as error:
+                file.truncate(whole)
+                raise SimulationError(
+                    f"{out}: {FULL.get(error.errno or 0, error.strerror)}; it holds the cycles so "
+                    "far, so make room and log to a new file"
+                ) from error
 
         write([*LIVE_COLUMNS])
         yield write

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +17,9 @@ from platformdirs import user_data_path
 
 from acoustube import signals
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_file
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MS
+from acoustube.base.writing import write_all
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
@@ -109,13 +110,19 @@ def chosen(
 
 
 @contextlib.contextmanager
-def opened(out: Path | None) -> Iterator[TextIO]:
-    """Yield standard output, or a new file that appears when it is complete."""
-    if out is None:
-        yield sys.stdout
-        return
-    with partial_file(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        yield file
+def opened(out: Path | None, others: Mapping[Path, bytes]) -> Iterator[TextIO]:
+    """Yield standard output, or a new file that appears when it is complete, and others with it.
+
+    Parameters
+    ----------
+    out : Path or None
+    others : mapping of Path to bytes
+        Contents of other files.
+    """
+    table = sys.stdout if out is None else io.StringIO()
+    yield table
+    own = {out: table.getvalue()} if isinstance(table, io.StringIO) else {}
+    write_all(own | dict(others))
 
 
 class Processed(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,7 @@ from tomlkit.items import Item
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import toml_array
+from acoustube.base.writing import write
 from acoustube.signals.calibration import Calibration, Estimate
 from acoustube.signals.filters import TimeGain
 from acoustube.signals.processing import Processing
@@ -43,6 +45,20 @@ def save(calibration: Calibration, path: str | Path) -> None:
     ------
     ConfigError
         If the file exists or cannot be written.
+    SimulationError
+        If there is no room for it.
+    """
+    if os.path.lexists(path):
+        raise ConfigError(f"{path} cannot be written, since it exists; name a new file")
+    write(path, in_toml(calibration))
+
+
+def in_toml(calibration: Calibration) -> str:
+    """Return the content of the file of a calibration, each value with its unit.
+
+    Parameters
+    ----------
+    calibration : Calibration
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("A calibration of acoustube; every value with its unit."))
@@ -56,11 +72,7 @@ def save(calibration: Calibration, path: str | Path) -> None:
     document.add("processing", processing)
     document.add(tomlkit.nl())
     document.add("calibration", fitted)
-    try:
-        with Path(path).open("x", encoding="utf-8") as file:
-            file.write(tomlkit.dumps(document))
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written ({error.strerror or error})") from error
+    return tomlkit.dumps(document)
 
 
 def _toml(value: Any, unit: str) -> Item:

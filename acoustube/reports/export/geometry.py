@@ -14,6 +14,7 @@ import xarray as xr
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.types import Array, Index
 from acoustube.base.units import MM, MM2
+from acoustube.base.writing import write
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
 from acoustube.lumen import pressed_part, ring_faces
@@ -65,7 +66,7 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
     else:
         count, shape = _write_lumens(run, folder, suffix)
         what, found = f"{PRESSED} {shape}", f"lumens at {count} depths, {shape},"
-    (folder / "README.txt").write_text(TEXT.format(what=what), encoding="utf-8")
+    write(folder / "README.txt", TEXT.format(what=what))
     return found
 
 
@@ -78,7 +79,7 @@ def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]
         _save(surface, folder / file)
     table = {"file": files, "depth_mm": MM * run["indentation_depth"].values[rows]}
     table["lumen_area_mm2"] = MM2 * run["lumen_area"].values[rows]
-    pd.DataFrame(table).to_csv(folder / "lumens.csv", index=False)
+    write(folder / "lumens.csv", pd.DataFrame(table).to_csv(index=False))
     return len(rows), what
 
 
@@ -128,10 +129,8 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
             "the sweep has no walls: no case is pressed, or it was written by an earlier version; "
             "sweep into a new folder, which stores the presses"
         )
-    pd.DataFrame(rows).to_csv(folder / "lumens.csv", index=False)
-    (folder / "README.txt").write_text(
-        TEXT.format(what=f"{SWEPT} {STRAIGHTENED}"), encoding="utf-8"
-    )
+    write(folder / "lumens.csv", pd.DataFrame(rows).to_csv(index=False))
+    write(folder / "README.txt", TEXT.format(what=f"{SWEPT} {STRAIGHTENED}"))
     return f"{count} lumens of {len(rows)} cases"
 
 
@@ -241,11 +240,12 @@ def _save(surface: trimesh.Trimesh, path: Path) -> None:
     """Write a surface in mm, as surfaces are read."""
     points = MM * surface.vertices
     if path.suffix == ".stl":
-        trimesh.Trimesh(points, surface.faces, process=False).export(path)
+        bare = trimesh.Trimesh(points, surface.faces, process=False)
+        write(path, trimesh.exchange.stl.export_stl(bare))
         return
     import pyvista
 
-    pyvista.PolyData.from_regular_faces(points, surface.faces).save(path)
+    write(path, vtu.in_xml(pyvista.PolyData.from_regular_faces(points, surface.faces)))
 
 
 def write_meshes(run: xr.Dataset, folder: Path) -> str:

@@ -5,6 +5,7 @@ A frame is a cycle, an episode the cycles of one press in one recording session.
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from acoustube.base.writing import write
 from acoustube.reports.export.sounds import episodes, labels
 from acoustube.reports.export.tables import check_parquet
 
@@ -81,9 +83,11 @@ class _Files:
     def __enter__(self) -> _Files:
         return self
 
-    def __exit__(self, *_error: object) -> None:
+    def __exit__(self, *error: object) -> None:
         if self.writer is not None:
             self.writer.close()
+            if error[:1] == (None,):
+                write(self.path, self.content.getvalue())
 
     def write(self, columns: Columns) -> tuple[int, int]:
         """Write an episode; return the numbers of its chunk and its file."""
@@ -92,11 +96,12 @@ class _Files:
 
         frames = pa.table({name: _arrow(values) for name, values in columns.items()})
         if self.writer is None or self.room < len(frames):
-            self.__exit__()
+            self.__exit__(None)
             self.number, self.room = self.number + 1, self.frames
-            path = self.folder / "data" / FILE.format(**dict(zip(PLACE, self.place, strict=True)))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self.writer = pq.ParquetWriter(path, frames.schema)
+            name = FILE.format(**dict(zip(PLACE, self.place, strict=True)))
+            self.path, self.content = self.folder / "data" / name, io.BytesIO()
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.writer = pq.ParquetWriter(self.content, frames.schema)
         self.writer.write_table(frames)  # a row group of its own, so that it can be read alone
         self.room -= len(frames)
         return self.place
@@ -239,10 +244,9 @@ def _write_meta(
     }
     path = meta / "episodes" / FILE.format(chunk_index=0, file_index=0)
     path.parent.mkdir(parents=True)
-    pd.DataFrame(listed).to_parquet(path, index=False)
-    pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK], name="task")).to_parquet(
-        meta / "tasks.parquet"
-    )
+    write(path, pd.DataFrame(listed).to_parquet(index=False))
+    tasks = pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK], name="task"))
+    write(meta / "tasks.parquet", tasks.to_parquet())
     for name, content in (("info", info), ("stats", stats.in_json())):
         text = json.dumps(content, indent=2) + "\n"
-        (meta / f"{name}.json").write_text(text, encoding="utf-8")
+        write(meta / f"{name}.json", text)

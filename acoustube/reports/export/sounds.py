@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pandas as pd
 import xarray as xr
 from scipy.io import wavfile
 
+from acoustube.base.writing import write
 from acoustube.reports.export.tables import check_parquet
 
 LABELS = "labels.parquet"
@@ -52,13 +54,15 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
     for number, part in enumerate(np.split(np.arange(len(table)), starts[1:])):
         counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values.astype(int)
         file = f"{number:05d}-{table['press'].iloc[part[0]]}.wav"
-        wavfile.write(folder / file, rate, (counts - middle).astype(np.int16).ravel())
+        sound = io.BytesIO()
+        wavfile.write(sound, rate, (counts - middle).astype(np.int16).ravel())
+        write(folder / file, sound.getvalue())
         files[part], offsets[part] = file, np.arange(len(part)) * n
     table.insert(0, "file", files)
     table.insert(1, "start", offsets)
     table.insert(2, "length", n)
-    table.to_parquet(folder / LABELS, index=False)
-    (folder / "README.txt").write_text(TEXT.format(labels=LABELS), encoding="utf-8")
+    write(folder / LABELS, table.to_parquet(index=False))
+    write(folder / "README.txt", TEXT.format(labels=LABELS))
     return f"{len(table)} cycles in {len(starts)} files"
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.writing import write
 
 TABLES = {
     "press": "cases", "cycle": "cycles", "depth": "press", "time": "signal", "z": "profile",
@@ -46,15 +47,15 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
         if set(columns) <= {dimension}:
             continue  # all that follows it follows another dimension too
         table = pd.DataFrame({name: variable.values for name, variable in columns.items()})
-        table.to_csv(folder / f"{stem}.csv", index=False)
+        write(folder / f"{stem}.csv", table.to_csv(index=False))
         known += [_described(stem, name, variable) for name, variable in columns.items()]
         written.append(f"{stem}.csv with {len(table)} rows")
     if "s_real" in data:
         table = data[COEFFICIENTS].to_dataframe().reset_index()
-        table.to_csv(folder / "scattering.csv", index=False)
+        write(folder / "scattering.csv", table.to_csv(index=False))
         known += [_described("scattering", name, data[name]) for name in table.columns]
         written.append(f"scattering.csv with {len(table)} rows")
-    pd.DataFrame(known).to_csv(folder / "columns.csv", index=False)
+    write(folder / "columns.csv", pd.DataFrame(known).to_csv(index=False))
     return f"{', '.join(written)}"
 
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pyvista
 from numpy.typing import NDArray
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
 from acoustube.base.types import Array
 from acoustube.base.units import MM
+from acoustube.base.writing import write as write_file
 from acoustube.indentation import Mesh
 from acoustube.indentation.reference_element import HEX20, Reference
 
@@ -48,16 +50,32 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
     ):
         name = f"press-{number:04d}.vtu"
         grid.point_data["displacement"] = displacement
-        grid.save(folder / name)
+        write_file(folder / name, in_xml(grid))
         entries.append(f'<DataSet timestep="{MM * depth:.6g}" file="{name}"/>')
     collection = folder / "press.pvd"
-    collection.write_text(
+    write_file(
+        collection,
         '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1"><Collection>\n'
         + "\n".join(entries)
         + "\n</Collection></VTKFile>\n",
-        encoding="utf-8",
     )
     return collection
+
+
+def in_xml(shape: pyvista.UnstructuredGrid | pyvista.PolyData) -> str:
+    """Return the content of a VTU or VTP file: VTK itself does not survive a full disk.
+
+    Parameters
+    ----------
+    shape : pyvista.UnstructuredGrid or pyvista.PolyData
+    """
+    of_grid = isinstance(shape, pyvista.UnstructuredGrid)
+    writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
+    writer.SetInputData(shape)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString())
 
 
 def _grid(mesh: Mesh) -> pyvista.UnstructuredGrid:

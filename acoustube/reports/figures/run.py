@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -235,6 +236,15 @@ def _top(*curves: Any) -> float:
     return 1.15 * float(highest) or 1.0
 
 
-def save(sheet: Figure, path: Path) -> None:
-    """Write a figure as PNG; no screen is needed."""
-    sheet.savefig(path, dpi=130)
+def picture(sheet: Figure, path: Path) -> bytes:
+    """Return a figure as the content of a file, in the format of its name.
+
+    Parameters
+    ----------
+    sheet : matplotlib.figure.Figure
+    path : Path
+        PNG, PDF or SVG. No screen is needed.
+    """
+    drawn = io.BytesIO()
+    sheet.savefig(drawn, format=path.suffix[1:].lower(), dpi=130)
+    return drawn.getvalue()

@@ -8,8 +8,9 @@ from pathlib import Path
 from string import Template
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_new_file, partial_file
+from acoustube.base.files import check_new_file
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.reports.page.cases import read_sweep
 from acoustube.reports.page.content import Content
 from acoustube.reports.page.encoded import encoded
@@ -75,8 +76,7 @@ def write_page(where: str | Path, out: str | Path) -> Path:
     check_new_file(out, "html")
     library = plotly_js()
     page = assembled(read(where), library)
-    with partial_file(out) as partial:
-        partial.write_text(page, encoding="utf-8")
+    write(out, page)
     return out
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.base.units import CM
+from acoustube.base.writing import write
 from acoustube.reports.scenes.tube import TIME_LIMIT
 from acoustube.sleeve.helix import Helix
 
@@ -65,7 +66,7 @@ def draw(picture: Picture, path: Path) -> bool:
     ----------
     picture : Picture
     path : Path
-        The PNG file to write.
+        The PNG file to write, which must be new.
 
     Returns
     -------
@@ -76,11 +77,14 @@ def draw(picture: Picture, path: Path) -> bool:
         with tempfile.TemporaryDirectory() as folder:
             content = Path(folder) / "picture.pkl"
             content.write_bytes(pickle.dumps(picture))
-            command = [sys.executable, "-m", __name__, str(content), str(path)]
+            drawn = Path(folder) / "figure.png"
+            command = [sys.executable, "-m", __name__, str(content), str(drawn)]
             subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
-            return path.is_file()
+            image = drawn.read_bytes()
     except (subprocess.SubprocessError, OSError):
         return False
+    write(path, image)
+    return True
 
 
 def render(picture: Picture) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube import estimation
-from acoustube.base.console import watched_interrupts
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MM
 from acoustube.estimation import FeatureSettings, Model

@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from acoustube.base.version import __version__
+from acoustube.base.writing import write as write_file
 from acoustube.runs.sweep.workers import Workers
 
 MARKED_DIFFERENCE = 1 / 3
@@ -149,23 +150,24 @@ def write(study: Study, name: str, folder: Path) -> None:
     for number, (caption, figure) in enumerate(study.figures.items(), 1):
         png = io.BytesIO()
         figure.savefig(png, format="png", dpi=DPI)
-        (folder / f"figure-{number}.png").write_bytes(png.getvalue())
+        write_file(folder / f"figure-{number}.png", png.getvalue(), overwrite=True)
         pictures[caption] = png.getvalue()
     write_table({name: study}, folder / "table.csv")
-    (folder / "index.html").write_text(page(study, pictures), encoding="utf-8")
+    write_file(folder / "index.html", page(study, pictures), overwrite=True)
 
 
 def write_table(studies: Mapping[str, Study], path: Path) -> None:
     """Write the numbers of studies, by name, as CSV."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for name, study in studies.items():
-            for row in study.rows:
-                numbers = (row.published, row.ours, 100 * row.difference, row.coarser,
-                           100 * row.change)  # fmt: skip
-                words = [_plain(number, 6, "") for number in numbers]
-                writer.writerow([name, row.quantity, row.unit, *words, row.why])
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for name, study in studies.items():
+        for row in study.rows:
+            numbers = (row.published, row.ours, 100 * row.difference, row.coarser,
+                       100 * row.change)  # fmt: skip
+            words = [_plain(number, 6, "") for number in numbers]
+            writer.writerow([name, row.quantity, row.unit, *words, row.why])
+    write_file(path, table.getvalue(), overwrite=True)
 
 
 def index_page(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube import estimation
-from acoustube.base.console import watched_interrupts
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter, ShowProgress
 from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.model import TARGETS

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError, SimulationError
-from acoustube.base.files import check_out, partial_file
+from acoustube.base.files import check_out
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import nearest
 from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import read_document
 from acoustube.runs.opening import open_dataset
@@ -127,8 +128,7 @@ def run_dataset(
     if todo:
         _record(todo, folder, recipe, workers, report, executor)
     data = open_dataset(folder)
-    with partial_file(folder / CARD) as part:
-        part.write_text(card(data, recipe), encoding="utf-8")
+    write(folder / CARD, card(data, recipe), overwrite=True)
     elapsed = time_in_words(time.perf_counter() - started)
     report.line(f"{data.sizes['cycle']} cycles written to {folder} in {elapsed}.")
     return folder
@@ -174,12 +174,11 @@ def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
     else:
         folder = check_out(out)
     folder.mkdir(parents=True, exist_ok=True)
-    with partial_file(folder / RECIPE) as part:
-        words = dataclasses.asdict(recipe) | {"rangefinder": None}
-        if recipe.rangefinder is not None:
-            words["rangefinder"] = json.loads(recipe.rangefinder.to_json())
-        words |= {"acoustube_version": __version__}
-        part.write_text(json.dumps(words, indent=1) + "\n", encoding="utf-8")
+    words = dataclasses.asdict(recipe) | {"rangefinder": None}
+    if recipe.rangefinder is not None:
+        words["rangefinder"] = json.loads(recipe.rangefinder.to_json())
+    words |= {"acoustube_version": __version__}
+    write(folder / RECIPE, json.dumps(words, indent=1) + "\n", overwrite=True)
     return folder
 
 

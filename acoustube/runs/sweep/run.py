@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.base.console import watched_interrupts
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import partial_file
+from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.version import __version__
+from acoustube.base.writing import write
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.costs import (
     GIGABYTES,
@@ -107,8 +107,7 @@ def run_sweep(
     work = work_of(cases, folder, found, share, retry)
     _note_other_plan(plan, folder, found, {case.name for case in cases}, report)
     store.delete_failures(folder, found.finished.keys() & store.failures(folder).keys())
-    with partial_file(folder / store.PLAN) as part:
-        part.write_text(to_toml(plan), encoding="utf-8")
+    write(folder / store.PLAN, to_toml(plan), overwrite=True)
     at_once: int = width or getattr(executor, "_max_workers", None) or count_of(workers)
     report_work(work, at_once, report)
     done = Counter[str]()

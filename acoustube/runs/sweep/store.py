@@ -7,11 +7,9 @@ Nothing is written twice, so that any number of sweeps may write to one folder.
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import json
 import re
-import tempfile
 import time
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
@@ -22,9 +20,12 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError, SimulationError
-from acoustube.base.files import check_out, partial_file
+from acoustube.base.files import check_out, check_writable
 from acoustube.base.netcdf import to_netcdf
+from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
+from acoustube.base.writing import DiskFullError
+from acoustube.base.writing import write as put
 from acoustube.runs.sweep.plan import digest
 
 PLAN = "sweep.toml"
@@ -34,11 +35,8 @@ SCATTERING = "scattering"
 """Group of a file with the scattering matrix of its press."""
 WALLS = "walls"
 """Group of a file with the walls of its pressed tube; earlier files have none."""
-PARTIAL = ".acoustube-partial-"
 ABANDONED = 3600.0
 """Age in s at which a partial file counts as left behind by a killed run."""
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a full disk, or of a used-up quota."""
 
 
 class Contents(NamedTuple):
@@ -76,8 +74,7 @@ def prepared(path: str | Path) -> Path:
                 raise
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder):
-            pass
+        check_writable(folder)
         _sweep_up(folder)
     except OSError as error:
         raise ConfigError(
@@ -91,12 +88,12 @@ def _begun(folder: Path) -> bool:
     if not folder.is_dir() or (folder / PLAN).is_file():
         return folder.is_dir()
     names = [path.name for path in folder.iterdir()]
-    return bool(names) and all(name.startswith(PARTIAL) for name in names)
+    return bool(names) and all(name.startswith(ASIDE) for name in names)
 
 
 def _sweep_up(folder: Path) -> None:
     """Delete old partial files, which killed runs have left behind."""
-    for path in folder.glob(f"{PARTIAL}*"):
+    for path in folder.glob(f"{ASIDE}*"):
         with contextlib.suppress(OSError):
             if path.is_file() and time.time() - path.stat().st_mtime > ABANDONED:
                 path.unlink()
@@ -112,7 +109,7 @@ def contents(folder: Path) -> Contents:
             names = _names(path)
             finished |= dict.fromkeys(names or (), path)
             damaged += [path] * (names is None)
-        elif not (path.name in (PLAN, FAILURES) or path.name.startswith(PARTIAL)):
+        elif not (path.name in (PLAN, FAILURES) or path.name.startswith(ASIDE)):
             foreign += [path] * (path.suffix != ".damaged")
     return Contents(finished, damaged, foreign)
 
@@ -218,21 +215,18 @@ def write_file(
         if group is not None:
             parts[f"/{name}"], encoding[f"/{name}"] = group, _packed(group)
     content = to_netcdf(xr.DataTree.from_dict(parts), encoding)
+    _put(path, content)
+
+
+def _put(path: Path, content: bytes | str) -> None:
+    """Write a file of a folder that can be resumed; one of that name is replaced."""
     try:
-        with partial_file(path) as partial:
-            partial.write_bytes(content)
-    except OSError as error:
-        raise unwritable(path.parent, error) from error
-
-
-def unwritable(folder: Path, error: OSError) -> SimulationError:
-    """Return the error to raise for a file that cannot be written."""
-    if error.errno in FULL:
-        return SimulationError(
-            f"{folder} cannot hold more: the disk is full; everything in it is intact, so make "
-            "room and run the same command again"
-        )
-    return SimulationError(f"{folder} cannot be written ({error.strerror})")
+        put(path, content, overwrite=True)
+    except DiskFullError as error:
+        there = f"everything in {path.parent} is intact"
+        raise DiskFullError(error.path, error.reason, error.needed, there) from error
+    except ConfigError as error:
+        raise SimulationError(str(error)) from error
 
 
 def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
@@ -284,12 +278,9 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "acoustube_version": __version__,
     }
-    try:
+    with contextlib.suppress(OSError):  # the file in it tells why
         (folder / FAILURES).mkdir(exist_ok=True)
-        with partial_file(folder / FAILURES / f"{name}.json") as partial:
-            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise unwritable(folder, error) from error
+    _put(folder / FAILURES / f"{name}.json", json.dumps(content, indent=1) + "\n")
 
 
 def delete_failures(folder: Path, names: Iterable[str]) -> None:

@@ -1,0 +1,177 @@
+"""Interrupts: a request to stop, at any moment, ends a computation in order and in time."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+REQUESTS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""Signals that ask a process to stop: Ctrl-C, a batch system, and a terminal that was closed."""
+RETRY = 0.05
+"""Seconds after which an interrupt that could not be raised, or was lost, is raised again."""
+GRACE, IMPATIENCE = 3.0, 1.0
+"""Seconds that a command has to end after one interrupt, and after a second one."""
+SENTENCE = "interrupted; no incomplete run is left"
+SHOW_CURSOR = b"\x1b[?25h"
+
+
+class _Interrupt:
+    """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
+
+    In an extension that is being loaded an interrupt becomes an ImportError, or is lost.
+
+    Attributes
+    ----------
+    number : int
+        The last signal that asked to stop; 0 before the first.
+    raised : bool
+        Whether KeyboardInterrupt was raised.
+    """
+
+    def __init__(self) -> None:
+        self.number, self.raised = 0, False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if number in REQUESTS:
+            self.number = number
+        if _importing(frame):
+            self.again()
+            return
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        self.raised = True
+        raise KeyboardInterrupt
+
+    def again(self) -> None:
+        """Raise the interrupt a little later, and anew until the import has ended."""
+        signal.signal(signal.SIGALRM, self)
+        signal.setitimer(signal.ITIMER_REAL, RETRY)
+
+    def check(self) -> None:
+        """Raise again an interrupt that was raised before."""
+        if self.raised:
+            raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Return whether a frame belongs to an import under way."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@contextmanager
+def watched_interrupts(
+    before: Any = signal.default_int_handler,
+) -> Iterator[Callable[[], None]]:
+    """Let interrupts wait for the end of an import, and raise those again that were lost.
+
+    Python ignores an exception in a hook of its garbage collection, of which JAX has one, in a
+    destructor, and in a function that a library such as VTK calls.
+
+    Parameters
+    ----------
+    before : callable
+        Signals are watched that have this handler; it has them again in the end.
+
+    Yields
+    ------
+    callable
+        Raises KeyboardInterrupt again if it was raised before.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    found = {n: signal.getsignal(n) for n in REQUESTS if in_main}
+    handler = next((h for h in found.values() if isinstance(h, _Interrupt)), None)
+    if handler is not None:  # one for all, so that none is lost between two of them
+        yield handler.check
+        return
+    handler = _Interrupt()
+    replaced = [n for n, handles in found.items() if handles is before]
+    for number in replaced:
+        signal.signal(number, handler)
+    ignored = sys.unraisablehook
+    if replaced:
+        sys.unraisablehook = _raising_again(handler, ignored)
+    try:
+        yield handler.check
+    finally:
+        sys.unraisablehook = ignored
+        if replaced:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        for number in replaced:
+            signal.signal(number, before)
+
+
+def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a hook that raises an ignored interrupt again, and leaves other errors to `before`."""
+
+    def hook(unraisable: Any) -> None:
+        in_main = threading.current_thread() is threading.main_thread()
+        if in_main and issubclass(unraisable.exc_type, KeyboardInterrupt):
+            handler.again()
+        else:
+            before(unraisable)
+
+    return hook
+
+
+def check() -> None:
+    """Raise an interrupt that was raised before, and lost; for what must not be done after one."""
+    handler = signal.getsignal(signal.SIGINT)
+    in_main = threading.current_thread() is threading.main_thread()
+    if in_main and isinstance(handler, _Interrupt):
+        handler.check()
+
+
+def exit_code() -> int:
+    """Return the exit code of an interrupted command: 128 and the number of the signal."""
+    handlers = (signal.getsignal(number) for number in REQUESTS)
+    found = next((h.number for h in handlers if isinstance(h, _Interrupt)), 0)
+    return 128 + (found or signal.SIGINT)
+
+
+def end_in_time(clean: Callable[[], None]) -> None:
+    """Let a thread end this process where an interrupt has not ended it in time.
+
+    Python's own handler in C tells the thread of a signal, wherever the main thread is: a library
+    may keep that for minutes, or may have taken the exception for one of its own.
+
+    Parameters
+    ----------
+    clean : callable
+        Called before the end.
+    """
+    told, telling = socket.socketpair()
+    telling.setblocking(False)
+    # Detached: the process has it to its end.
+    signal.set_wakeup_fd(telling.detach(), warn_on_full_buffer=False)
+
+    def watch() -> None:
+        number, end = 0, math.inf
+        while (left := end - time.monotonic()) > 0:
+            told.settimeout(None if math.isinf(left) else left)
+            with suppress(TimeoutError):
+                received = told.recv(1)[0]
+                if received in REQUESTS:
+                    end = min(end, time.monotonic() + (IMPATIENCE if number else GRACE))
+                    number = received
+        clean()
+        with suppress(OSError):
+            os.write(2, SHOW_CURSOR * os.isatty(2) + f"acoustube: {SENTENCE}\n".encode())
+        os._exit(128 + number)
+
+    threading.Thread(target=watch, name="interrupts", daemon=True).start()

@@ -1,0 +1,201 @@
+"""Writing of files in one step: complete, on the disk, and never over what others have written."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import itertools
+import math
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from acoustube.base import interrupts, remnants
+from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.remnants import ASIDE
+
+FULL = {
+    errno.ENOSPC: "no space left on the device",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "a file may not be that large here",
+}
+"""Error numbers of a place that cannot hold a file, in words."""
+
+
+class DiskFullError(SimulationError):
+    """Output for which there is no room.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    reason : str
+        Of :data:`FULL`.
+    needed : int
+        Size of the output in bytes.
+    then : str
+        What to know or to do.
+    """
+
+    def __init__(self, path: Path, reason: str, needed: int, then: str = "") -> None:
+        size = math.ceil(needed / 1e4) / 100  # rounded up, so that as much is enough
+        super().__init__(f"{path}: {reason}; {size:g} MB are needed{'; ' * bool(then)}{then}")
+        self.path, self.reason, self.needed = path, reason, needed
+
+
+def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) -> None:
+    """Write a file in one step: aside, to the disk, and to its name if that is still free.
+
+    Parameters
+    ----------
+    path : str or path
+        The file. In a folder of :func:`partial_folder`, which is aside itself, it is written
+        directly.
+    content : bytes or str
+        All of it; text is written in UTF-8.
+    overwrite : bool
+        Whether a file of this name is replaced.
+
+    Raises
+    ------
+    DiskFullError
+        If there is no room for it.
+    SimulationError
+        If the name has been taken by another program; the file then has a number in its name.
+    ConfigError
+        If it cannot be written for another reason.
+    """
+    write_all({path: content}, overwrite=overwrite)
+
+
+def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -> None:
+    """Write files in one step, all or none; see :func:`write`.
+
+    Parameters
+    ----------
+    contents : mapping of str or path to bytes or str
+    overwrite : bool
+    """
+    encoded = {
+        Path(path): text.encode("utf-8", "backslashreplace") if isinstance(text, str) else text
+        for path, text in contents.items()  # which may hold the name of a file, not in UTF-8
+    }
+    needed, names = sum(map(len, encoded.values())), {}
+    with contextlib.ExitStack() as stack:
+        complete = {}
+        for path, content in encoded.items():
+            with _told(path, needed):
+                if any(parent in _begun for parent in path.parents):
+                    _to_disk(path, content)
+                else:
+                    complete[path] = stack.enter_context(aside(path))
+                    _to_disk(complete[path], content)
+        interrupts.check()
+        for path, hidden in complete.items():
+            with _told(path, needed):
+                names[path] = hidden.replace(path) if overwrite else _named(hidden, path)
+                to_disk(path.parent)
+    for path, name in names.items():
+        if name != path:
+            raise SimulationError(
+                f"{path} has been made by another program meanwhile, and nothing is overwritten; "
+                f"this result is in {name}"
+            )
+
+
+@contextlib.contextmanager
+def _told(path: Path, needed: int) -> Iterator[None]:
+    """Turn an error of the system into one that names the file, and the bytes needed."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            raise DiskFullError(path, FULL[error.errno], needed) from error
+        raise ConfigError(
+            f"{path} cannot be written ({error.strerror or error}); name another place"
+        ) from error
+
+
+def _to_disk(path: Path, content: bytes) -> None:
+    """Write a new file, which is not there if that fails."""
+    with path.open("xb") as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
+        except OSError:
+            path.unlink(missing_ok=True)
+            raise
+
+
+def to_disk(folder: Path) -> None:
+    """Let the names in a folder survive a power cut, where the system can.
+
+    Parameters
+    ----------
+    folder : Path
+    """
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
+def _named(hidden: Path, path: Path) -> Path:
+    """Give a complete file its name, or one with a number if that is taken; return it."""
+    others = (path.with_name(f"{path.stem}-{n}{path.suffix}") for n in itertools.count(2))
+    for name in itertools.chain([path], others):
+        with contextlib.suppress(FileExistsError):
+            _link(hidden, name)
+            return name
+    raise AssertionError  # the numbers do not end
+
+
+def _link(hidden: Path, name: Path) -> None:
+    """Move a file to a name; raise FileExistsError if that is taken."""
+    try:
+        os.link(hidden, name)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links, as on memory cards
+        with name.open("xb"):
+            pass
+        try:
+            hidden.replace(name)
+        except BaseException:
+            name.unlink(missing_ok=True)
+            raise
+
+
+_begun: dict[Path, Path | None] = {}
+"""Outputs that this process is making, and their records in the register."""
+
+
+@contextlib.contextmanager
+def aside(path: Path) -> Iterator[Path]:
+    """Yield a free hidden name next to a path; what is there in the end is removed."""
+    hidden = path.absolute().with_name(f"{ASIDE}{uuid.uuid4().hex[:8]}")
+    try:
+        _begun[hidden] = remnants.register(hidden)
+        yield hidden
+    finally:
+        _end(hidden)
+
+
+def _end(aside: Path) -> None:
+    remnants.remove(aside)
+    record = _begun.get(aside)
+    if record is not None and not os.path.lexists(aside):
+        with contextlib.suppress(OSError):
+            record.unlink(missing_ok=True)
+    _begun.pop(aside, None)
+
+
+def discard() -> None:
+    """Remove all outputs that this process has begun and not completed."""
+    for aside in list(_begun):
+        _end(aside)
