@@ -276,7 +276,9 @@ def test_a_full_disk_leaves_the_folder_intact(tmp_path):
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
     try:
-        with pytest.raises(SimulationError, match=r"disk is full; everything in it is intact"):
+        with pytest.raises(
+            SimulationError, match=r"cases-\w+.nc: .* MB are needed; everything in .* is intact"
+        ):
             store.write(tmp_path, results("b"), None)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

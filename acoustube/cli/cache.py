@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 
 from cyclopts import App, Parameter
 
-from acoustube.base import cache
+from acoustube.base import cache, remnants
 
 app = App(
     name="cache",
@@ -33,13 +34,15 @@ def cache_size() -> None:
 
 @app.command(name="clear")
 def clear_cache() -> None:
-    """Delete all cached results, and JAX's compiled code."""
+    """Delete all cached results, JAX's compiled code, and what killed commands left half made."""
     code = cache.compiled()
+    left = remnants.clear()
     gone = cache.clear()
-    print(f"deleted {_results(len(gone))}, {_megabytes([*gone, *code])} freed")
+    halves = f" and {len(left)} incomplete outputs" * bool(left)
+    print(f"deleted {_results(len(gone))}{halves}, {_megabytes([*gone, *code, *left])} freed")
 
 
-def _megabytes(entries: list[cache.Entry]) -> str:
+def _megabytes(entries: Sequence[cache.Entry | remnants.Remnant]) -> str:
     return f"{sum(entry.size for entry in entries) / 1e6:.1f} MB"
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from acoustube.base import cache
 from acoustube.base.errors import SimulationError
+from acoustube.base.remnants import remnants
 from acoustube.base.version import __version__
 from acoustube.cli._options import FLAG, Output
 
@@ -94,6 +95,8 @@ class Machine:
     cache_writable : bool
     disk_free_gb : float
         On the disk of the cache.
+    remnants : list of str
+        Incomplete outputs that killed commands have left behind.
     extras : tuple of Extra
     """
 
@@ -109,6 +112,7 @@ class Machine:
     cache_folder: str
     cache_writable: bool
     disk_free_gb: float
+    remnants: list[str]
     extras: tuple[Extra, ...]
 
 
@@ -184,6 +188,7 @@ def look() -> Machine:
         cache_folder=str(folder),
         cache_writable=there.is_dir() and os.access(there, os.W_OK),
         disk_free_gb=round(shutil.disk_usage(there).free / 1e9, 2),
+        remnants=[str(remnant.path) for remnant in remnants()],
         extras=extras(requires("acoustube") or []),
     )
 
@@ -265,6 +270,10 @@ def _print_machine(machine: Machine, console: Console) -> None:
     line(f"memory: {_in_gb(machine.memory_gb)}, {_in_gb(machine.memory_free_gb)} free")
     advice = "" if machine.cache_writable else f"; {HELP_WITH_CACHE}"
     line(f"cache: {machine.cache_folder}, {machine.disk_free_gb:.1f} GB free{advice}")
+    if machine.remnants:
+        first = escape(machine.remnants[0])
+        more = f" and {len(machine.remnants) - 1} more" * bool(machine.remnants[1:])
+        line(f"left behind by killed commands: {first}{more}; acoustube cache clear removes them")
     for extra in machine.extras:
         state = "there" if extra.present else f"missing; {escape(extra.install)}"
         line(f"extra {extra.name}, which {extra.purpose}: {state}")

@@ -52,7 +52,7 @@ def process(
     known, settings = chosen(ranging.calibration, ranging.prominence)
     report = ConsoleReporter(output.console(stderr=out is None))
     failures, n_cycles, n_found = 0, 0, 0
-    pictures: dict[Path, bytes] = {}
+    pictures: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, pictures) as file:
         writer = csv.writer(file, lineterminator="\n")
         header = [[*COLUMNS, *(name for name, _ in LABEL_COLUMNS.values())]]

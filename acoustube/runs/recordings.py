@@ -110,7 +110,7 @@ def chosen(
 
 
 @contextlib.contextmanager
-def opened(out: Path | None, others: Mapping[Path, bytes]) -> Iterator[TextIO]:
+def opened(out: Path | None, others: Mapping[Path, bytes | str]) -> Iterator[TextIO]:
     """Yield standard output, or a new file that appears when it is complete, and others with it.
 
     Parameters
@@ -119,10 +119,9 @@ def opened(out: Path | None, others: Mapping[Path, bytes]) -> Iterator[TextIO]:
     others : mapping of Path to bytes
         Contents of other files.
     """
-    table = sys.stdout if out is None else io.StringIO()
-    yield table
-    own = {out: table.getvalue()} if isinstance(table, io.StringIO) else {}
-    write_all(own | dict(others))
+    table = io.StringIO()
+    yield sys.stdout if out is None else table
+    write_all(others if out is None else {out: table.getvalue(), **others})
 
 
 class Processed(NamedTuple):
