@@ -165,8 +165,8 @@ def test_refusal_inside_a_stage_becomes_a_failure_of_that_stage():
 
 def test_press_within_the_blind_time_is_warned_of():
     near = load_config(position_cm=10, lowpass_khz=2)
-    assert any("not looked for" in line for line in warnings_for(settings_in_si(near)))
-    assert not any("not looked for" in line for line in warnings_for(settings_in_si(load_config())))
+    assert any("not searched" in line for line in warnings_for(settings_in_si(near)))
+    assert not any("not searched" in line for line in warnings_for(settings_in_si(load_config())))
 
 
 def test_settings_become_si():

@@ -134,8 +134,8 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     check_millimetres(surface, path)
     if surface.euler_number < 2:
         raise ConfigError(
-            f"{path} has a hole through it, as the wall of a tube has; give the air inside. "
-            "acoustube indent --tube presses walls."
+            f"{path} has a hole through it, as the wall of a tube has; give the surface of the air "
+            "inside, or press the wall with acoustube indent --tube."
         )
     if surface.volume < 0:
         raise ConfigError(f"{path} is inside out; turn its facets so that they point outwards.")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from cyclopts import CoercionError, Parameter
@@ -87,17 +88,26 @@ def settings_of(*groups: Any) -> dict[str, Any]:
 
 
 class Checked:
-    """Group of options, each of which is checked by the rule in its annotation."""
+    """Group of options, each checked by the rule in its annotation, which states its unit too."""
 
     def __post_init__(self) -> None:
-        hints = get_type_hints(type(self), include_extras=True)
-        for field in dataclasses.fields(self):  # type: ignore[arg-type]
-            value, hint = getattr(self, field.name), hints[field.name]
-            if value is None or value == field.default or get_origin(hint) is not Annotated:
-                continue
-            for rule in get_args(hint)[1:]:
-                if isinstance(rule, Number):
-                    rule.check(field.name.replace("_", "-"), value)
+        for name, rule in self._rules():
+            if getattr(self, name) is not None:
+                rule.check(name.replace("_", "-"), getattr(self, name))
+
+    def in_si(self) -> SimpleNamespace:
+        """Return the options by name, in SI units."""
+        from acoustube.runs.config.si import to_si
+
+        names = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
+        numbers = {name: to_si(names[name], rule.unit) for name, rule in self._rules()}
+        return SimpleNamespace(**names | numbers)
+
+    def _rules(self) -> Iterator[tuple[str, Number]]:
+        """Yield the name and the rule of each number."""
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            rules = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+            yield from ((name, rule) for rule in rules if isinstance(rule, Number))
 
 
 @Parameter(name="*")

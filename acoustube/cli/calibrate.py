@@ -137,7 +137,9 @@ def _together(paths: Sequence[Path], options: Recording) -> xr.Dataset:
     rates = {float(part.attrs["sampling_rate"]) for part in parts}
     lengths = {part.sizes["time"] for part in parts}
     if len(rates) > 1 or len(lengths) > 1:
-        raise ConfigError("the recordings differ in sampling rate or length; calibrate with alike")
+        raise ConfigError(
+            "the recordings differ in sampling rate or length; use ones that are alike in both"
+        )
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 
 

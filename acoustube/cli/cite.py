@@ -144,6 +144,4 @@ def _attributes(path: Path) -> dict[str, Any]:
         with h5py.File(path) as file:
             return dict(file.attrs)
     except OSError as error:
-        raise ConfigError(
-            f"{path} cannot be read ({error}); name a result that is whole"
-        ) from error
+        raise ConfigError(f"{path} cannot be read ({error}); name an intact result") from error

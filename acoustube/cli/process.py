@@ -79,7 +79,7 @@ def process(
             "some centimetres off; acoustube calibrate makes one"
         )
     if figure is not None and not pictures:
-        report.note("no echo, and no picture")
+        report.note("no echo is detected, so no picture is drawn")
     failed = f"; {failures} files could not be processed" if failures else ""
     report.line(f"{n_cycles} cycles, echoes in {n_found}{failed}")
     return 1 if failures else 0

@@ -15,6 +15,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name, check_new_file, check_surface
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
+from acoustube.base.units import KHZ, MM, UM, US
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output
 from acoustube.runs.config import CELLS_PER_WAVELENGTH
 
@@ -72,6 +73,14 @@ class Band:
             )
         return round(count)
 
+    def frequencies(self) -> Any:
+        """Return the frequencies in Hz."""
+        import numpy as np
+
+        from acoustube.runs.config.si import KILO
+
+        return KILO * np.linspace(*self.band, self.n_steps() + 1)
+
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +130,7 @@ def scatter(
     check_surface(lumen)
     check_new_file(out)
     check_netcdf_name(out)
-    n_steps = band.n_steps()
+    band.n_steps()
     Number(8, 128, "", "grid cells across the ends", whole=True).check("resolution", resolution)
 
     from acoustube.base.netcdf import write_dataset
@@ -129,9 +138,8 @@ def scatter(
 
     started = time.perf_counter()
     console = output.console()
-    found, notes = _scattering(
-        lumen, band.band, n_steps, medium, resolution, ConsoleReporter(console)
-    )
+    report = ConsoleReporter(console)
+    found, notes = _scattering(lumen, band.frequencies(), medium, resolution, report)
     dataset = to_dataset(found)
     dataset.attrs |= {
         "lumen": lumen.name.encode("utf-8", "backslashreplace").decode(),
@@ -149,8 +157,7 @@ def scatter(
 
 def _scattering(
     lumen: Path,
-    band_khz: tuple[float, float],
-    n_steps: int,
+    frequency: Any,
     medium: Medium,
     resolution: int,
     report: Reporter,
@@ -163,10 +170,11 @@ def _scattering(
     from acoustube.waves.grid.cells import cut_cells
     from acoustube.waves.scattering import scatter as scattering
 
-    air = air_at(medium.temperature, humidity=medium.humidity, pressure=1e3 * medium.pressure)
+    state = medium.in_si()
+    air = air_at(state.temperature, humidity=state.humidity, pressure=state.pressure)
     surface, start = read_lumen(lumen)
     across = float(_end_size(surface) / resolution)
-    _check_grid(band_khz, across, air)
+    _check_grid(frequency[[0, -1]], across, air)
     # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
@@ -175,7 +183,6 @@ def _scattering(
         cells = cut_cells(surface, spacing)
         _check_width(cells, lumen)
         progress(0.0)
-        frequency = 1e3 * np.linspace(*band_khz, n_steps + 1)
         found = scattering(
             cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
             progress=progress,
@@ -192,14 +199,14 @@ def _end_size(surface: Any) -> float:
     return float(np.ptp(rim[:, :2], axis=0).max())
 
 
-def _check_grid(band_khz: tuple[float, float], spacing: float, air: Air) -> None:
-    """Check that the grid resolves the shortest wavelength of the band."""
-    low, high = band_khz
-    finest = 1e-3 * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
+def _check_grid(band: Any, spacing: float, air: Air) -> None:
+    """Check that the grid resolves the shortest wavelength of a band in Hz."""
+    low, high = KHZ * band
+    finest = KHZ * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
     if high > finest:
         raise ConfigError(
             f"band = {low:g} {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
-            f"{1e3 * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
+            f"{MM * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
             "resolution or lower the band"
         )
 
@@ -217,10 +224,10 @@ def _check_width(cells: CutCells, path: Path) -> None:
     openings = _openings(cells)[1:-1]
     narrowest, place = float(openings.min()), int(openings.argmin())
     if narrowest < NARROWEST_CELLS * cells.spacing[1]:
-        at = 1e3 * (place + 1) * cells.spacing[2]
+        at = MM * (place + 1) * cells.spacing[2]
         raise ConfigError(
-            f"{path} is {1e3 * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
-            f"{NARROWEST_CELLS} cells of {1e3 * cells.spacing[1]:.3g} mm; raise resolution"
+            f"{path} is {MM * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
+            f"{NARROWEST_CELLS} cells of {MM * cells.spacing[1]:.3g} mm; raise resolution"
         )
 
 
@@ -234,21 +241,21 @@ def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
     low, high = found.frequency[[0, -1]]
     notes = []
     inside = [
-        f"{name} at {1e-3 * cut_on:.2f} kHz"
+        f"{name} at {KHZ * cut_on:.2f} kHz"
         for name, cut_on in zip(found.modes, found.cut_ons, strict=True)
         if low < cut_on < high
     ]
     if inside:
         notes.append(
             f"Modes cut on inside the band: {', '.join(inside)}. Within 1 % of these, small errors "
-            "of size or temperature decide what propagates."
+            "of size or temperature decide whether they propagate."
         )
     gap = float(_openings(straight_ends_cut(cells)).min())
     layers = gap / viscous_thickness(air, float(low))
     if layers < NARROW_GAP_LAYERS:
         notes.append(
-            f"The lumen is {1e6 * gap:.0f} um wide at its narrowest, {layers:.0f} viscous boundary "
-            f"layers at {1e-3 * low:g} kHz: the losses there are more than first order."
+            f"The lumen is {UM * gap:.0f} um wide at its narrowest, {layers:.0f} viscous boundary "
+            f"layers at {KHZ * low:g} kHz: there the first-order model of losses is not valid."
         )
     n = len(found.frequency)
     ringing = np.any((~found.settled & _propagating(found)).reshape(n, -1), axis=1)
@@ -281,21 +288,21 @@ def _print(found: Scattering, notes: list[str], console: Console) -> None:
     table = Table("kHz", "|R00|", "|T00|", box=None, pad_edge=False)
     for i in np.unique(np.linspace(0, len(s) - 1, 12).round().astype(int)):
         table.add_row(
-            f"{1e-3 * found.frequency[i]:.2f}", f"{abs(s[i, 0]):.4f}", f"{abs(s[i, 1]):.4f}"
+            f"{KHZ * found.frequency[i]:.2f}", f"{abs(s[i, 0]):.4f}", f"{abs(s[i, 1]):.4f}"
         )
     console.print(table)
     nx, ny, nz = found.shape
     console.print(
-        f"grid {nx} x {ny} x {nz}, {found.steps} steps of {1e6 * found.time_step:.3g} us; "
+        f"grid {nx} x {ny} x {nz}, {found.steps} steps of {US * found.time_step:.3g} us; "
         f"modes {', '.join(found.modes)}",
         soft_wrap=True,
     )
     high, over = float(found.frequency[-1]), 100 * np.mean(found.settled[_propagating(found)])
     across = found.sound_speed / (high * max(found.spacing))
     console.print(
-        f"accuracy: {across:.0f} cells per wavelength at {1e-3 * high:g} kHz, where 16 cells give "
+        f"accuracy: {across:.0f} cells per wavelength at {KHZ * high:g} kHz, where 16 cells give "
         "R and T within 0.01, 32 within 0.003 (see the documentation); straight ends and absorbers "
-        f"add nothing; {over:.1f} % of the coefficients are settled",
+        f"add no error; {over:.1f} % of the coefficients are settled",
         soft_wrap=True,
     )
     for words in notes:

@@ -79,6 +79,6 @@ def _figure(where: Path, out: Path) -> tuple[bytes, int]:
         cases = cases.load()
     except (OSError, RuntimeError) as error:
         raise ConfigError(
-            f"{where} holds a damaged file; repeat the command acoustube sweep to mend it"
+            f"{where} holds a damaged file; repeat the command acoustube sweep to recompute it"
         ) from error
     return picture(sweep_figure.figure(cases), out), cases.sizes["press"]

@@ -49,7 +49,7 @@ def simulate(
     sleeve paper, pressed 4 mm deep in its middle by a 25 mm cylinder.
     """
     config = load_config(run.config, **settings_of(tool, sound))
-    check_touched(config)
+    check_touched(config.indentation)
     run_simulation(config, run.folder("simulate"), output.console())
 
 

@@ -6,8 +6,8 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import radians
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -86,7 +86,7 @@ class Winding(Checked):
     loops: Annotated[float | None, Number(0.25, 100, "", "turns of each tube")] = None
     pitch: Annotated[float | None, Number(0.5, 100, "cm", "advance per turn")] = None
     tubes: Annotated[int, WHOLE, Number(1, 8, "", "side by side", whole=True)] = 2
-    phase: Annotated[float, Number(-360, 360, "degrees", "start of the first tube")] = 0.0
+    phase: Annotated[float, Number(-360, 360, "deg", "start of the first tube")] = 0.0
     hand: Literal["right", "left"] = "right"
     lead: Annotated[float, Number(0, 1000, "cm", "tube between sensor and sleeve")] = 15.0
     tube_diameter: Annotated[float, Number(1, 50, "mm", "outer")] = 11.1
@@ -167,29 +167,27 @@ def _run(
     from acoustube.sleeve import check_room, layout
 
     started = time.perf_counter()
-    reach, deviation, diameter = (
-        sensing.reach / 100, sensing.deviation / 100, winding.tube_diameter / 1000,
-    )  # fmt: skip
+    wound, sensor = winding.in_si(), sensing.in_si()
     if markers is None:
-        tubes, words, seen = _tubes_on_forearm(arm, winding, reach)
+        tubes, words, seen = _tubes_on_forearm(arm, wound, sensor.reach)
     else:
-        tubes, words, seen = _tubes_on_markers(markers, arm, winding, reach)
+        tubes, words, seen = _tubes_on_markers(markers, arm, wound, sensor.reach)
     found = layout(
-        tubes, dead_zone=sensing.dead_zone / 100, reach=reach, within=sensing.within / 1000,
-        deviation=deviation,
+        tubes, dead_zone=sensor.dead_zone, reach=sensor.reach, within=sensor.within,
+        deviation=sensor.deviation,
     )  # fmt: skip
-    check_room(tubes, diameter)
+    check_room(tubes, wound.tube_diameter)
     words += in_words(tubes, found)
     words += [contact_in_words(tubes, found, contact) for contact in contacts]
     console.print(f"[bold]acoustube {__version__}[/] sleeve", soft_wrap=True)
     for line in words:
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     with partial_folder(folder) as partial:
-        write_table(partial / "sleeve.csv", tubes, found, sensing.step / 100)
+        write_table(partial / "sleeve.csv", tubes, found, sensor.step)
         write(partial / "layout.txt", "\n".join(words) + "\n")
         picture = sleeve_scene.Picture(
-            tubes=tuple(tubes), detection_range=found.detection_range, outer_diameter=diameter,
-            contacts=tuple(contacts), deviation=deviation, markers=seen,
+            tubes=tuple(tubes), detection_range=found.detection_range, contacts=tuple(contacts),
+            outer_diameter=wound.tube_diameter, deviation=sensor.deviation, markers=seen,
         )  # fmt: skip
         if not sleeve_scene.draw(picture, partial / "figure.png"):
             note(console, "VTK cannot draw on this machine; there is no picture")
@@ -199,30 +197,29 @@ def _run(
 
 
 def _tubes_on_forearm(
-    arm: Arm, winding: Winding, reach: float
+    arm: Arm, winding: SimpleNamespace, reach: float
 ) -> tuple[list[Helix], list[str], Any]:
     """Return the tubes on a cone, its sizes in words, and no markers, (0, 3)."""
     import numpy as np
 
+    from acoustube.runs.config.si import CENTI
     from acoustube.sleeve import design
 
     assert arm.forearm is not None
-    length, near, far = (size / 100 for size in arm.forearm)
+    length, near, far = (CENTI * size for size in arm.forearm)
     tubes = design(
-        length, (near, far), loops=winding.loops,
-        pitch=None if winding.pitch is None else winding.pitch / 100, n_tubes=winding.tubes,
-        phase=radians(winding.phase), hand=winding.hand, lead=winding.lead / 100,
-        outer_diameter=winding.tube_diameter / 1000, reach=reach,
+        length, (near, far), loops=winding.loops, pitch=winding.pitch, n_tubes=winding.tubes,
+        phase=winding.phase, hand=winding.hand, lead=winding.lead,
+        outer_diameter=winding.tube_diameter, reach=reach,
     )  # fmt: skip
-    start = (
-        f"forearm: {100 * length:g} cm long, {100 * near:g} cm around at the end near the "
-        f"sensors, {100 * far:g} cm at the other"
+    sizes = (
+        "forearm: {:g} cm long, {:g} cm around at the end near the sensors, {:g} cm at the other"
     )
-    return tubes, [start], np.empty((0, 3))
+    return tubes, [sizes.format(*arm.forearm)], np.empty((0, 3))
 
 
 def _tubes_on_markers(
-    path: Path, shape: Arm, winding: Winding, reach: float
+    path: Path, shape: Arm, winding: SimpleNamespace, reach: float
 ) -> tuple[list[Helix], list[str], Any]:
     """Return the tubes on the fitted arm, the fit in words, and the markers in m, (n, 3)."""
     import numpy as np
@@ -232,11 +229,10 @@ def _tubes_on_markers(
 
     markers = read_markers(path, unit=shape.unit, columns=shape.columns)
     arm = fit_arm(markers.first, markers.second, axis=shape.axis)
-    loops = winding.loops if winding.pitch is None else arm.length / (winding.pitch / 100)
-    assert loops is not None
+    loops = winding.loops if winding.pitch is None else arm.length / winding.pitch
     tubes = wound(
-        arm, loops, n_tubes=winding.tubes, phase=radians(winding.phase), hand=winding.hand,
-        lead=winding.lead / 100,
+        arm, loops, n_tubes=winding.tubes, phase=winding.phase, hand=winding.hand,
+        lead=winding.lead,
     )  # fmt: skip
     check_reach(tubes, reach)
     words = fit_in_words(path, shape.axis, markers, arm)
@@ -245,6 +241,8 @@ def _tubes_on_markers(
 
 def _contacts(words: Sequence[str]) -> list[tuple[int, float]]:
     """Parse contacts such as ``80`` and ``2:80``: tube number from 0, and distance in m."""
+    from acoustube.runs.config.si import CENTI
+
     found = []
     for word in words:
         match = re.fullmatch(r"(?:(\d+):)?(\d+(?:\.\d*)?|\.\d+)", word.strip())
@@ -253,5 +251,5 @@ def _contacts(words: Sequence[str]) -> list[tuple[int, float]]:
                 f"distance = {word} is not a distance; use cm, as in 80, with the tube before it "
                 "as in 2:80"
             )
-        found.append((int(match[1] or 1) - 1, 1e-2 * float(match[2])))
+        found.append((int(match[1] or 1) - 1, CENTI * float(match[2])))
     return found

@@ -84,7 +84,7 @@ class _Kind:
     def check(self, name: str, value: Any) -> Any:
         value = self.read(value)
         if not self.fits(value):
-            raise ConfigError(f"{name} = {value!r} cannot be; use {self.allowed}")
+            raise ConfigError(f"{name} = {value!r} is not allowed; use {self.allowed}")
         return value
 
 

@@ -85,12 +85,12 @@ def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
         )
     words.append(
         f"coverage: {100 * found.coverage:.1f} % of {1e4 * found.skin_area:.0f} cm2 of skin lie "
-        f"within {1e3 * found.within:g} mm of a tube that detects presses there, "
-        f"{100 * found.blind:.1f} % at a tube that does not"
+        f"within {1e3 * found.within:g} mm of the detection range of a tube, "
+        f"{100 * found.blind:.1f} % next to a dead zone or beyond the reach"
     )
     words.append(
-        f"resolution: a distance known to {100 * found.deviation:g} cm is a patch of "
-        f"{1e4 * found.patch_area:.1f} cm2, {found.patches:.0f} of them on the sleeve"
+        f"resolution: {found.patches:.0f} patches of {1e4 * found.patch_area:.1f} cm2 on the "
+        f"sleeve, for distances with a standard deviation of {100 * found.deviation:g} cm"
     )
     return words
 

@@ -56,7 +56,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     :func:`acoustube.waves.propagate`, :func:`acoustube.signals.process`.
     """
     config = config or Config()
-    check_touched(config)
+    check_touched(config.indentation)
     settings = settings_in_si(config)
     report = report or _silent
     seconds: dict[str, float] = {}
@@ -100,15 +100,15 @@ def warnings_for(settings: SISettings) -> list[str]:
     blind = blind_time(settings)
     if path < air.sound_speed * blind:
         found.append(
-            f"The echo comes back within {MS * blind:.2f} ms of the send pulse, where it is not "
-            "looked for: move the press away from the source or raise the low-pass."
+            f"The echo comes back within {MS * blind:.2f} ms of the send pulse, which is not "
+            "searched: move the press away from the source or raise the low-pass."
         )
     bore = settings.tube.inner_diameter
     if settings.depth > LARGEST_CLOSING * bore:
         found.append(
             f"At {MM * settings.depth:g} mm the walls of the {MM * bore:g} mm lumen meet, or "
-            f"nearly: what is narrower than a cell of {MM * bore / settings.resolution:.2g} mm "
-            "passes sound only about as it should."
+            f"nearly: sound in gaps narrower than a cell of {MM * bore / settings.resolution:.2g} "
+            "mm is approximate."
         )
     if not settings.lossy:
         loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)

@@ -80,7 +80,8 @@ def table_of(
     rates = {float(part.attrs["sampling_rate"]) for part in parts}
     if max(rates) > 1.001 * min(rates):
         raise ConfigError(
-            f"the recordings have {min(rates):g} to {max(rates):g} samples per second; use alike"
+            f"the recordings have {min(rates):g} to {max(rates):g} samples per second; use "
+            "recordings of one rate"
         )
     return _joined(parts)
 

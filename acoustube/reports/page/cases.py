@@ -83,7 +83,7 @@ def read_sweep(folder: Path) -> Content:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(
-            f"{folder} holds a damaged file; repeat the command acoustube sweep to mend it"
+            f"{folder} holds a damaged file; repeat the command acoustube sweep to recompute it"
         ) from error
     shared, varying = _shared([case.config for group in groups.values() for case in group])
     return Content(

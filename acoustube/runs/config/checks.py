@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
 from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
-
-if TYPE_CHECKING:
-    from acoustube.runs.config.config import Config, Mechanics
 
 MM_PER_CM = 10
 
@@ -24,14 +20,14 @@ MOST_CELLS = 50_000_000
 """Largest number of cells of the wave stage, which takes some 15 GB of memory."""
 
 
-def check_touched(config: Config | Mechanics) -> None:
+def check_touched(press: IndentationSettings) -> None:
     """Raise if the press does not touch the tube.
 
     Raises
     ------
     ConfigError
     """
-    if config.indentation.depth_mm == 0:
+    if press.depth_mm == 0:
         raise ConfigError(
             "is not a press", setting="depth_mm", value=0,
             advice=f"use {SHALLOWEST_MM:g} or more (only a sweep may include the untouched tube)",
@@ -66,12 +62,12 @@ def check_press(press: IndentationSettings) -> None:
         )  # fmt: skip
 
 
-def check_round(config: Config) -> None:
+def check_round(tube: TubeSettings) -> None:
     """Raise for an imported surface: the acoustics support round tubes only."""
-    if config.tube.surface is not None:
+    if tube.surface is not None:
         raise ConfigError(
-            "cannot be simulated with sound, which round tubes alone can", setting="surface",
-            value=config.tube.surface, advice="use acoustube indent for the press alone",
+            "is supported by the press alone, not by the sound", setting="surface",
+            value=tube.surface, advice="use acoustube indent for the press alone",
         )  # fmt: skip
 
 
@@ -92,18 +88,19 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
     )  # fmt: skip
 
 
-def check_position(config: Config) -> None:
+def check_position(
+    tube: TubeSettings, indenter_mm: float, position: float, waves: WaveSettings
+) -> None:
     """Raise if the bent part of the press reaches the probe plane or the far end."""
-    tube, position = config.tube, config.position_cm
-    reach = pressed_reach(tube.outer_diameter_mm, config.indentation.indenter_mm) / MM_PER_CM
+    reach = pressed_reach(tube.outer_diameter_mm, indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
-    nearest = _round_up(config.waves.probe_cm + reach)
+    nearest = _round_up(waves.probe_cm + reach)
     farthest = _round_down(tube.length_cm - reach)
     bends = f"the press bends the tube for {reach:.4g} cm to each side"
     if nearest > farthest:
         shortest = _round_up(nearest + reach)
         raise ConfigError(
-            f"is too short: {bends} and the probe plane is at {config.waves.probe_cm:g} cm",
+            f"is too short: {bends} and the probe plane is at {waves.probe_cm:g} cm",
             setting="length_cm", value=tube.length_cm, allowed=(shortest, math.inf),
             advice=f"use at least {shortest:g}",
         )  # fmt: skip
@@ -140,9 +137,8 @@ def grid_cells(
     return resolution**3 * length / bore
 
 
-def check_resolution(config: Config) -> None:
+def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings) -> None:
     """Raise if the grid is too coarse for the sound, or too large."""
-    tube, waves = config.tube, config.waves
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
     if waves.method == "scattering":  # it follows the pulse's whole band
         highest *= 1 + BAND_WIDTH / waves.cycles
@@ -158,7 +154,7 @@ def check_resolution(config: Config) -> None:
     cells = grid_cells(
         bore=bore,
         outer_diameter=tube.outer_diameter_mm,
-        indenter_diameter=config.indentation.indenter_mm,
+        indenter_diameter=indenter_mm,
         tube_length=MM_PER_CM * tube.length_cm,
         resolution=waves.resolution,
         method=waves.method,
@@ -196,18 +192,17 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
         )  # fmt: skip
 
 
-def check_lowpass(config: Config) -> None:
+def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> None:
     """Raise if the low-pass passes the carrier, or is slower than the recording."""
-    waves, lowpass = config.waves, config.lowpass_khz
     # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
     highest = waves.frequency_khz / 2
-    record_ms = _record_ms(config.tube, waves)
+    record_ms = _record_ms(tube, waves)
     # The filter continues the record at both ends by three periods of the cut-off.
     lowest = _round_up(3 / record_ms)
     if lowpass < lowest:
         raise ConfigError(
             f"is too slow for the {record_ms:.2f} ms of the round trip in a "
-            f"{config.tube.length_cm:g} cm tube",
+            f"{tube.length_cm:g} cm tube",
             setting="lowpass_khz", value=lowpass, allowed=(lowest, highest),
             advice=f"use at least {lowest:g}",
         )  # fmt: skip

@@ -47,7 +47,7 @@ class Mechanics:
     def __post_init__(self) -> None:
         _check_sections(self)
         check_press(self.indentation)
-        check_touched(self)
+        check_touched(self.indentation)
         if self.tube.surface is None:
             check_depth(self.tube, self.indentation)
         elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
@@ -85,15 +85,16 @@ class Config:
     def __post_init__(self) -> None:
         _check_sections(self)
         check_press(self.indentation)
-        check_round(self)
+        check_round(self.tube)
         self._fill("indentation", "position_cm", self.position_cm)
         self._fill("signals", "lowpass_khz", self.lowpass_khz)
         check_depth(self.tube, self.indentation)
-        check_position(self)
-        check_resolution(self)
+        indenter = self.indentation.indenter_mm
+        check_position(self.tube, indenter, self.position_cm, self.waves)
+        check_resolution(self.tube, indenter, self.waves)
         check_probe(self.tube, self.waves)
         check_pulse(self.tube, self.waves)
-        check_lowpass(self)
+        check_lowpass(self.tube, self.waves, self.lowpass_khz)
 
     @property
     def position_cm(self) -> float:

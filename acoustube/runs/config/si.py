@@ -20,6 +20,8 @@ from acoustube.tube import Tube, shear_modulus_from_shore
 from acoustube.waves import Pulse, SourceEnd
 
 MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
+FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg": math.pi / 180}
+"""SI units in the units that users type; temperatures stay in degC and fractions in per cent."""
 
 MESH_SIZES = {
     "coarse": MeshSize(through_wall=1, around=12, along=10),
@@ -114,6 +116,11 @@ class SISettings(SIPress):
     def radius(self) -> float:
         """Radius of the bore in m."""
         return self.tube.inner_diameter / 2
+
+
+def to_si(value: float | None, unit: str) -> float | None:
+    """Return a value in SI units, given its unit; None stays None."""
+    return None if value is None else FACTORS.get(unit, 1) * value
 
 
 def settings_in_si(config: Config) -> SISettings:

@@ -146,7 +146,8 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
         contents = store.contents(folder)
         if contents.damaged:
             raise ConfigError(
-                f"{contents.damaged[0]} is damaged; repeat the command acoustube sweep to mend it"
+                f"{contents.damaged[0]} is damaged; repeat the command acoustube sweep to "
+                "recompute it"
             )
         found |= contents.finished
     if not found:

@@ -169,7 +169,7 @@ def _note_contents(folder: Path, found: store.Contents, report: Reporter) -> Non
     if found.foreign:
         names = ", ".join(path.name for path in found.foreign[:3])
         more = f" and {len(found.foreign) - 3} more" * (len(found.foreign) > 3)
-        report.note(f"{names}{more} in {folder} are not of a sweep; left alone")
+        report.note(f"{names}{more} in {folder} are not files of a sweep; they are kept")
 
 
 class Scale(NamedTuple):
