@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from children import without
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat, wavfile
@@ -552,8 +553,8 @@ def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "cannot be read"),
-        ("[]", ""),
+        ("{", "is not valid JSON: Expecting property name"),
+        ("[]", "it is no table of names and values"),
         ('{"sampling_rate": 1}', "sampling_rate is not known; use sampling_rate_hz"),
         ('{"labels": [1]}', "labels must be a table of names and their values"),
         ('{"labels": {"force": [1, [2, 3]]}}', "force is a list of unequal lists"),
@@ -566,9 +567,6 @@ def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
 def test_wrong_sidecars_are_refused(tmp_path, text, message):
     path = saved(tmp_path / "a.npz", cycles())
     path.with_suffix(".json").write_text(text)
-    if text == "[]":
-        assert read(path)["signal"].shape == (N, LENGTH)
-        return
     with pytest.raises(ConfigError) as caught:
         read(path)
     assert message in str(caught.value)
@@ -633,7 +631,7 @@ def test_words_and_wrong_headers_in_tables_are_refused(tmp_path):
 
 
 def test_flac_without_its_library_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "soundfile", None)
+    without(monkeypatch, "soundfile", tmp_path)
     (tmp_path / "a.flac").write_bytes(b"fLaC")
     with pytest.raises(
         ConfigError, match=r"install acoustube\[audio\], or convert the file to WAV"

@@ -1,9 +1,8 @@
 """Markers: what is read of them, what is fitted to them, and what is refused."""
 
-import sys
-
 import numpy as np
 import pytest
+from children import without
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
@@ -190,7 +189,7 @@ def test_c3d_is_read_as_the_table(tmp_path):
 
 
 def test_c3d_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ezc3d", None)
+    without(monkeypatch, "ezc3d", tmp_path)
     path = tmp_path / "m.c3d"
     path.write_bytes(b"")
     with pytest.raises(ConfigError, match=r"pip install acoustube\[c3d\]"):

@@ -1,7 +1,13 @@
-"""Variables and files of netCDF."""
+"""Variables and files of netCDF, and the seal by which a damaged file is known before it is opened.
+
+The seal is the SHA-256 of all bytes before it, at the end of the file, where HDF5 does not look:
+its library is not made for damaged files, and one changed byte may change any value in silence.
+"""
 
 from __future__ import annotations
 
+import hashlib
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +15,19 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.writing import write
+
+MARK = b"acoustube SHA-256 of what precedes\n"
+BLOCK = 1 << 20
+"""Bytes that are hashed at a time."""
+
+
+class Seal(Enum):
+    """State of a file by its seal: earlier versions, and other programs, write none."""
+
+    INTACT = "intact"
+    BROKEN = "broken"
+    NONE = "none"
+
 
 Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
@@ -24,8 +43,30 @@ def flag(dims: str, values: Any, long_name: str) -> Variable:
     return tuple(dims.split()), np.asarray(values, np.int8), {"units": "1"} | attributes
 
 
+def seal_of(path: str | Path) -> Seal:
+    """Return whether a file is what was written.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    end = len(MARK) + hashlib.sha256().digest_size
+    with Path(path).open("rb") as file:
+        left = file.seek(0, 2) - end
+        file.seek(max(left, 0))
+        mark, written = file.read(len(MARK)), file.read()
+        if left < 0 or mark != MARK:
+            return Seal.NONE
+        file.seek(0)
+        found = hashlib.sha256()
+        while left > 0 and (block := file.read(min(BLOCK, left))):
+            found.update(block)
+            left -= len(block)
+    return Seal.INTACT if found.digest() == written else Seal.BROKEN
+
+
 def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
-    """Return a dataset, or a tree of them, as a netCDF-4 file.
+    """Return a dataset, or a tree of them, as a sealed netCDF-4 file.
 
     Made in memory: HDF5 itself does not survive a full disk.
 
@@ -39,7 +80,8 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
 
     # Otherwise xarray asks a Dask cluster that this process is connected to for a lock, in vain.
     with dask.config.set(scheduler="synchronous"):
-        return bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
+        content = bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
+    return content + MARK + hashlib.sha256(content).digest()
 
 
 def write_dataset(dataset: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:

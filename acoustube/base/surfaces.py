@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_surface
+from acoustube.base.foreign import child
+from acoustube.base.foreign.limits import check_file, reading
 
 SHORTEST = 1.0
 """Length in mm below which metres are suspected."""
@@ -25,24 +27,22 @@ def load(path: Path) -> trimesh.Trimesh:
         If there are none, or the file cannot be read.
     """
     check_surface(path)
-    try:
-        surface = _polydata(path) if path.suffix.lower() == ".vtp" else trimesh.load_mesh(path)
-    # The readers raise whatever their parsing trips over.
-    except Exception as error:
-        raise ConfigError(
-            f"{path} cannot be read as a surface ({error}); use STL, PLY, OBJ or VTP."
-        ) from error
+    check_file(path, "surface")
+    kind = path.suffix.lower()[1:]
+    with reading(path, "a surface", "use STL, PLY, OBJ or VTP."):
+        if kind == "vtp":
+            found = {label["name"]: value for label, value in child.read("vtp", path, "surface")}
+            surface = trimesh.Trimesh(found["points"], found["faces"])
+        elif kind not in ("stl", "ply", "obj"):
+            raise ValueError("it is of another kind")
+        else:
+            # Of an open file, the library loads no textures that a surface may name.
+            with path.open("rb") as file:
+                surface = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
     if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
         raise ConfigError(f"{path} holds no triangles; export it as one surface.")
     surface.merge_vertices(merge_tex=True, merge_norm=True)
     return surface
-
-
-def _polydata(path: Path) -> trimesh.Trimesh:
-    import pyvista  # slow to import, and only these files need it
-
-    found = pyvista.PolyData(str(path)).triangulate()
-    return trimesh.Trimesh(np.asarray(found.points, float), found.regular_faces)
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
 from acoustube.base import cache
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.foreign.limits import VARIABLE
 from acoustube.base.interrupts import SENTENCE, exit_code, watched_interrupts
 from acoustube.base.version import __version__
 from acoustube.base.writing import FULL, DiskFullError
@@ -58,7 +59,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if tokens is None else tokens
     try:
-        with watched_interrupts() as check:
+        with watched_interrupts() as check, _limits_of_one_command():
             if not words or words[0] not in (*COMMANDS, "cache"):
                 _load_commands()
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
@@ -80,6 +81,18 @@ def main(tokens: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return _fail(str(error) or SENTENCE, exit_code())
     return code if isinstance(code, int) else 0
+
+
+@contextmanager
+def _limits_of_one_command() -> Iterator[None]:
+    """Restore the limits of files, which ``--limits`` sets for worker processes too."""
+    before = os.environ.get(VARIABLE)
+    try:
+        yield
+    finally:
+        os.environ.pop(VARIABLE, None)
+        if before is not None:
+            os.environ[VARIABLE] = before
 
 
 def _load_commands() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from cyclopts import CoercionError, Parameter
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file, check_out, fresh_folder
+from acoustube.base.foreign.limits import VARIABLE
 from acoustube.base.rules import Number
 from acoustube.runs.config import describe, is_whole
 from acoustube.runs.sweep.plan import DEFAULTS
@@ -112,16 +114,25 @@ class Checked:
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Output:
-    """Options of the printed output.
+class Output(Checked):
+    """Options of every command.
 
     Attributes
     ----------
     quiet : bool
         Messages off, except errors.
+    limits : float
+        Factor on the limits of size and number of what is read from files.
     """
 
     quiet: Annotated[bool, FLAG] = False
+    limits: Annotated[float | None, Number(1e-3, 1e6, "", "factor")] = None
+
+    def __post_init__(self) -> None:
+        """Check the options, and set the limits until :func:`main` ends."""
+        super().__post_init__()
+        if self.limits is not None:
+            os.environ[VARIABLE] = str(self.limits)
 
     def console(self, *, stderr: bool = False) -> Console:
         """Return the console to print on."""

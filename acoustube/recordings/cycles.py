@@ -12,6 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import child
+from acoustube.base.foreign.limits import check_file, reading
+from acoustube.base.foreign.results import open_result
 from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.version import __version__
@@ -21,7 +24,6 @@ from acoustube.recordings.checks import (
     clipped_cycles,
     silent_cycles,
 )
-from acoustube.recordings.formats import open_netcdf
 from acoustube.recordings.tables import meaning
 
 Named = dict[str, Any]
@@ -66,15 +68,16 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     ConfigError
         If its values cannot be used.
     """
-    try:
-        data: xr.Dataset = open_netcdf(path)
-    except Exception:  # the error is raised when it is read as any other file
-        return None
-    if "configuration" in data or "configuration" in data.attrs:
+    advice = "copy or export it again"
+    names, attributes = _names(path, advice)
+    if "configuration" in names | attributes:
         raise ConfigError(
             f"{path} is a result of acoustube simulate, indent or sweep and not a recording; "
             "acoustube dataset makes recordings of a sweep"
         )
+    if "acoustube_version" not in attributes or not {"signal", "temperature"} <= names:
+        return None
+    data = open_result(path, advice)
     shapes = {"signal": ("cycle", "time"), "temperature": ("cycle",)}
     if any(name not in data or data[name].dims != dims for name, dims in shapes.items()):
         return None
@@ -88,6 +91,17 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     if "time" not in data.coords:
         data = data.assign_coords(time=_time(signal.shape[1], rate))
     return data.assign_attrs({"sampling_rate": rate} | data.attrs)
+
+
+def _names(path: Path, advice: str) -> tuple[set[str], set[str]]:
+    """Return the names of the variables and of the attributes of a netCDF-4 file."""
+    check_file(path, "recording")
+    with reading(path, "netCDF", advice):
+        entries = child.read("names", path, "recording")
+    found: tuple[set[str], set[str]] = set(), set()
+    for label, _ in entries:
+        found["attribute" in label].add(label["name"])
+    return found
 
 
 def assemble(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import child
+from acoustube.base.foreign.archives import read_archive
+from acoustube.base.foreign.limits import check_file, check_name, reading
 from acoustube.recordings.tables import Contents, meaning, read_table
 
 
 def load(path: Path) -> Contents:
-    """Read the named arrays of a file; NPY and WAV are memory-mapped.
+    """Read the named arrays of a file; NPY, WAV and whole arrays of HDF5 are memory-mapped.
 
     Parameters
     ----------
@@ -31,20 +30,16 @@ def load(path: Path) -> Contents:
     Raises
     ------
     ConfigError
-        If the file is damaged or of another kind.
+        If the file is damaged, of another kind, or exceeds a limit of
+        :mod:`acoustube.base.foreign.limits`.
     """
     kind, loader = KINDS[path.suffix.lower()]
-    try:
-        return loader(path)
-    except ConfigError:
-        raise
-    # The readers raise whatever their parsing trips over.
-    except Exception as error:
-        reason = " ".join(str(error).split()) or "it is empty"
-        raise ConfigError(
-            f"{path} cannot be read as {kind} ({reason}); it is cut short, "
-            "damaged or a file of another kind: export it again"
-        ) from error
+    check_file(path, "table" if loader is read_table else "recording")
+    with reading(path, kind, "it is cut short, damaged or a file of another kind: export it again"):
+        contents = loader(path)
+        for name in contents:
+            check_name(path, name)
+        return contents
 
 
 def _npy(path: Path) -> Contents:
@@ -52,26 +47,7 @@ def _npy(path: Path) -> Contents:
 
 
 def _npz(path: Path) -> Contents:
-    found: Contents = {}
-    with zipfile.ZipFile(path) as archive:
-        for info in archive.infolist():
-            name = info.filename.removesuffix(".npy")
-            with archive.open(info) as member:
-                found[name] = _array(path, name, member)
-    return found
-
-
-def _array(path: Path, name: str, member: Any) -> NDArray[Any]:
-    """Return an array of an archive; raise for Python objects, which could run code when read."""
-    try:
-        return np.lib.format.read_array(member, allow_pickle=False)
-    except ValueError as error:
-        if "Object arrays" not in str(error):
-            raise
-        raise ConfigError(
-            f"{path}: {name} is an array of Python objects, which could run code as they are read; "
-            "save it as numbers or text"
-        ) from error
+    return dict(read_archive(path, "recording"))
 
 
 def _wav(path: Path) -> Contents:
@@ -82,114 +58,58 @@ def _wav(path: Path) -> Contents:
     size, declared = path.stat().st_size, int.from_bytes(head[4:], "little") + 8
     if head[:4] == b"RIFF" and size + 1 < declared:  # not all writers pad to an even length
         raise EOFError(f"it ends after {size} of {declared} bytes")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of chunks that are not sound
-        try:
-            rate, samples = wavfile.read(path, mmap=True)
-        except ValueError as error:
-            if "3-byte" not in str(error):
-                raise
-            rate, samples = wavfile.read(path)
-            samples >>= 8  # scipy puts the three bytes at the upper end of four
+    try:
+        rate, samples = wavfile.read(path, mmap=True)
+    except ValueError as error:
+        if "3-byte" not in str(error):
+            raise
+        rate, samples = wavfile.read(path)
+        samples >>= 8  # scipy puts the three bytes at the upper end of four
     return {"sampling_rate": rate, "signal": samples.reshape(1, len(samples), -1)}
 
 
 def _flac(path: Path) -> Contents:
     try:
-        import soundfile
-    except (ImportError, OSError) as error:  # OSError: without the library that it wraps
+        found = _named(child.read("flac", path, "recording"))
+    except child.MissingPackage as error:
         raise ConfigError(
             f"{path} needs the package soundfile to be read; install acoustube[audio], or convert "
             "the file to WAV"
         ) from error
-    with soundfile.SoundFile(path) as file:
-        # Eight and 24 bits come at the upper end of the type that holds them.
-        kinds = {"PCM_S8": ("int16", 8), "PCM_16": ("int16", 0), "PCM_24": ("int32", 8)}
-        dtype, shift = kinds[file.subtype]
-        samples = file.read(dtype=dtype, always_2d=True)
-        if len(samples) < file.frames:
-            raise EOFError(f"it ends after {len(samples)} of {file.frames} samples")
-        samples >>= shift
-        return {"sampling_rate": file.samplerate, "signal": samples[np.newaxis]}
+    return found | {"signal": found["signal"][np.newaxis]}
 
 
 def _mat(path: Path) -> Contents:
-    import h5py
-    from scipy.io import loadmat
-
-    if h5py.is_hdf5(path):
-        return _hdf5(path)
-    # Without mat_dtype, MATLAB's doubles are read as the integers that they are packed into.
-    return _flat(loadmat(path, mat_dtype=True, simplify_cells=True))
-
-
-def _flat(tree: Mapping[str, Any]) -> Contents:
-    """Return the leaves of a nested structure by name; of equal names the first."""
-    found: Contents = {}
-    for name, value in tree.items():
-        leaves = _flat(value) if isinstance(value, Mapping) else {name: value}
-        found = leaves | found
-    return {name: value for name, value in found.items() if not name.startswith("__")}
+    return _named(child.read("mat", path, "recording"))
 
 
 def _hdf5(path: Path) -> Contents:
-    """Read HDF5, and MATLAB's files of version 7.3."""
-    import h5py
-
-    found: Contents = {}
-
-    def take(name: str, item: Any) -> None:
-        known = {key: value for key, value in item.attrs.items() if meaning(key)[0]}
-        found.update(known | found)
-        if isinstance(item, h5py.Dataset) and "#refs#" not in name:
-            value = _hdf5_values(item)
-            if value is not None:
-                name = _with_unit(name.rpartition("/")[2], item.attrs.get("units"))
-                found.setdefault(name, value)
-
-    with h5py.File(path) as file:
-        take("", file)
-        file.visititems(take)
-    return found
-
-
-def _hdf5_values(item: Any) -> Any:
-    """Return a dataset's values; None if they are neither numbers nor text."""
-    import h5py
-
-    nothing = "MATLAB_empty" in item.attrs or item.attrs.get("MATLAB_class") == b"char"
-    if nothing or str(item.attrs.get("NAME", b"")).startswith("b'This is a netCDF dimension"):
-        return None
-    if h5py.check_string_dtype(item.dtype) is not None:
-        return np.asarray(item.asstr()[()], dtype=str)
-    if item.dtype.kind not in "biufc":
-        return None
-    # MATLAB's first axis is the last in the file, and it has no arrays of one axis.
-    return item[()].T.squeeze() if "MATLAB_class" in item.attrs else item[()]
-
-
-def _with_unit(name: str, unit: Any) -> str:
-    """Return a name with its unit, as ``depth_mm``, if that is a known name; else the name."""
-    joined = f"{name}_{unit}"
-    return joined if isinstance(unit, str) and meaning(joined)[0] else name
+    return _named(child.read("hdf5", path, "recording"))
 
 
 def _netcdf(path: Path) -> Contents:
-    data = open_netcdf(path)
-    arrays = {_with_unit(str(n), v.attrs.get("units")): v.values for n, v in data.variables.items()}
-    return {str(name): value for name, value in data.attrs.items()} | arrays
+    return _named(child.read("netcdf", path, "recording"), every_attribute=True)
 
 
-def open_netcdf(path: Path) -> Any:
-    """Return the contents of a netCDF file, as an xarray.Dataset in memory."""
-    import h5py
-    import xarray as xr
+def _named(entries: child.Entries, *, every_attribute: bool = False) -> Contents:
+    """Return arrays and known attributes by name, with the unit; of equal names the first."""
+    found: Contents = {}
+    for label, value in entries:
+        name = label["name"]
+        if label.get("attribute"):
+            if every_attribute or meaning(name)[0]:
+                found.setdefault(name, value)
+            continue
+        # MATLAB's first axis is the last in the file, and it has no arrays of one axis.
+        array = value.T.squeeze() if label.get("transposed") else value
+        found.setdefault(_with_unit(name, label.get("unit")), array)
+    return found
 
-    engine = "h5netcdf" if h5py.is_hdf5(path) else "scipy"
-    if engine == "h5netcdf":
-        h5py.File(path).close()  # h5netcdf prints a traceback for a file that this cannot open
-    with xr.open_dataset(path, engine=engine, decode_times=False) as file:
-        return file.load()
+
+def _with_unit(name: str, unit: str | None) -> str:
+    """Return a name with its unit, as ``depth_mm``, if that is a known name; else the name."""
+    joined = f"{name}_{unit}"
+    return joined if unit and meaning(joined)[0] else name
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], Contents]]] = {

@@ -10,13 +10,15 @@ from __future__ import annotations
 import csv
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import child
+from acoustube.base.foreign.limits import check_file, reading
 from acoustube.base.types import Array
 from acoustube.recordings.tables import plain
 
@@ -80,12 +82,11 @@ def read_markers(
     path = Path(path)
     if unit is not None and unit not in UNITS:
         raise ConfigError(f"unit = {unit!r} is not a unit of markers; use mm, cm or m")
-    if not path.is_file():
+    if not path.exists():
         raise ConfigError(f"{path} does not exist; give the name of a table or C3D file of markers")
-    try:
+    check_file(path, "markers")
+    with reading(path, "markers", "it is damaged or of another kind: export it again"):
         rows, own = (_from_c3d if path.suffix.lower() == ".c3d" else _from_table)(path)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path} cannot be read as markers ({error})") from error
     first, second = names = _column_names(rows, columns, path)
     known = unit or own
     scale = UNITS[known or DEFAULT_UNIT]
@@ -180,22 +181,17 @@ def _number(cell: str, where: str) -> float:
 def _from_c3d(path: Path) -> tuple[Rows, str | None]:
     """Read a C3D file."""
     try:
-        import ezc3d
-    except ImportError:
+        found = {label["name"]: value for label, value in child.read("c3d", path, "markers")}
+    except child.MissingPackage:
         raise ConfigError(
             f"{path} needs the package ezc3d; pip install acoustube[c3d], or save the markers as "
             "CSV"
         ) from None
-    content = ezc3d.c3d(str(path))
-    point = content["parameters"]["POINT"]
-    labels: Iterable[str] = point["LABELS"]["value"]
-    unit = next(iter(point.get("UNITS", {}).get("value", [])), "").strip().lower() or None
+    unit = found["unit"].strip().lower() or None
     if unit is not None and unit not in UNITS:
         raise ConfigError(f"{path} is in {unit}; give --unit mm, cm or m")
     rows: Rows = {}
-    for label, places in zip(
-        labels, np.moveaxis(content["data"]["points"][:3], 0, -1), strict=True
-    ):
+    for label, places in zip(found["labels"], np.moveaxis(found["points"], 0, -1), strict=True):
         # Vicon puts the subject before the label, as in arm:A1.
         name = label.strip().rpartition(":")[2]
         rows.setdefault(name.rstrip("0123456789 _-"), {})[name] = list(places)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
-import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
+from acoustube.base.foreign.documents import read_document
 from acoustube.base.netcdf import write_dataset
 from acoustube.recordings.cycles import assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
@@ -221,11 +220,7 @@ def _sidecar(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"{sidecars[0]} and {sidecars[1].name} both describe {path.name}; keep one"
         )
-    parse = tomllib.loads if sidecars[0].suffix == ".toml" else json.loads
-    try:
-        values = dict(parse(sidecars[0].read_text(encoding="utf-8-sig")))
-    except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{sidecars[0]} cannot be read ({error}); correct it") from error
+    values = read_document(sidecars[0], sidecars[0].suffix)
     if {"processing", "calibration"} <= set(values):
         return {}  # a calibration of the same name as its recording
     for key in values:

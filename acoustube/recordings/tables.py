@@ -6,13 +6,18 @@ import contextlib
 import itertools
 import re
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.foreign import limits
 from acoustube.base.sampling import sampling_rate
+
+LONGEST_ROW = 1 << 24
+"""Characters of a row that are read before its columns are counted."""
 
 # Arrays and single values by the name that they have in the file, and at most one Note.
 Contents = dict[str, Any]
@@ -107,11 +112,14 @@ def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
     import pandas
 
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = list(itertools.islice(file, 1000))
-    start = next(i for i, line in enumerate(lines) if line.strip() and line[0] != "#")
+        lines = list(itertools.islice(iter(partial(file.readline, LONGEST_ROW), ""), 1000))
+    start = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), None)
+    if start is None:
+        raise ValueError("it is empty")
     comments, first, second = lines[:start], lines[start], "".join(lines[start + 1 : start + 2])
     separator = next((s for s in "\t;" if s in first), ",")
     cells = [cell.strip().strip('"') for cell in first.strip("\r\n").split(separator)]
+    limits.check_count(path, "columns", max(len(cells), second.count(separator)), limits.COLUMNS)
     header = _is_header(cells)
     # The default since 3.1, where naming it is deprecated.
     old = tuple(int(part) for part in pandas.__version__.split(".")[:2]) < (3, 1)

@@ -1,0 +1,1 @@
+"""Files that other programs wrote: limits, errors, readers in a child process."""

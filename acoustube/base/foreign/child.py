@@ -1,0 +1,186 @@
+"""Reading by libraries in C in a child process, whose crash is one sentence.
+
+The child is started with the first such file, and reads all later ones. It has limits of memory and
+time, and sends plain arrays, no Python objects; a crash or a limit ends it, and the next file gets
+a new one. Arrays that lie in the file as they are in memory are mapped by this process instead.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import limits
+
+START = """
+import sys
+sys.path[:] = {path!r}
+from acoustube.base.foreign.serve import serve
+serve()
+"""
+PIPE = 1 << 20
+"""Bytes of the pipes' buffers, where the system lets one choose: arrays pass at memory's speed."""
+WALL = 10
+"""Time of a reader over its processor time, for a busy machine or a slow disk."""
+NUMERIC = "biufcU"
+"""Kinds of arrays that are accepted from the child."""
+
+Entries = list[tuple[dict[str, Any], Any]]
+
+
+class ReadingError(Exception):
+    """A file that could not be read, and why."""
+
+
+class MissingPackage(ReadingError):  # noqa: N818
+    """A package that a reader needs, and that is not installed or not whole."""
+
+
+class _Child:
+    """Process that reads files."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        code = START.format(path=[entry for entry in sys.path if entry])
+        single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        self.process = subprocess.Popen(
+            [sys.executable, "-I", "-c", code], bufsize=0, pipesize=PIPE, env=os.environ | single,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the process."""
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+_running: list[_Child] = []
+_lock = threading.Lock()
+
+
+def read(reader: str, path: Path, kind: str) -> Entries:
+    """Read a file in the child process.
+
+    Parameters
+    ----------
+    reader : str
+        Name of a function of :mod:`acoustube.base.foreign.readers`.
+    path : Path
+    kind : str
+        A key of :data:`acoustube.base.foreign.limits.SIZES`.
+
+    Returns
+    -------
+    list of tuple
+        What the reader yields: a label, and an array, or a number or text where it has no axis.
+
+    Raises
+    ------
+    ReadingError
+        If the reader fails, crashes or exceeds its time or memory.
+    ConfigError
+        If the file is no regular file or too large.
+    """
+    size = limits.check_file(path, kind)
+    seconds = limits.factor() * (limits.SECONDS + size / limits.BYTES_PER_SECOND)
+    request = {
+        "reader": reader, "path": str(path.absolute()), "seconds": seconds,
+        "bytes": limits.largest(kind), "entries": int(limits.ENTRIES * limits.factor()),
+    }  # fmt: skip
+    with _lock:
+        child = _started()
+        late = threading.Timer(WALL * seconds, child.process.kill)
+        late.start()
+        try:
+            return _answer(child, request, path, kind)
+        except BaseException:  # an interrupt too, which leaves an answer in the pipe
+            _end()
+            raise
+        finally:
+            late.cancel()
+
+
+def _started() -> _Child:
+    """Return the child of this process, started if there is none."""
+    if _running and (_running[0].owner != os.getpid() or _running[0].process.poll() is not None):
+        _running.clear()  # a process that was forked must not use its parent's
+    if not _running:
+        _running.append(_Child())
+    return _running[0]
+
+
+@atexit.register
+def _end() -> None:
+    for child in _running:
+        if child.owner == os.getpid():
+            child.close()
+    _running.clear()
+
+
+def _answer(child: _Child, request: dict[str, Any], path: Path, kind: str) -> Entries:
+    """Return the entries that the child sends."""
+    assert child.process.stdin is not None
+    try:
+        child.process.stdin.write(json.dumps(request).encode() + b"\n")
+    except OSError:
+        raise ReadingError(_death(child)) from None
+    found: Entries = []
+    total = 0
+    while True:
+        head = json.loads(_received(child, int.from_bytes(_received(child, 4), "little")))
+        if "end" in head:
+            return found
+        if "exceeds" in head:
+            raise ConfigError(f"{path} {head['exceeds']}; {limits.RAISE}")
+        if "missing" in head:
+            raise MissingPackage(head["missing"])
+        if "error" in head:
+            raise ReadingError(head["error"])
+        dtype, shape = np.dtype(head["dtype"]), tuple(int(n) for n in head["shape"])
+        total += int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if dtype.kind not in NUMERIC or dtype.hasobject:
+            raise ReadingError(f"it holds values of type {dtype}")
+        limits.check_size(path, kind, total, "unpacks to")
+        if head.get("offset") is not None and 0 not in shape:
+            values: Any = np.memmap(path, dtype, "c", head["offset"], shape)
+        else:
+            values = np.empty(shape, dtype)
+            _receive(child, memoryview(values.reshape(-1).view(np.uint8)))
+        found.append((head["label"], values if values.ndim else values.item()))
+
+
+def _received(child: _Child, size: int) -> bytearray:
+    found = bytearray(size)
+    _receive(child, memoryview(found))
+    return found
+
+
+def _receive(child: _Child, target: memoryview) -> None:
+    """Fill a buffer from the child."""
+    stream: Any = child.process.stdout
+    while target:
+        n = stream.readinto(target)
+        if not n:
+            raise ReadingError(_death(child))
+        target = target[n:]
+
+
+def _death(child: _Child) -> str:
+    """Return why the child has ended."""
+    code = -child.process.wait()
+    if code in (getattr(signal, "SIGXCPU", None), getattr(signal, "SIGKILL", None)):
+        return "it takes longer than any good file of its size"
+    return "its reader crashed"

@@ -1,0 +1,184 @@
+"""Limits of what is read from a file, and the sentence for a file that cannot be read.
+
+``--limits FACTOR``, or the environment variable ``ACOUSTUBE_LIMITS``, multiplies all of them but
+the nesting, which Python's stack bounds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import warnings
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+
+from acoustube.base.errors import ConfigError
+
+SIZES = {
+    "settings": 5_000_000, "table": 100_000_000, "markers": 50_000_000, "surface": 500_000_000,
+    "model": 500_000_000, "recording": 1_000_000_000, "result": 4_000_000_000,
+}  # fmt: skip
+"""Bytes of a file of each kind, as it is stored and once it is unpacked."""
+ENTRIES = 10_000
+"""Arrays and attributes of a file."""
+COLUMNS = 50_000
+"""Columns of a text table."""
+NAME = 200
+"""Characters of a name in a file."""
+NESTING = 100
+"""Depth of tables and lists within each other."""
+SECONDS, BYTES_PER_SECOND = 3.0, 2e6
+"""Processor time of a reader in a child process: at least, and for each so many bytes of a file."""
+VARIABLE = "ACOUSTUBE_LIMITS"
+RAISE = "give --limits FACTOR to raise the limits"
+"""What to do about a file that exceeds a limit."""
+
+_KINDS = {
+    stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISCHR: "a device",
+    stat.S_ISBLK: "a device", stat.S_ISSOCK: "a socket",
+}  # fmt: skip
+
+
+def factor() -> float:
+    """Return the factor on all limits.
+
+    Raises
+    ------
+    ConfigError
+        If the environment variable is not a number over zero.
+    """
+    text = os.environ.get(VARIABLE, "1")
+    with contextlib.suppress(ValueError):
+        if isfinite(number := float(text)) and number > 0:
+            return number
+    raise ConfigError(f"{VARIABLE} = {text} is not a number over 0; correct it, or unset it")
+
+
+def largest(kind: str) -> int:
+    """Return the largest size in bytes of a file of a kind, a key of :data:`SIZES`."""
+    return int(SIZES[kind] * factor())
+
+
+def check_file(path: str | Path, kind: str) -> int:
+    """Check that a path is a regular file that is not too large.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : str
+        A key of :data:`SIZES`.
+
+    Returns
+    -------
+    int
+        Its size in bytes.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, it is a pipe, a device or a folder, or larger than the limit.
+    """
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(
+            f"{path} cannot be read ({reason}); check the name of the file"
+        ) from error
+    for is_kind, what in _KINDS.items():
+        if is_kind(status.st_mode):
+            raise ConfigError(f"{path} is {what}, not a file; name a file")
+    check_size(path, kind, status.st_size)
+    return status.st_size
+
+
+def check_size(path: str | Path, kind: str, size: float, what: str = "holds") -> None:
+    """Raise if a file, or what is stored in it, exceeds the limit of its kind.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : str
+        A key of :data:`SIZES`.
+    size : float
+        In bytes.
+    what : str
+        Verb of the sentence.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if size > largest(kind):
+        raise ConfigError(
+            f"{path} {what} {size / 1e6:.4g} MB, over the limit of {largest(kind) / 1e6:.4g} MB "
+            f"for a {kind}; {RAISE}"
+        )
+
+
+def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
+    """Raise if a file has more of something than a limit, which the factor multiplies.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if count > limit * factor():
+        raise ConfigError(
+            f"{path} has {count} {what}, over the limit of {limit * factor():g}; {RAISE}"
+        )
+
+
+def check_name(path: str | Path, name: str) -> None:
+    """Raise if a name in a file is longer than :data:`NAME`.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if len(name) > NAME * factor():
+        raise ConfigError(
+            f"{path} holds a name of {len(name)} characters, {name[:20]}..., over the limit of "
+            f"{NAME * factor():g}; {RAISE}"
+        )
+
+
+@contextlib.contextmanager
+def reading(path: str | Path, what: str, advice: str) -> Iterator[None]:
+    """Turn any failure of reading a file into one sentence, and silence libraries' warnings.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+        What the file should be, such as "a surface".
+    advice : str
+        What to do.
+
+    Raises
+    ------
+    ConfigError
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except ConfigError:
+        raise
+    # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
+    except Exception as error:
+        raise ConfigError(f"{path} cannot be read as {what} ({reason(error)}); {advice}") from error
+
+
+def reason(error: Exception) -> str:
+    """Return why a file could not be read, in a few words."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, MemoryError):
+        return "it needs more memory than there is"
+    if isinstance(error, KeyError):
+        return f"it has no {error.args[0]}" if error.args else "something is missing"
+    words = getattr(error, "strerror", None) or " ".join(str(error).split())
+    return str(words) or type(error).__name__

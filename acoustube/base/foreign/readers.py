@@ -1,0 +1,291 @@
+"""Readers in C of other programs' files; they run in the child process alone.
+
+Each yields labels and arrays. Nothing heavy is imported before it is needed: what this module and
+its readers import is the time that a first file takes longer.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Entry = tuple[dict[str, Any], Any]
+
+BLOCK = 1 << 28
+"""Bytes of a piece of a dataset that are read at a time."""
+_DIMENSION = b"This is a netCDF dimension"
+
+
+class Exceeded(Exception):  # noqa: N818
+    """What a file exceeds, after its name in a sentence."""
+
+
+class Missing(ImportError):  # noqa: N818
+    """A package that is not installed, or lacks the library that it wraps."""
+
+
+class Stored(NamedTuple):
+    """An array that lies in the file as it is in memory.
+
+    Attributes
+    ----------
+    offset : int
+        In bytes from the start of the file.
+    dtype : str
+    shape : tuple of int
+    """
+
+    offset: int
+    dtype: str
+    shape: tuple[int, ...]
+
+
+def mat(path: str, most: int) -> Iterator[Entry]:
+    """Read MATLAB's files; of equal names in nested structures the first is kept."""
+    import h5py
+
+    if h5py.is_hdf5(path):
+        yield from hdf5(path, most)
+        return
+    from scipy.io.matlab import loadmat
+
+    # Without mat_dtype, MATLAB's doubles are read as the integers that they are packed into.
+    tree = loadmat(path, mat_dtype=True, simplify_cells=True)
+    for name, value in _flat(tree).items():
+        if (plain := _plain(value)) is not None:
+            yield {"name": name}, plain
+
+
+def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the leaves of a nested structure by name; of equal names the first."""
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        leaves = _flat(value) if isinstance(value, Mapping) else {name: value}
+        found = leaves | found
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _plain(value: Any) -> Any:
+    """Return numbers or text as an array; None for anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        return None
+    if array.dtype.kind in "OST":
+        text = all(isinstance(one, str | bytes | int | float) for one in array.flat)
+        array = array.astype(str) if text else array
+    return array if array.dtype.kind in "biufcU" else None
+
+
+def hdf5(path: str, most: int) -> Iterator[Entry]:
+    """Read HDF5: every dataset of numbers or text, with its unit, and every attribute."""
+    import h5py
+
+    with h5py.File(path) as file:
+        total = 0
+        for name, item in _items(file):
+            for key, value in item.attrs.items():
+                if (plain := _plain(value)) is not None:
+                    yield {"name": key, "attribute": True, "of": name}, plain
+            if isinstance(item, h5py.Dataset) and "#refs#" not in name:
+                total = _counted(item, total, most)
+                if (value := _values(item)) is not None:
+                    unit = item.attrs.get("units")
+                    words = unit if isinstance(unit, str) else None
+                    label = {"name": name.rpartition("/")[2], "unit": words}
+                    yield label | {"transposed": "MATLAB_class" in item.attrs}, value
+
+
+def names(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
+    """Read the names of the variables and attributes of an HDF5 file; none of another kind."""
+    import h5py
+
+    if h5py.is_hdf5(path):
+        with h5py.File(path) as file:
+            yield from (({"name": name, "attribute": True}, 0) for name in file.attrs)
+            yield from (({"name": name}, 0) for name in file)
+
+
+def survey(path: str, most: int) -> Iterator[Entry]:
+    """Read an HDF5 file from end to end, and yield nothing."""
+    import h5py
+
+    with h5py.File(path) as file:
+        total = 0
+        for _, item in _items(file):
+            dict(item.attrs)
+            if not isinstance(item, h5py.Dataset):
+                continue
+            total = _counted(item, total, most)
+            if item.chunks is None:
+                item[()]
+            elif prod(item.chunks) * item.dtype.itemsize > BLOCK:
+                raise Exceeded(f"has pieces of over {BLOCK / 1e6:g} MB, the limit")
+            else:
+                for part in item.iter_chunks():
+                    item[part]
+    yield from ()
+
+
+def _items(file: Any) -> list[tuple[str, Any]]:
+    found = [("", file)]
+    file.visititems(lambda name, item: found.append((name, item)))
+    return found
+
+
+def _counted(item: Any, total: int, most: int) -> int:
+    """Return the bytes of the datasets so far; raise over the limit, before one is read."""
+    total += item.size * item.dtype.itemsize if item.size else 0
+    if total > most:
+        raise Exceeded(
+            f"claims to hold {total / 1e6:.4g} MB, over the limit of {most / 1e6:.4g} MB"
+        )
+    return total
+
+
+def _values(item: Any) -> Any:
+    """Return a dataset's values; None if they are neither numbers nor text."""
+    import h5py
+
+    nothing = "MATLAB_empty" in item.attrs or item.attrs.get("MATLAB_class") == b"char"
+    if nothing or bytes(item.attrs.get("NAME", b"")).startswith(_DIMENSION):
+        return None
+    if h5py.check_string_dtype(item.dtype) is not None:
+        return np.asarray(item.asstr()[()], dtype=str)
+    return None if item.dtype.kind not in "biufc" else _stored(item)
+
+
+def _stored(item: Any) -> Any:
+    """Return where a dataset lies in its file, or its values where it is in pieces or packed."""
+    if item.external or item.is_virtual:
+        raise ValueError(f"{item.name} is stored in another file")
+    offset = item.id.get_offset() if item.chunks is None and item.size else None
+    if offset is None:
+        return item[()]
+    return Stored(int(offset), item.dtype.str, item.shape)
+
+
+def netcdf(path: str, most: int) -> Iterator[Entry]:
+    """Read netCDF: every variable, unpacked by its scale, offset and fill value; attributes."""
+    import h5py
+
+    if h5py.is_hdf5(path):
+        with h5py.File(path) as file:
+            yield from _attributes(file.attrs)
+            total = 0
+            for name, item in file.items():
+                if isinstance(item, h5py.Dataset):
+                    total = _counted(item, total, most)
+                    if (value := _values(item)) is not None:
+                        yield _variable(name, value, dict(item.attrs), lambda i=item: i[()])
+        return
+    from scipy.io import netcdf_file
+
+    # Whole variables are mapped, and not read before it is known whether they are unpacked.
+    with warnings.catch_warnings(), netcdf_file(path, mmap=True) as file:
+        warnings.simplefilter("ignore")
+        yield from _attributes(file._attributes)
+        start = file._mm_buf.__array_interface__["data"][0]
+        for name, item in file.variables.items():
+            values = np.asarray(item.data)
+            place = Stored(
+                values.__array_interface__["data"][0] - start, values.dtype.str, values.shape
+            )
+            value = place if values.flags.c_contiguous and values.size else values
+            if values.dtype.kind == "S":
+                value = np.ascontiguousarray(values).view(f"S{(*values.shape, 1)[-1]}")[..., 0]
+                value = np.char.decode(value, "utf-8", "replace")
+            yield _variable(name, value, item._attributes, lambda v=values: v)
+
+
+def _attributes(found: Mapping[str, Any]) -> Iterator[Entry]:
+    for key, value in found.items():
+        plain = value.decode("utf-8", "replace") if isinstance(value, bytes) else _plain(value)
+        if plain is not None:
+            yield {"name": key, "attribute": True}, plain
+
+
+def _variable(name: str, value: Any, attributes: Mapping[str, Any], values: Any) -> Entry:
+    """Return a variable; packed ones as what they stand for."""
+    unit = attributes.get("units")
+    unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+    label = {"name": name, "unit": unit if isinstance(unit, str) else None}
+    numbers = {
+        key: np.ravel(attributes[key])[0]
+        for key in ("_FillValue", "missing_value", "scale_factor", "add_offset")
+        if key in attributes and np.asarray(attributes[key]).dtype.kind in "iuf"
+    }
+    numbers = {key: number for key, number in numbers.items() if number == number}
+    if not numbers:
+        return label, value
+    array = np.asarray(values())
+    if array.dtype.kind not in "iuf":
+        return label, array
+    gaps = np.isin(array, [numbers[k] for k in ("_FillValue", "missing_value") if k in numbers])
+    if "scale_factor" in numbers or "add_offset" in numbers or gaps.any():
+        array = array * float(numbers.get("scale_factor", 1)) + float(numbers.get("add_offset", 0))
+        array[gaps] = np.nan
+    return label, array
+
+
+def flac(path: str, most: int) -> Iterator[Entry]:
+    """Read FLAC: its rate, and samples of shape (time, channel) in the type of their bits."""
+    try:
+        import soundfile
+    except (ImportError, OSError) as error:
+        raise Missing("soundfile") from error
+    with soundfile.SoundFile(path) as file:
+        # Eight and 24 bits come at the upper end of the type that holds them.
+        kinds = {"PCM_S8": ("int16", 8), "PCM_16": ("int16", 0), "PCM_24": ("int32", 8)}
+        dtype, shift = kinds[file.subtype]
+        if file.frames * file.channels * np.dtype(dtype).itemsize > most:
+            raise Exceeded(f"claims {file.frames} samples, over the limit of {most / 1e6:.4g} MB")
+        samples = file.read(dtype=dtype, always_2d=True)
+        if len(samples) < file.frames:
+            raise EOFError(f"it ends after {len(samples)} of {file.frames} samples")
+        samples >>= shift
+        yield {"name": "sampling_rate"}, file.samplerate
+        yield {"name": "signal"}, samples
+
+
+def c3d(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
+    """Read the markers of a C3D file: labels, units, and points of shape (3, marker, frame)."""
+    try:
+        import ezc3d
+    except (ImportError, OSError) as error:
+        raise Missing("ezc3d") from error
+    content = ezc3d.c3d(path)
+    point = content["parameters"]["POINT"]
+    yield {"name": "labels"}, np.array(list(point["LABELS"]["value"]), dtype=str)
+    units = list(point.get("UNITS", {}).get("value", []))
+    yield {"name": "unit"}, str(units[0]) if units else ""
+    yield {"name": "points"}, content["data"]["points"][:3]
+
+
+def vtp(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
+    """Read the points and triangles of a VTP file."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+    reader, triangles = vtkXMLPolyDataReader(), vtkTriangleFilter()
+    reader.SetFileName(path)
+    triangles.SetInputConnection(reader.GetOutputPort())
+    triangles.PassLinesOff()
+    triangles.PassVertsOff()
+    triangles.Update()
+    if reader.GetErrorCode() or not triangles.GetOutput().GetPoints():
+        raise ValueError("VTK cannot read it")
+    found = triangles.GetOutput()
+    if not found.GetNumberOfPolys():
+        raise ValueError("it has no facets")
+    points = vtk_to_numpy(found.GetPoints().GetData()).astype(float)
+    faces = vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+    if faces.min() < 0 or faces.max() >= len(points):
+        raise ValueError("its facets name points that it does not have")
+    yield {"name": "points"}, points
+    yield {"name": "faces"}, faces.astype(np.int64)

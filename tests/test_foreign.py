@@ -1,0 +1,197 @@
+"""Files of others that crash, stall or overflow what reads them: one sentence, and soon."""
+
+import io
+import json
+import os
+import resource
+import struct
+import time
+import zipfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from commands import run_here
+
+from acoustube import recordings
+from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import child, limits
+from acoustube.base.foreign.documents import parsed, read_document
+from acoustube.base.surfaces import read_lumen
+from acoustube.recordings.markers import read_markers
+
+DAMAGED = Path(__file__).parent / "data" / "damaged"
+
+
+def read(path):
+    return recordings.read(path, rate=200e3, temperature=20.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "reader", "words"),
+    [
+        ("segfault.mat", read, "MAT (its reader crashed); it is cut short, damaged"),
+        ("many_points.vtp", read_lumen, "a surface (its reader crashed); use STL, PLY, OBJ or VTP"),
+    ],
+)
+def test_crash_of_a_library_is_a_sentence_and_the_next_file_is_read(name, reader, words, tmp_path):
+    with pytest.raises(ConfigError) as caught:
+        reader(DAMAGED / name)
+    assert f"{name} cannot be read as {words}" in str(caught.value)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["signal"] = np.eye(3, 9)
+    assert np.array_equal(read(tmp_path / "a.h5")["signal"], np.eye(3, 9))
+
+
+@pytest.mark.slow
+def test_reader_that_does_not_end_is_stopped():
+    """By its processor time, so that a busy machine stops no good file."""
+    pytest.importorskip("ezc3d", reason="needs ezc3d (acoustube[c3d])")
+    started = time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
+    with pytest.raises(ConfigError, match=r"markers \(it takes longer than any"):
+        read_markers(DAMAGED / "cut_short.c3d")
+    child._end()
+    spent = time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) - started
+    assert spent < 8
+
+
+def test_dataset_that_claims_more_than_the_limit_is_not_read(tmp_path, monkeypatch):
+    """Of 600 MB, none of which is in the file."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("signal", (30_000, 20_000), "i1", chunks=(1000, 1000), fillvalue=3)
+    monkeypatch.setitem(limits.SIZES, "recording", 1_000_000)
+    with pytest.raises(ConfigError, match=r"claims to hold 600 MB, over the limit of 1 MB"):
+        read(tmp_path / "a.h5")
+
+
+def test_what_is_no_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "q.csv")
+    (tmp_path / "zero.npz").symlink_to("/dev/zero")
+    for name, words in (("q.csv", "is a pipe, not a file"), ("zero.npz", "is a device, not a")):
+        with pytest.raises(ConfigError, match=f"{name} {words}"):
+            read(tmp_path / name)
+    (tmp_path / "settings.toml").symlink_to("/dev/zero")
+    with pytest.raises(ConfigError, match="is a device, not a file; name a file"):
+        read_document(tmp_path / "settings.toml")
+
+
+def sparse(path, size):
+    with path.open("wb") as file:
+        file.truncate(size)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.csv", "table"), ("a.npy", "recording"), ("a.mat", "recording")]
+)
+def test_files_over_their_limit_are_refused_unread_and_the_limit_can_be_raised(
+    name, kind, tmp_path, monkeypatch
+):
+    size = limits.SIZES[kind] + 1
+    path = sparse(tmp_path / name, size)
+    with pytest.raises(ConfigError, match=rf"{name} holds .* MB, over the limit.*--limits FACTOR"):
+        read(path)
+    monkeypatch.setenv(limits.VARIABLE, "1.5")
+    assert limits.check_file(path, kind) == size
+    monkeypatch.setenv(limits.VARIABLE, "many")
+    with pytest.raises(ConfigError, match="ACOUSTUBE_LIMITS = many is not a number over 0"):
+        read(path)
+
+
+def archive(path, members, compression=zipfile.ZIP_DEFLATED):
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return path
+
+
+def header(shape, dtype="<i2"):
+    head = io.BytesIO()
+    words = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(head, words)
+    return head.getvalue()
+
+
+def changed(path, offset, content):
+    """Change some bytes in the central directory's only entry."""
+    found = bytearray(path.read_bytes())
+    start = found.rindex(b"PK\x01\x02") + offset
+    found[start : start + len(content)] = content
+    path.write_bytes(found)
+    return path
+
+
+def test_archives_that_claim_what_they_do_not_hold_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a.npz"
+    eight_gb = archive(path, {"signal.npy": header((1_000_000, 4000)) + bytes(100)})
+    with pytest.raises(ConfigError, match=r"signal claims 8000000000 bytes and has 228"):
+        read(eight_gb)
+    monkeypatch.setitem(limits.SIZES, "recording", 10_000_000)
+    zeros = archive(path, {"signal.npy": header((5000, 4000)) + bytes(40_000_000)})
+    assert zeros.stat().st_size < 100_000
+    with pytest.raises(ConfigError, match=r"a\.npz unpacks to 40 MB, over the limit of 10 MB"):
+        read(zeros)
+    # Its directory claims less than it holds.
+    with pytest.raises(ConfigError, match=r"a\.npz cannot be read as NPZ"):
+        read(changed(zeros, 24, struct.pack("<I", 1000)))
+
+
+@pytest.mark.parametrize(
+    ("offset", "content", "words"),
+    [(8, b"\x01", "encrypted"), (10, b"\x63", "compression"), (10, b"\x0c", "")],
+)
+def test_encrypted_or_oddly_compressed_members_are_refused(tmp_path, offset, content, words):
+    path = archive(tmp_path / "a.npz", {"signal.npy": header((3, 4)) + bytes(24)})
+    with pytest.raises(ConfigError, match=rf"a\.npz cannot be read as NPZ .*{words}"):
+        read(changed(path, offset, content))
+
+
+def test_many_members_and_long_names_are_refused(tmp_path):
+    whole = header((3, 4)) + bytes(range(24))
+    path = archive(tmp_path / "a.npz", {"signal.npy": whole, f"{'x' * 60_000}.npy": whole})
+    with pytest.raises(ConfigError, match=r"holds a name of 60000 characters, x{20}\.\.\., over"):
+        read(path)
+    many = {f"{i}.npy": b"" for i in range(limits.ENTRIES + 1)}
+    with pytest.raises(ConfigError, match="has 10001 members, over the limit of 10000"):
+        read(archive(tmp_path / "b.npz", many))
+
+
+def test_rows_that_no_table_has_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text(",".join(["1"] * 1_000_000))
+    with pytest.raises(ConfigError, match="has 1000000 columns, over the limit of 50000"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("bracket", ["a = [", "a = {b = ", "a.", "[a."])
+def test_deeply_nested_settings_are_refused(tmp_path, bracket):
+    (tmp_path / "a.toml").write_text(bracket * 20_000)
+    with pytest.raises(ConfigError, match=r"a\.toml (is nested|is not valid TOML|cannot be read)"):
+        read_document(tmp_path / "a.toml")
+    (tmp_path / "b.toml").write_text("a = " + 101 * "[" + 101 * "]")
+    with pytest.raises(ConfigError, match="nested over 100 levels, the limit"):
+        read_document(tmp_path / "b.toml")
+
+
+def test_deeply_nested_json_and_numbers_of_400_digits_are_refused():
+    for text, words in (
+        ("[" * 20_000, "attribute cannot be read .it is nested too deeply"),
+        ("[" * 110 + "]" * 110, "nested over 100 levels"),
+        (json.dumps({"a": 10**400}), "a is a whole number of over 64 bits"),
+        (json.dumps({"a" * 300: 1}), "holds a name of 300 characters"),
+        ('{"a": ' + "9" * 5000 + "}", "cannot be read .Exceeds the limit"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            parsed(text, "attribute")
+
+
+def test_limits_are_raised_by_an_option_for_one_command(tmp_path, monkeypatch):
+    monkeypatch.setitem(limits.SIZES, "recording", 1000)
+    np.savez(tmp_path / "a.npz", signal=np.random.default_rng(0).normal(size=(3, 4000)))
+    words = ("process", tmp_path / "a.npz", "--rate", 2e5, "--temperature", 20)
+    refused = run_here(*words)
+    assert "over the limit of 0.001 MB for a recording; give --limits FACTOR" in refused.stderr
+    assert refused.returncode == 2
+    assert run_here(*words, "--limits", 200).returncode == 0
+    assert run_here(*words).returncode == 2
+    assert "limits = 0 is out of range" in run_here(*words, "--limits", 0).stderr
