@@ -161,13 +161,20 @@ def air_at(
     low, high = TEMPERATURES
     if not low <= temperature <= high:
         raise ConfigError(
-            f"temperature = {temperature:g} degC is outside {low:g} to {high:g} degC, where the "
-            "properties of air are known"
-        )
+            f"is outside {low:g} to {high:g} degC, where the properties of air are known",
+            setting="temperature", value=temperature, unit="degC", allowed=(low, high),
+            advice=f"use {low:g} to {high:g}",
+        )  # fmt: skip
     if not 0.0 <= humidity <= 100.0:
-        raise ConfigError(f"humidity = {humidity:g} % is outside 0 to 100 %; give per cent")
+        raise ConfigError(
+            "is outside 0 to 100 %", setting="humidity", value=humidity, unit="%",
+            allowed=(0, 100), advice="give per cent",
+        )  # fmt: skip
     if not 1e4 <= pressure <= 2e5:
-        raise ConfigError(f"pressure = {pressure:g} Pa is outside 10 to 200 kPa; give Pa")
+        raise ConfigError(
+            "is outside 10 to 200 kPa", setting="pressure", value=pressure, unit="Pa",
+            allowed=(10e3, 200e3), advice="give Pa",
+        )  # fmt: skip
     kelvin = _absolute(temperature)
     density = pressure / (SPECIFIC_GAS_CONSTANT * kelvin)
     viscosity = 1.458e-6 * kelvin**1.5 / (kelvin + 110.4)

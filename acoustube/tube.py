@@ -70,12 +70,15 @@ class Tube:
         for name in ("inner_diameter", "wall_thickness", "length", "shear_modulus"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} = {value} is not positive; use a positive number (SI).")
+                raise ConfigError(
+                    "is not positive", setting=name, value=value,
+                    advice="use a positive number (SI)",
+                )  # fmt: skip
         if not 0 <= self.poisson_ratio <= 0.4999:
             raise ConfigError(
-                f"poisson_ratio = {self.poisson_ratio} is outside [0, 0.4999]; "
-                "use 0.49 for silicone."
-            )
+                "is outside 0 to 0.4999", setting="poisson_ratio", value=self.poisson_ratio,
+                allowed=(0, 0.4999), advice="use 0.49 for silicone",
+            )  # fmt: skip
 
     @property
     def outer_diameter(self) -> float:

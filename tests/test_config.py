@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
@@ -53,18 +54,6 @@ def test_defaults_are_the_papers():
     assert config.waves.frequency_khz == 42
     assert config.waves.cycles == 11
     assert config.waves.probe_cm == 2
-
-
-def refused(call, **fields):
-    """Return the error of a call, which has the given fields and says its own value."""
-    with pytest.raises(ConfigError) as caught:
-        call()
-    error = caught.value
-    assert {name: getattr(error, name) for name in fields} == fields
-    if error.setting is not None:
-        assert str(error).startswith(f"{error.setting} = ")
-    assert error.advice in str(error)
-    return error
 
 
 @pytest.mark.parametrize(("section", "name", "rule"), NUMBERS)

@@ -410,7 +410,7 @@ def test_many_places_are_thinned_out_evenly(sweep, monkeypatch):
 
     monkeypatch.setattr(cases, "MOST_CASES", 30)
     groups = {(str(tool), 10.0 * place, ""): [None] * 3 for tool in range(2) for place in range(20)}
-    kept, notes = cases._thinned(groups)
+    kept, notes = cases.limited(groups)
     assert sorted({place for _, place, _ in kept}) == [0.0, 50.0, 100.0, 140.0, 190.0]
     assert "30 of the sweep's 120 cases: 5 of 20 places" in notes[0]
     monkeypatch.setattr(cases, "MOST_CASES", 5)

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import curve_fit
 from scipy.signal import hilbert
 
 from acoustube import signals
 from acoustube.air import air_at
-from acoustube.base.errors import ConfigError
 from acoustube.base.netcdf import write_dataset
 from acoustube.ranging import IDEAL, Burst, Rangefinder, blockage, clutter, record, response
 from acoustube.signals.peaks import _refine
@@ -381,28 +381,25 @@ def test_dataset_says_what_it_is(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "part"),
+    "words",
     [
-        ({"noise": -1.0}, "noise = -1"),
-        ({"bits": 17}, "bits = 17"),
-        ({"n_samples": 4000.5}, "n_samples"),
-        ({"quality_factor": np.nan}, "quality_factor"),
-        ({"face_reflection": -1.0}, "face_reflection"),
-        ({"face_reflection": 0.8 + 0.8j}, "face_reflection"),
-        ({"drive": "loud"}, "drive"),
-        ({"quantised": 2}, "quantised"),
+        {"noise": -1.0},
+        {"bits": 17},
+        {"n_samples": 4000.5},
+        {"quality_factor": np.nan},
+        {"face_reflection": -1.0},
+        {"face_reflection": 0.8 + 0.8j},
+        {"drive": "loud"},
+        {"quantised": 2},
     ],
 )
-def test_impossible_parameters_are_refused(words, part):
-    with pytest.raises(ConfigError, match=part):
-        Rangefinder(**words)
+def test_impossible_parameters_are_refused(words):
+    refused(lambda: Rangefinder(**words), setting=next(iter(words)))
 
 
 def test_impossible_records_are_refused():
-    with pytest.raises(ConfigError, match="n_cycles = 0"):
-        record([], n_cycles=0)
-    with pytest.raises(ConfigError, match="frequency"):
-        Burst(frequency=0.0)
+    refused(lambda: record([], n_cycles=0), setting="n_cycles", value=0)
+    refused(lambda: Burst(frequency=0.0), setting="frequency", value=0.0)
     with pytest.raises(ValueError, match="the pulse lasts"):
         record([], Rangefinder(drive=Burst(cycles=1000)))
     narrow = blockage(np.array([41e3, 43e3]), 0.5)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from acoustube.base.errors import ConfigError
 from acoustube.tube import Tube, shear_modulus_from_shore
 
 
@@ -23,11 +23,9 @@ def test_bulk_modulus_of_silicone_is_50_shear_moduli():
 @pytest.mark.parametrize("name", ["inner_diameter", "wall_thickness", "length", "shear_modulus"])
 @pytest.mark.parametrize("value", [0.0, -1e-3, np.nan, np.inf])
 def test_impossible_sizes_are_refused_by_name(name, value):
-    with pytest.raises(ConfigError, match=f"{name} = {value}"):
-        Tube(**{name: value})
+    assert str(refused(lambda: Tube(**{name: value}), setting=name).value) == str(value)
 
 
 @pytest.mark.parametrize("value", [0.5, -0.1, np.nan])
 def test_impossible_poisson_ratio_is_refused(value):
-    with pytest.raises(ConfigError, match=f"poisson_ratio = {value}"):
-        Tube(poisson_ratio=value)
+    refused(lambda: Tube(poisson_ratio=value), setting="poisson_ratio", allowed=(0, 0.4999))

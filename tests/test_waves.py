@@ -13,7 +13,7 @@ from acoustube.air import air_at
 from acoustube.base.errors import SimulationError
 from acoustube.waves import Pulse, cut_cells, cut_on_frequency, grid_spacing, propagate, stable_step
 from acoustube.waves.scheme.cpu_kernel import advance
-from acoustube.waves.scheme.leapfrog import CHUNK, _run_chunk, acoustic_energy, initial_state, march
+from acoustube.waves.scheme.leapfrog import CHUNK, acoustic_energy, initial_state, march, run_chunk
 from acoustube.waves.scheme.operator import assemble, dispersion_coefficient
 from acoustube.waves.scheme.problem import prepare
 
@@ -286,7 +286,7 @@ def test_echo_is_differentiated_by_the_fractions_of_the_cells():
             changed = replace(setup.cells, **fractions)
             operator = assemble(changed, air, beta, dtype=jnp.float64)
             scheme = setup.scheme._replace(operator=operator)
-            _, heard = _run_chunk(setup.state, scheme, source, source_layer=setup.source_layer)
+            _, heard = run_chunk(setup.state, scheme, source, source_layer=setup.source_layer)
             return jnp.sum(heard[90:] ** 2)
 
         names = ("volume_fraction", "open_x", "open_y", "open_z")

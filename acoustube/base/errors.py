@@ -20,6 +20,8 @@ class ConfigError(ValueError):
         Name of the argument or setting, with its unit: ``depth_mm``.
     value : optional
         What it was given as.
+    unit : str, optional
+        Unit of the value, where the name does not state it.
     allowed : optional
         A pair of bounds, both included, or the words to choose from.
     advice : str, optional
@@ -37,10 +39,12 @@ class ConfigError(ValueError):
         *,
         setting: str | None = None,
         value: Any = None,
+        unit: str = "",
         allowed: tuple[Any, ...] | None = None,
         advice: str | None = None,
     ) -> None:
-        sentence = reason if setting is None else f"{setting} = {short(value)} {reason}"
+        given = f"{short(value)} {unit}".rstrip()
+        sentence = reason if setting is None else f"{setting} = {given} {reason}"
         super().__init__(sentence if advice is None else f"{sentence}; {advice}")
         self.setting, self.value = setting, value
         self.allowed, self.advice = allowed, advice

@@ -59,8 +59,9 @@ def calibrate(
         raise ConfigError("calibrate needs recordings with the tube closed; name one or more")
     if name is not None and not re.fullmatch(r"[\w-]{1,64}", name):
         raise ConfigError(
-            f"name = {name} must be of letters, digits, - and _; use --out for a path"
-        )
+            "must be of letters, digits, - and _", setting="name", value=name,
+            advice="use --out for a path",
+        )  # fmt: skip
     Number(0.1, 100, "", "standard deviations").check("sigmas", sigmas)
     check_files(out=out, figure=figure)
     path = _free_path(out, name)

@@ -133,9 +133,9 @@ def _prepared(out: Path, scale: Scale) -> Path:
     if (folder / MARK).is_file():
         if _begun_with(folder / MARK) != mark:
             raise ConfigError(
-                f"out = {out} was begun with or without --quick, or by another version of "
-                "acoustube; name a new folder"
-            )
+                "was begun with or without --quick, or by another version of acoustube",
+                setting="out", value=out, advice="name a new folder",
+            )  # fmt: skip
         return folder
     folder = check_out(out)
     folder.mkdir(parents=True, exist_ok=True)

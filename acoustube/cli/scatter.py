@@ -68,9 +68,10 @@ class Band:
         count = (high - low) / step if step > 0 else 0.0
         if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
             raise ConfigError(
-                f"step = {step:g} kHz must divide the band of {high - low:g} kHz into 1 to 5000 "
-                f"whole parts; use {(high - low) / max(1, round(min(count, 5000))):.6g}"
-            )
+                f"must divide the band of {high - low:g} kHz into 1 to 5000 whole parts",
+                setting="step", value=step, unit="kHz",
+                advice=f"use {(high - low) / max(1, round(min(count, 5000))):.6g}",
+            )  # fmt: skip
         return round(count)
 
     def frequencies(self) -> Any:

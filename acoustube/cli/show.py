@@ -43,7 +43,7 @@ def show(
     if html is not None:
         check_new_file(html, "html")
         if html.suffix.lower() not in PAGES:
-            raise ConfigError(f"html = {html} must end in .html")
+            raise ConfigError("must end in .html", setting="html", value=html)
     from rich.markup import escape
 
     console = output.console()

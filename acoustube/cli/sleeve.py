@@ -248,8 +248,8 @@ def _contacts(words: Sequence[str]) -> list[tuple[int, float]]:
         match = re.fullmatch(r"(?:(\d+):)?(\d+(?:\.\d*)?|\.\d+)", word.strip())
         if match is None or match[1] == "0":
             raise ConfigError(
-                f"distance = {word} is not a distance; use cm, as in 80, with the tube before it "
-                "as in 2:80"
-            )
+                "is not a distance", setting="distance", value=word,
+                advice="use cm, as in 80, with the tube before it as in 2:80",
+            )  # fmt: skip
         found.append((int(match[1] or 1) - 1, CENTI * float(match[2])))
     return found

@@ -117,9 +117,9 @@ class Execution:
         number, count = (int(found[1]), int(found[2])) if found else (0, 0)
         if not 1 <= number <= count:
             raise ConfigError(
-                f"shard = {self.shard} is not a part; write NUMBER/COUNT, from 1/COUNT on, such as "
-                "3/40"
-            )
+                "is not a part", setting="shard", value=self.shard,
+                advice="write NUMBER/COUNT, from 1/COUNT on, such as 3/40",
+            )  # fmt: skip
         return number, count
 
 

@@ -42,7 +42,7 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     if by == "cycle":
         return np.arange(cycles.sizes["cycle"])
     if by not in KINDS:
-        raise ConfigError(f"by = {by} is not known; use {', '.join(KINDS)}")
+        raise ConfigError("is not known", setting="by", value=by, advice=f"use {', '.join(KINDS)}")
     if by not in cycles:
         raise ConfigError(f"the cycles have no label {by}; add it, or split by cycle")
     names = [name for name in ("tube", by) if name in cycles]
@@ -118,7 +118,10 @@ def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, 
     """
     different, member = np.unique(groups, return_inverse=True)
     if not 0 < share < 1:
-        raise ConfigError(f"share = {share:g} is out of range; use more than 0 and less than 1")
+        raise ConfigError(
+            "is out of range", setting="share", value=share,
+            advice="use more than 0 and less than 1",
+        )  # fmt: skip
     if len(different) < 2:
         raise ConfigError("one group of cycles cannot be split; split by cycle, or record more")
     count = int(np.clip(round(share * len(different)), 1, len(different) - 1))

@@ -69,8 +69,10 @@ def factor(quantiles: Array, coverage: float = ONE_DEVIATION) -> Array:
     """
     if not LEVELS[0] <= coverage <= LEVELS[-1]:
         raise ConfigError(
-            f"coverage = {coverage:g} is out of range; use {LEVELS[0]:g} to {LEVELS[-1]:g}"
-        )
+            "is out of range", setting="coverage", value=coverage,
+            allowed=(LEVELS[0], LEVELS[-1]),
+            advice=f"use {LEVELS[0]:g} to {LEVELS[-1]:g}",
+        )  # fmt: skip
     above = int(np.searchsorted(LEVELS, coverage))
     below = max(above - 1, 0)
     fraction = (

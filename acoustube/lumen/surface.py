@@ -148,9 +148,9 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     room = min(position, tube.length - position)
     if not reach < room:
         raise ConfigError(
-            f"position = {position} m is too near an end of the {tube.length:.3f} m long tube; use "
-            f"{reach:.3f} m or more from both ends."
-        )
+            f"is too near an end of the {tube.length:.3f} m long tube", setting="position",
+            value=position, unit="m", advice=f"use {reach:.3f} m or more from both ends.",
+        )  # fmt: skip
     # Within one more outer diameter the section is joined to the undeformed circle.
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
     ends = position + np.array([-1, 1]) * round_from
@@ -212,9 +212,10 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
         moved = rings + shift
         if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
             raise ConfigError(
-                f"position = {position} m is too near an end of the {length:.3f} m long tube; use "
-                f"{part.position:.3f} m or more from both ends."
-            )
+                f"is too near an end of the {length:.3f} m long tube", setting="position",
+                value=position, unit="m",
+                advice=f"use {part.position:.3f} m or more from both ends.",
+            )  # fmt: skip
         moved[0, :, 2], moved[-1, :, 2] = 0.0, length
         return moved
 

@@ -155,11 +155,12 @@ def record(
     ValueError
         As :func:`response`, or if n_cycles < 1 or first_cycle < 0.
     """
-    if n_cycles < 1 or first_cycle < 0:
-        raise ConfigError(
-            f"n_cycles = {n_cycles} from first_cycle = {first_cycle} is out of range; use 1 or "
-            "more, from 0 or more"
-        )
+    for name, value, least in (("n_cycles", n_cycles, 1), ("first_cycle", first_cycle, 0)):
+        if value < least:
+            raise ConfigError(
+                "is out of range", setting=name, value=value, allowed=(least, np.inf),
+                advice=f"use {least} or more",
+            )  # fmt: skip
     rangefinder = rangefinder or Rangefinder()
     time, voltage = response(
         presses,

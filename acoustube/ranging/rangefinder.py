@@ -84,7 +84,9 @@ class _Kind:
     def check(self, name: str, value: Any) -> Any:
         value = self.read(value)
         if not self.fits(value):
-            raise ConfigError(f"{name} = {value!r} is not allowed; use {self.allowed}")
+            raise ConfigError(
+                "is not allowed", setting=name, value=repr(value), advice=f"use {self.allowed}"
+            )
         return value
 
 

@@ -222,7 +222,10 @@ def _opened(port: str, baud: int) -> Iterator[Any]:
         number = getattr(error, "errno", None)
         reason = os.strerror(number) if number else error
         raise ConfigError(
-            f"port = {port} cannot be opened ({reason}); name the board's port, free and readable"
+            f"cannot be opened ({reason})",
+            setting="port",
+            value=port,
+            advice="name the board's port, free and readable",
         ) from error
     with contextlib.closing(line):
         yield line
@@ -238,7 +241,10 @@ def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
         file = out.open("xb", buffering=0)
     except OSError as error:
         raise ConfigError(
-            f"out = {out} cannot be written ({error.strerror}); name a new file"
+            f"cannot be written ({error.strerror})",
+            setting="out",
+            value=out,
+            advice="name a new file",
         ) from error
     with file:
 

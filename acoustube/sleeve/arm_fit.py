@@ -141,7 +141,9 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
         frame, line = _fit_axis(used, _common_direction(lines))
         found = (line, line)
     else:
-        raise ConfigError(f'axis = {axis!r} is not a choice; use "fitted" or "z"')
+        raise ConfigError(
+            "is not a choice", setting="axis", value=repr(axis), advice='use "fitted" or "z"',
+        )  # fmt: skip
     return _arm(first, second, used, frame, found)
 
 

@@ -109,9 +109,15 @@ class Helix:
                     "taper, or the markers they were fitted to"
                 )
         if not 0 <= self.lead < np.inf:
-            raise ConfigError(f"lead = {self.lead} m must not be negative; 0 stands for no lead")
+            raise ConfigError(
+                "must not be negative", setting="lead", value=self.lead, unit="m",
+                advice="0 stands for no lead",
+            )  # fmt: skip
         if self.hand not in HANDS:
-            raise ConfigError(f'hand = {self.hand!r} is not a choice; use "right" or "left"')
+            raise ConfigError(
+                "is not a choice", setting="hand", value=repr(self.hand),
+                advice='use "right" or "left"',
+            )  # fmt: skip
 
     @property
     def twist(self) -> float:

@@ -62,7 +62,10 @@ class TrackingSettings:
     def __post_init__(self) -> None:
         for name in ("deviation", "acceleration", "speed", "gate", "hits", "misses"):
             if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"{name} = {getattr(self, name)} must be positive")
+                raise ConfigError(
+                    "is not positive", setting=name, value=getattr(self, name),
+                    advice="use a positive number (SI)",
+                )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,8 +160,9 @@ class ContactTracker:
         """Predict the contacts at a time (Kalman prediction)."""
         if self._time is not None and not time > self._time:
             raise ConfigError(
-                f"time = {time:g} s does not follow {self._time:g} s; times must rise"
-            )
+                f"does not follow {self._time:g} s", setting="time", value=time, unit="s",
+                advice="times must rise",
+            )  # fmt: skip
         step = 0.0 if self._time is None else time - self._time
         self._time = time
         transition = np.array([[1.0, step], [0.0, 1.0]])

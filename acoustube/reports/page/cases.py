@@ -77,7 +77,7 @@ def read_sweep(folder: Path) -> Content:
                 f"{folder} is a sweep without a finished case; repeat the command acoustube sweep "
                 "to finish some"
             )
-        groups, notes = _thinned(_grouped(cases))
+        groups, notes = limited(_grouped(cases))
         states, described = _states([case for group in groups.values() for case in group])
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         if isinstance(error, ConfigError):
@@ -137,7 +137,7 @@ def _settings(config: Config) -> dict[str, dict[str, Any]]:
     return dataclasses.asdict(config)
 
 
-def _thinned(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
+def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
     """Limit the number of cases by omitting places evenly."""
     places = sorted({place for _, place, _ in groups})
     count = sum(map(len, groups.values()))

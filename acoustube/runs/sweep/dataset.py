@@ -169,9 +169,9 @@ def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
         others = sorted(path.name for path in folder.glob("cycles-*.nc") if path.name not in names)
         if others:
             raise ConfigError(
-                f"out = {out} holds cycles of another sweep, recipe or version ({others[0]}); name "
-                "a new folder"
-            )
+                f"holds cycles of another sweep, recipe or version ({others[0]})", setting="out",
+                value=out, advice="name a new folder",
+            )  # fmt: skip
     else:
         folder = check_out(out)
     folder.mkdir(parents=True, exist_ok=True)

@@ -77,7 +77,9 @@ def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[st
     for word in words:
         name, equals, values = word.partition("=")
         if not equals:
-            raise ConfigError(f"vary = {word} gives no values; write NAME=VALUE,VALUE")
+            raise ConfigError(
+                "gives no values", setting="vary", value=word, advice="write NAME=VALUE,VALUE",
+            )  # fmt: skip
         section_of(name)
         if name in found or name in taken:
             raise ConfigError(f"{name} is given twice; give it once")

@@ -78,7 +78,10 @@ def prepared(path: str | Path) -> Path:
         _sweep_up(folder)
     except OSError as error:
         raise ConfigError(
-            f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+            f"cannot be written ({error.strerror})",
+            setting="out",
+            value=path,
+            advice="name a writable folder",
         ) from error
     return folder
 

@@ -50,7 +50,9 @@ def dask_executor(address: str) -> tuple[Executor, int]:
         ) from error
     threads = sum(client.nthreads().values())
     if not threads:
-        raise ConfigError(f"dask = {address} has no workers; start some with `dask worker`")
+        raise ConfigError(
+            "has no workers", setting="dask", value=address, advice="start some with `dask worker`",
+        )  # fmt: skip
     return client.get_executor(), 2 * threads
 
 

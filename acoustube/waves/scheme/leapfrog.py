@@ -147,7 +147,7 @@ class _TracedMarcher:
 
     def advance(self, source: Array) -> Array:
         piece = jnp.asarray(source, self._state.change.dtype)
-        self._state, record = _run_chunk(
+        self._state, record = run_chunk(
             self._state, self._setup.scheme, piece, source_layer=self._setup.source_layer
         )
         return np.asarray(record, dtype=float)
@@ -201,10 +201,24 @@ class _Fields(NamedTuple):
 
 
 @partial(jax.jit, static_argnames=("source_layer",))
-def _run_chunk(
+def run_chunk(
     state: State, scheme: Scheme, source: jax.Array, *, source_layer: int
 ) -> tuple[State, jax.Array]:
-    """Advance by some steps and record the probes after each."""
+    """Advance by some steps in JAX, differentiably, and record the probes after each.
+
+    Parameters
+    ----------
+    state : State
+    scheme : Scheme
+    source : array of shape (n_steps,)
+        Increment of the source pressure in each step.
+    source_layer : int
+
+    Returns
+    -------
+    state : State
+    record : array of shape (n_steps, n_probes)
+    """
     step = partial(_step, scheme, source_layer)
     fields, record = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
     return _state(fields), record
