@@ -15,6 +15,7 @@ import pytest
 from commands import run_here
 
 from acoustube import recordings
+from acoustube.base.console import ConsoleReporter, plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed, read_document
@@ -195,3 +196,41 @@ def test_limits_are_raised_by_an_option_for_one_command(tmp_path, monkeypatch):
     assert run_here(*words, "--limits", 200).returncode == 0
     assert run_here(*words).returncode == 2
     assert "limits = 0 is out of range" in run_here(*words, "--limits", 0).stderr
+
+
+MARKUP = "a[/ [red]b[/red] :smile: \x1b[31m\udc80"
+SHOWN = "a[/ [red]b[/red] :smile: \\x1b[31m\\udc80"
+
+
+def test_what_a_user_supplies_is_no_markup_in_the_terminal(capsys):
+    """Brackets, emoji codes, control characters, bytes that are not UTF-8, printed in every way."""
+    report = ConsoleReporter(plain_console())
+    report.title(MARKUP)
+    report.line(MARKUP)
+    report.note(MARKUP)
+    report.rows([(MARKUP, "1")])
+    report.failure(MARKUP)
+    terminal = plain_console()
+    terminal._force_terminal = True
+    with ConsoleReporter(terminal).progress() as show:
+        show(MARKUP, 0.5)
+    told = capsys.readouterr()
+    assert told.out.count(SHOWN) == 4
+    assert told.err.count(SHOWN) == 1
+    assert "\x1b[31m" not in told.out + told.err
+
+
+def test_written_path_is_told_as_it_is():
+    told = run_here("sleeve", "--forearm", 25, 17, 26, "--loops", 9, "--out", "[red]a[/b")
+    assert told.returncode == 0
+    assert "Written to " in told.stdout
+    assert "/[red]a[/b in " in told.stdout.replace("\n", "")
+
+
+def test_values_of_100_kb_are_shortened():
+    told = run_here("simulate", "--depth", "9x" * 50_000)
+    assert told.returncode == 2
+    assert "characters)" in told.stderr
+    assert len(told.stderr) < 1500
+    told = run_here("cite", "x " * 50_000)
+    assert len(told.stderr) < 4000

@@ -5,17 +5,47 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
+from acoustube.base.errors import readable
 from acoustube.base.report import ShowProgress, TimeLeft, time_in_words
 from acoustube.base.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
+    from rich.text import Text
 
 REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
 """Seconds between two lines of progress without a terminal, at first and in work of hours."""
+
+
+def plain_console(*, quiet: bool = False, stderr: bool = False) -> Console:
+    """Return a console on which every string is plain text: no markup, no control characters.
+
+    Strings hold what users supply: names of files, values, contents of files. What is to be
+    coloured is an object of rich's own.
+
+    Parameters
+    ----------
+    quiet : bool
+        Nothing is printed.
+    stderr : bool
+        Standard error instead of standard output.
+    """
+    return _plain_console()(quiet=quiet, stderr=stderr)
+
+
+@cache
+def _plain_console() -> type[Console]:
+    from rich.console import Console  # slow to import
+
+    class Plain(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(readable(text), **options | {"markup": False, "emoji": False})
+
+    return Plain
 
 
 def note(console: Console, text: str) -> None:
@@ -24,9 +54,14 @@ def note(console: Console, text: str) -> None:
 
 
 def _labelled(console: Console, colour: str, label: str, text: str) -> None:
-    from rich.markup import escape
+    from rich.text import Text
 
-    console.print(f"[{colour}]{label}:[/] {escape(text)}", soft_wrap=True)
+    console.print(Text.assemble((f"{label}:", colour), " ", readable(text)), soft_wrap=True)
+
+
+def failure(text: str, label: str = "failed") -> None:
+    """Print a failure on standard error, on a line."""
+    _labelled(plain_console(stderr=True), "red", label, text)
 
 
 class ConsoleReporter:
@@ -43,7 +78,7 @@ class ConsoleReporter:
 
     def title(self, text: str) -> None:
         """Print the program with its version, and what it begins."""
-        self.console.print(f"[bold]acoustube {__version__}[/]: {text}", highlight=False)
+        self.console.print(f"acoustube {__version__}: {text}", highlight=False)
 
     def line(self, text: str) -> None:
         """Print a sentence."""
@@ -55,9 +90,7 @@ class ConsoleReporter:
 
     def failure(self, text: str) -> None:
         """Print a failure on standard error."""
-        from rich.console import Console
-
-        _labelled(Console(stderr=True), "red", "failed", text)
+        failure(text)
 
     def rows(self, rows: Sequence[tuple[str, str]]) -> None:
         """Print a table of names and values."""
@@ -88,10 +121,9 @@ def _display(console: Console) -> Iterator[_Lines]:
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        TextColumn("{task.description:12}"), BarColumn(), TextColumn("{task.fields[amount]:>8}"),
-        TimeElapsedColumn(), TextColumn("{task.fields[left]}"),
-    )  # fmt: skip
+    texts = ("{task.description:12}", "{task.fields[amount]:>8}", "{task.fields[left]}")
+    stage, amount, left = (TextColumn(text, markup=False) for text in texts)
+    columns = (stage, BarColumn(), amount, TimeElapsedColumn(), left)
     with Progress(*columns, console=console, transient=True) as bars:
         yield _Bars(console, bars)
 
@@ -138,5 +170,5 @@ class _Bars(_Lines):
 
     def _draw(self, stage: str, done: float, total: float, amount: str, left: str) -> None:
         if stage not in self.rows:
-            self.rows[stage] = self.bars.add_task(stage, total=total, amount="", left="")
+            self.rows[stage] = self.bars.add_task(readable(stage), total=total, amount="", left="")
         self.bars.update(self.rows[stage], completed=done, total=total, amount=amount, left=left)

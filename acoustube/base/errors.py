@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from numbers import Real
 from typing import Any
 
@@ -63,3 +64,36 @@ def short(value: Any) -> str:
     if isinstance(value, int | str) or not isinstance(value, Real):
         return str(value)
     return repr(float(value)).removesuffix(".0")
+
+
+LONGEST_WORD, LONGEST_TEXT = 300, 3000
+"""Characters of a word, and of a whole text, that are shown."""
+
+
+def readable(text: str) -> str:
+    """Return a text as it can be shown: long parts shortened, control characters as codes.
+
+    Parameters
+    ----------
+    text : str
+        With values that a user has given, of any length and content.
+    """
+    if len(text) > LONGEST_WORD:
+        words = re.split(r"(\s+)", text)
+        text = "".join(_shortened(word, LONGEST_WORD) for word in words)
+    text = _shortened(text, LONGEST_TEXT)
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else _code(c) for c in text)
+
+
+def _shortened(text: str, most: int) -> str:
+    left_out = len(text) - most
+    if left_out <= 0:
+        return text
+    return f"{text[: most // 2]}...({left_out} characters)...{text[-most // 2 :]}"
+
+
+def _code(character: str) -> str:
+    """Return the code by which a text of Python names a character."""
+    return character.encode("unicode_escape").decode("ascii")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin,
 
 from cyclopts import CoercionError, Parameter
 
+from acoustube.base.console import plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file, check_out, fresh_folder
 from acoustube.base.foreign.limits import VARIABLE
@@ -136,9 +137,7 @@ class Output(Checked):
 
     def console(self, *, stderr: bool = False) -> Console:
         """Return the console to print on."""
-        from rich.console import Console
-
-        return Console(quiet=self.quiet, stderr=stderr)
+        return plain_console(quiet=self.quiet, stderr=stderr)
 
 
 @Parameter(name="*")

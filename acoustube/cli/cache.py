@@ -8,6 +8,7 @@ from datetime import datetime
 from cyclopts import App, Parameter
 
 from acoustube.base import cache, remnants
+from acoustube.base.errors import readable
 
 app = App(
     name="cache",
@@ -21,7 +22,7 @@ def list_cache() -> None:
     """List the cached results, the newest first."""
     for entry in cache.entries():
         written = datetime.fromtimestamp(entry.modified).strftime("%Y-%m-%d %H:%M")
-        print(f"{written}  {entry.size / 1e6:6.1f} MB  {entry.label}")
+        print(f"{written}  {entry.size / 1e6:6.1f} MB  {readable(entry.label)}")
 
 
 @app.command(name="size")

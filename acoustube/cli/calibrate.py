@@ -53,8 +53,6 @@ def calibrate(
     figure : Path
         Picture of the fits to write (PNG, PDF or SVG), which must be new.
     """
-    from rich.markup import escape
-
     if not blocked:
         raise ConfigError("calibrate needs recordings with the tube closed; name one or more")
     if name is not None and not re.fullmatch(r"[\w-]{1,64}", name):
@@ -89,7 +87,7 @@ def calibrate(
         contents[figure] = picture(cycle_figures.calibration_figure(found), figure)
     write_all(contents)
     _print_calibration(found, closed["true_distance"].values, console)
-    console.print(f"Written to [bold]{escape(str(path))}[/].", soft_wrap=True)
+    console.print(f"Written to {path}.", soft_wrap=True)
 
 
 def _free_path(out: Path | None, name: str | None) -> Path:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from acoustube.base import cache
+from acoustube.base.console import plain_console
 from acoustube.base.errors import SimulationError
 from acoustube.base.remnants import remnants
 from acoustube.base.version import __version__
@@ -126,10 +127,8 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
     json : bool
         JSON object instead of a table.
     """
-    from rich.console import Console
-
     started = time.perf_counter()
-    console = Console(quiet=True) if json else output.console()
+    console = plain_console(quiet=True) if json else output.console()
     machine = look()
     _print_machine(machine, console)
     with console.status("drawing without a screen"):
@@ -255,12 +254,10 @@ def _free_memory() -> float | None:
 
 
 def _print_machine(machine: Machine, console: Console) -> None:
-    from rich.markup import escape
-
     def line(text: str) -> None:
         console.print(text, soft_wrap=True, highlight=False)
 
-    line(f"[bold]acoustube {__version__}[/], Python {machine.python} on {machine.system}")
+    line(f"acoustube {__version__}, Python {machine.python} on {machine.system}")
     versions = (f"{name} {number or 'MISSING'}" for name, number in machine.packages.items())
     line(f"packages: {', '.join(versions)}")
     line(
@@ -271,11 +268,11 @@ def _print_machine(machine: Machine, console: Console) -> None:
     advice = "" if machine.cache_writable else f"; {HELP_WITH_CACHE}"
     line(f"cache: {machine.cache_folder}, {machine.disk_free_gb:.1f} GB free{advice}")
     if machine.remnants:
-        first = escape(machine.remnants[0])
+        first = machine.remnants[0]
         more = f" and {len(machine.remnants) - 1} more" * bool(machine.remnants[1:])
         line(f"left behind by killed commands: {first}{more}; acoustube cache clear removes them")
     for extra in machine.extras:
-        state = "there" if extra.present else f"missing; {escape(extra.install)}"
+        state = "there" if extra.present else f"missing; {extra.install}"
         line(f"extra {extra.name}, which {extra.purpose}: {state}")
 
 
@@ -299,10 +296,8 @@ def _tested(console: Console) -> list[Outcome]:
 
 def _row(outcome: Outcome) -> str:
     """Return a test in one line."""
-    from rich.markup import escape
-
-    state = "[green]passed[/]" if outcome.passed else "[red]FAILED[/]"
+    state = "passed" if outcome.passed else "FAILED"
     unit = "" if outcome.unit == "1" else f" {outcome.unit}"
     expected = f"{outcome.expected:.5g}{unit} within {outcome.tolerance:.2g}"
-    computed = escape(outcome.problem) or f"{outcome.computed:.5g}{unit}"
+    computed = outcome.problem or f"{outcome.computed:.5g}{unit}"
     return f"{state}  {outcome.name}: {computed}, expected {expected} ({outcome.seconds:.1f} s)"

@@ -56,8 +56,6 @@ def evaluate(
         raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
     check_files(out=out, figure=figure)
 
-    from rich.markup import escape
-
     from acoustube import estimation
     from acoustube.runs.training import error_rows, table_of
 
@@ -85,7 +83,7 @@ def evaluate(
     write_all(contents)
     written = " and ".join(map(str, contents))
     console.print(
-        (f"Written to [bold]{escape(written)}[/] in " if written else "Evaluated in ")
+        (f"Written to {written} in " if written else "Evaluated in ")
         + f"{time.perf_counter() - start:.0f} s.",
         soft_wrap=True,
     )
@@ -122,7 +120,7 @@ def _print_errors(rows: list[Row], table: xr.Dataset, model: Model, console: Con
 
     seen = int(np.isfinite(table["features"].values).all(axis=1).sum())
     console.print(
-        f"[bold]acoustube {__version__}[/]: {model.name}, trained on {model.origin['trained']} "
+        f"acoustube {__version__}: {model.name}, trained on {model.origin['trained']} "
         f"cycles; {table.sizes['cycle']} cycles, echoes in {seen}",
         soft_wrap=True,
     )

@@ -68,9 +68,7 @@ def export(
     with partial_folder(out) as partial:
         found = _write(data, results, kind or formats[0], partial)
         folder = publish(partial, out)
-    output.console().print(
-        f"{found} written to [bold]{folder}[/].", soft_wrap=True, highlight=False
-    )
+    output.console().print(f"{found} written to {folder}.", soft_wrap=True, highlight=False)
 
 
 def _opened(where: Path) -> xr.Dataset:

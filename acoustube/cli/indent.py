@@ -126,7 +126,7 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     for words in notes:
         note(console, words)
     elapsed = time.perf_counter() - started
-    console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
     if stopped is not None:
         raise stopped
     return folder
@@ -144,7 +144,7 @@ def _print_press_header(config: Mechanics, console: Console) -> None:
     minutes = press_seconds(settings, settings.depth) / 60
     minutes *= TETRAHEDRA if settings.surface else 1.0
     console.print(
-        f"[bold]acoustube {__version__}[/] on {jax.devices()[0].device_kind}, float64; "
+        f"acoustube {__version__} on {jax.devices()[0].device_kind}, float64; "
         f"about {max(minutes, 0.5):.1g} min unless it is cached, {PRESS_GIGABYTES:g} GB",
         soft_wrap=True,
     )

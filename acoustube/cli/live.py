@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from acoustube.base.console import REPORT_INTERVAL
+from acoustube.base.errors import readable
 from acoustube.base.files import check_new_file
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
@@ -130,6 +131,7 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
     """Yield a function that shows the last cycle periodically, as a panel or as lines."""
     from rich.live import Live
     from rich.panel import Panel
+    from rich.text import Text
 
     in_place = console.is_terminal and not console.quiet
     interval = REFRESH if in_place else REPORT_INTERVAL
@@ -149,8 +151,8 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
                 console.print(f"{head}; {tally.words()}", soft_wrap=True)
                 return
             bars = "" if ranging is None else trace(ranging.envelope)
-            text = f"[bold]{head}[/]\n{bars}\n{tally.words()}"
-            panel.update(Panel(text, title=port, expand=False), refresh=True)
+            text = f"{head}\n{bars}\n{tally.words()}"
+            panel.update(Panel(text, title=Text(readable(port)), expand=False), refresh=True)
 
         yield show
 

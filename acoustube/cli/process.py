@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acoustube.base.console import ConsoleReporter
+from acoustube.base.console import ConsoleReporter, failure
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
@@ -87,12 +87,9 @@ def process(
 
 def _print_failure(path: Path, error: Exception) -> None:
     """Print on standard error why a file could not be processed."""
-    from rich.console import Console
-    from rich.markup import escape
-
     text = " ".join(str(error).split())
     named = text if str(path) in text else f"{path}: {text}"
-    Console(stderr=True).print(f"[red]not processed:[/] {escape(named)}", soft_wrap=True)
+    failure(named, "not processed")
 
 
 def _note_recording(path: Path, data: xr.Dataset, found: Processed, report: Reporter) -> None:

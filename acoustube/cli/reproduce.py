@@ -95,7 +95,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     folder = _prepared(out, scale)
     minutes = sum(STUDIES[name] for name in names) / (SPEED_UP if scale.quick else 1.0)
     console.print(
-        f"[bold]acoustube {__version__}[/]: studies {', '.join(names)}; about "
+        f"acoustube {__version__}: studies {', '.join(names)}; about "
         f"{time_in_words(60 * minutes)} on two cores, less for cached results",
         soft_wrap=True,
     )
@@ -106,7 +106,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
             _write_index(folder)
             _print(study, console)
     elapsed = time_in_words(time.perf_counter() - started)
-    console.print(f"Written to [bold]{folder / 'index.html'}[/] in {elapsed}.", soft_wrap=True)
+    console.print(f"Written to {folder / 'index.html'} in {elapsed}.", soft_wrap=True)
     return folder
 
 

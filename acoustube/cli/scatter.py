@@ -153,7 +153,7 @@ def scatter(
     write_dataset(dataset, out)
     _print(found, notes, console)
     elapsed = time.perf_counter() - started
-    console.print(f"Written to [bold]{out}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    console.print(f"Written to {out} in {elapsed:.0f} s.", soft_wrap=True)
 
 
 def _scattering(

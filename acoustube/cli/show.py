@@ -44,8 +44,6 @@ def show(
         check_new_file(html, "html")
         if html.suffix.lower() not in PAGES:
             raise ConfigError("must end in .html", setting="html", value=html)
-    from rich.markup import escape
-
     console = output.console()
     contents: dict[Path, bytes | str] = {}
     said = []
@@ -53,10 +51,10 @@ def show(
         from acoustube.reports.page.write import assembled, plotly_js, read
 
         contents[html] = assembled(read(results), plotly_js())
-        said.append(f"Written to [bold]{escape(str(html))}[/], {len(contents[html]) / 1e6:.1f} MB.")
+        said.append(f"Written to {html}, {len(contents[html]) / 1e6:.1f} MB.")
     if out is not None:
         contents[out], count = _figure(results, out)
-        said.append(f"{count} cases drawn in [bold]{escape(str(out))}[/].")
+        said.append(f"{count} cases drawn in {out}.")
     write_all(contents)
     for line in said:
         console.print(line, soft_wrap=True)

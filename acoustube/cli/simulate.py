@@ -95,7 +95,7 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
     if not drawn:
         note(console, "The tube could not be drawn in 3-D: see 'The figure' in the README.")
     elapsed = time.perf_counter() - started
-    console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
     return folder
 
 
@@ -123,7 +123,7 @@ def _print_header(config: Config, console: Console) -> None:
     where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
     grid = f"{waves.resolution} cells across the bore"
     cost = f"about {max(seconds / 60, 0.5):.1g} min, {memory:.1f} GB"
-    console.print(f"[bold]acoustube {__version__}[/] on {where}, {grid}; {cost}", soft_wrap=True)
+    console.print(f"acoustube {__version__} on {where}, {grid}; {cost}", soft_wrap=True)
     print_wall(config, console)
     console.print(
         f"press: {press_in_words(settings)}, at {config.position_cm:g} cm",

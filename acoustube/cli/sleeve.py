@@ -179,9 +179,9 @@ def _run(
     check_room(tubes, wound.tube_diameter)
     words += in_words(tubes, found)
     words += [contact_in_words(tubes, found, contact) for contact in contacts]
-    console.print(f"[bold]acoustube {__version__}[/] sleeve", soft_wrap=True)
+    console.print(f"acoustube {__version__} sleeve", soft_wrap=True)
     for line in words:
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        console.print(line, soft_wrap=True, highlight=False)
     with partial_folder(folder) as partial:
         write_table(partial / "sleeve.csv", tubes, found, sensor.step)
         write(partial / "layout.txt", "\n".join(words) + "\n")
@@ -193,7 +193,7 @@ def _run(
             note(console, "VTK cannot draw on this machine; there is no picture")
         folder = publish(partial, folder)
     elapsed = time.perf_counter() - started
-    console.print(f"Written to [bold]{folder}[/] in {elapsed:.0f} s.", soft_wrap=True)
+    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
 
 
 def _tubes_on_forearm(

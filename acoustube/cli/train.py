@@ -83,8 +83,6 @@ def train(
         raise ConfigError("train needs a file or a folder; name one or more")
     check_new_file(out)
 
-    from rich.markup import escape
-
     from acoustube import estimation
     from acoustube.estimation.model import kind_of_features
     from acoustube.runs.recordings import check_rate, chosen
@@ -103,7 +101,7 @@ def train(
         estimation.save(model, out, overwrite=False)
     _print_overfitting(model, console)
     console.print(
-        f"Written to [bold]{escape(str(out))}[/] in {time.perf_counter() - start:.0f} s.",
+        f"Written to {out} in {time.perf_counter() - start:.0f} s.",
         soft_wrap=True,
     )
 
@@ -153,7 +151,7 @@ def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
     echoes = int(np.isfinite(table["features"].values).all(axis=1).sum())
     used = int(usable(table, targets).sum())
     console.print(
-        f"[bold]acoustube {__version__}[/]: {table.sizes['cycle']} cycles, echoes in {echoes}; "
+        f"acoustube {__version__}: {table.sizes['cycle']} cycles, echoes in {echoes}; "
         f"{name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them",
         soft_wrap=True,
     )
