@@ -11,8 +11,7 @@ from zipfile import is_zipfile
 
 from acoustube.base.errors import ConfigError
 from acoustube.cli._options import FLAG
-from acoustube.cli._reference import Reference
-from acoustube.cli.references import TOPICS, references
+from acoustube.cli.references import TOPICS, Reference, references
 
 CREASING = 0.72
 """Depth, as a fraction of the bore, beyond which the inner surface of the folds may crease."""
