@@ -317,7 +317,7 @@ def test_missing_folder_or_binary_file_is_refused_by_name(tmp_path):
     binary.write_bytes(b"\xff\xfe[tube]")
     for path, reason in (
         (tmp_path / "none.toml", "No such file"),
-        (tmp_path, "Is a directory"),
+        (tmp_path, "is a folder, not a file"),
         (binary, "not a text file in UTF-8"),
         ("nul\0.toml", "null"),
     ):

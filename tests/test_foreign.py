@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import resource
 import struct
 import time
@@ -14,13 +15,14 @@ import numpy as np
 import pytest
 from commands import run_here
 
-from acoustube import recordings
+from acoustube import recordings, signals
 from acoustube.base.console import ConsoleReporter, plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed, read_document
 from acoustube.base.surfaces import read_lumen
 from acoustube.recordings.markers import read_markers
+from acoustube.signals.calibration import Calibration, Estimate
 
 DAMAGED = Path(__file__).parent / "data" / "damaged"
 
@@ -234,3 +236,60 @@ def test_values_of_100_kb_are_shortened():
     assert len(told.stderr) < 1500
     told = run_here("cite", "x " * 50_000)
     assert len(told.stderr) < 4000
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('channel = "left"', "channel = 'left' is not a number; use a whole number from 0 to 0"),
+        ("channel = [1]", "channel = [1] is not a number"),
+        ("channel = 1e300", "channel = 1e+300, but the file has one channel"),
+        ("channel = 7", "channel = 7, but the file has one channel; leave it out"),
+        ("sampling_rate_hz = [[1], [2, 3]]", "sampling rate is not a number; give one"),
+        ("[sampling_rate_hz]\na = 1", "is not a number"),
+        (f"sampling_rate_hz = {10**400}", "sampling_rate_hz is a whole number of over 64 bits"),
+        (f"temperature_c = [{10**400}]", "temperature_c is a whole number of over 64 bits"),
+        ("[labels]\nsignal = [1, 2, 3]", "state signal, which is no label; rename it"),
+        ("[labels]\ntime = [1, 2, 3]", "state time, which is no label; rename it"),
+        ("[labels.a]\nb = 1", "a is neither numbers nor words"),
+        ("labels = {press = [{x = 1}, 2, 3]}", "press"),
+    ],
+)
+def test_nonsense_in_a_sidecar_is_a_sentence(tmp_path, text, words):
+    np.savez(tmp_path / "a.npz", signal=np.eye(3, 4), fs=2e5, temperature=20.0)
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        recordings.read(tmp_path / "a.npz")
+    assert words in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+CALIBRATION = Calibration(
+    processing=signals.Processing(gain=signals.TimeGain(-0.2, 1.0, 1.0, 0.3)), sampling_rate=2e5,
+    **dict.fromkeys(("c1", "c2", "c3", "c4", "slope", "intercept"), Estimate(1.0, 0.1)),
+    **dict.fromkeys(("amplitude_rmse", "distance_rmse", "false_alarms"), 0.0),
+    **dict.fromkeys(("true_distance", "estimated_distance", "amplitude"), np.ones(3)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("template_cycles", "1e308"), ("frequency", "1e-9"), ("frequency", "1e-320"),
+        ("cutoff", "inf"), ("gain", "[1, 2]"), ("gain", '"steep"'), ("send_shift", "nan"),
+        ("prominence", "[]"), ("sampling_rate", "nan"), ("sampling_rate", "1e-320"),
+        ("c1", "1.0"), ("true_distance", '["far"]'), ("frequency", "1" * 500),
+    ],
+)  # fmt: skip
+def test_absurd_numbers_in_a_calibration_are_a_sentence(tmp_path, name, value):
+    """When it is read, or where it asks for more than a cycle holds when it is applied."""
+    signals.save(CALIBRATION, tmp_path / "c.toml")
+    text = (tmp_path / "c.toml").read_text()
+    (tmp_path / "c.toml").write_text(re.sub(rf"(?m)^{name} = .*", f"{name} = {value}", text))
+    signal = np.random.default_rng(0).normal(size=(3, 4000))
+    np.savez(tmp_path / "a.npz", signal=signal, fs=2e5, temperature=20.0)
+    told = run_here("process", tmp_path / "a.npz", "--calibration", tmp_path / "c.toml")
+    assert told.returncode == 2
+    assert "Traceback" not in told.stderr
+    assert "c.toml" in told.stderr or "a.npz" in told.stderr
+    assert "; " in told.stderr

@@ -29,7 +29,7 @@ def load(path: Path) -> trimesh.Trimesh:
     check_surface(path)
     check_file(path, "surface")
     kind = path.suffix.lower()[1:]
-    with reading(path, "a surface", "use STL, PLY, OBJ or VTP."):
+    with reading(path, "cannot be read as a surface", "use STL, PLY, OBJ or VTP."):
         if kind == "vtp":
             found = {label["name"]: value for label, value in child.read("vtp", path, "surface")}
             surface = trimesh.Trimesh(found["points"], found["faces"])

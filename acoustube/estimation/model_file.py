@@ -20,6 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.archives import read_archive
+from acoustube.base.foreign.documents import parsed
+from acoustube.base.foreign.limits import check_file, reading
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.estimation.boosting import Boosting
@@ -35,6 +39,9 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = 1
 """Version of the format; raised when the stored arrays, or the definition of features, change."""
 KIND = "acoustube model"
+ORIGIN = ("cycles", "trained", "by")
+"""Names of what a model was trained with."""
+RATE = Number(1e3, 1e8, "Hz", "samples per second")
 FILE_NAMES = {
     "max_iter": "iterations",
     "max_leaf_nodes": "leaves",
@@ -98,25 +105,18 @@ def load(path: str | Path) -> Model:
     ConfigError
         If the file is not a model, or has another format.
     """
-    try:
-        if not zipfile.is_zipfile(path):  # else NumPy advises to load it as a pickle
+    check_file(path, "model")
+    with reading(path, "is not a model", "acoustube train writes one"):
+        if not zipfile.is_zipfile(path):
             raise ValueError("not a NumPy archive")
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_archive(Path(path), "model")
         if "header" not in arrays:
             raise ValueError("an archive without a header")
-        header = json.loads(str(arrays.pop("header")))
+        header = parsed(str(arrays.pop("header")), path)
         if header["kind"] != KIND:
             raise ValueError(f"it is a {header['kind']}")
         if header["format"] == FORMAT:
             return _model(header, arrays)
-    except (
-        OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile
-    ) as error:  # fmt: skip
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ConfigError(
-            f"{path} is not a model ({reason}); acoustube train writes one"
-        ) from error
     raise ConfigError(
         f"{path} was written by acoustube {header.get('acoustube_version')} in format "
         f"{header['format']}, and this is acoustube {__version__}, which reads format {FORMAT}; "
@@ -153,8 +153,8 @@ def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
         estimator=estimator,
         targets=targets,
         feature_settings=feature_settings,
-        sampling_rate=float(header["sampling_rate"]),
-        origin=header["origin"],
+        sampling_rate=float(RATE.check("sampling_rate", header["sampling_rate"])),
+        origin={name: header["origin"][name] for name in ORIGIN},
     )
 
 

@@ -96,7 +96,7 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
 def _names(path: Path, advice: str) -> tuple[set[str], set[str]]:
     """Return the names of the variables and of the attributes of a netCDF-4 file."""
     check_file(path, "recording")
-    with reading(path, "netCDF", advice):
+    with reading(path, "cannot be read as netCDF", advice):
         entries = child.read("names", path, "recording")
     found: tuple[set[str], set[str]] = set(), set()
     for label, _ in entries:
@@ -154,7 +154,8 @@ def assemble(
     check_temperature(path, temperature)
     known_labels = {q: _number(path, q, each(q, known[q])) for q in LABELS if q in known}
     notes += _too_long(known_labels)
-    free = _of_length(others, n, notes) | {name: each(name, v) for name, v in labels.items()}
+    free = _of_length(others, n, notes)
+    free |= {name: _words(path, name, each(name, v)) for name, v in labels.items()}
     variables = {
         "signal": _variable("cycle time", signal, "1", "recorded signal, in the recorder's unit"),
         "temperature": _variable("cycle", temperature, "degC", "temperature of the air"),
@@ -230,11 +231,11 @@ def _one_channel(path: Path, array: NDArray[Any], channel: Any) -> NDArray[Any]:
         raise ConfigError(
             f"{path} has {count} channels; choose one with channel = 0 to {count - 1}"
         )
-    if count == 1 and channel:
+    rule = Number(0, max(count - 1, 0), "", "channels count from 0", whole=True)
+    if count == 1 and channel != 0 and isinstance(channel, int | float):
         raise ConfigError(
             f"{path}: channel = {channel:g}, but the file has one channel; leave it out"
         )
-    rule = Number(0, count - 1, "", "channels count from 0", whole=True)
     chosen = int(rule.check(f"{path}: channel", 0 if channel is None else channel))
     cycles = array[..., chosen] if array.ndim == 3 else array
     return cycles[0] if cycles.ndim == 2 and len(cycles) == 1 else cycles
@@ -301,7 +302,10 @@ def _single(path: Path, name: str, value: Any) -> Any:
     """Return the unique value of an array as a plain number."""
     if value is None:
         return None
-    values = np.unique(np.asarray(value))
+    try:
+        values = np.unique(np.asarray(value))
+    except (TypeError, ValueError) as error:  # lists of unequal lengths, or tables
+        raise ConfigError(f"{path}: {name} is not a number; give one") from error
     if values.size != 1:
         raise ConfigError(f"{path}: {name} has {values.size} different values; give one")
     return values.tolist()[0]
@@ -337,6 +341,13 @@ def _number(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
         return values.astype(float)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{path}: {name} = {values[0]!r} is not a number; correct it") from error
+
+
+def _words(path: Path, name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values of a label of any name, once they are numbers or words."""
+    if values.dtype.kind not in "biufU":
+        raise ConfigError(f"{path}: {name} is neither numbers nor words; give one value per cycle")
+    return values
 
 
 def _of_length(others: Named, n: int, notes: list[str]) -> Named:

@@ -35,7 +35,10 @@ def load(path: Path) -> Contents:
     """
     kind, loader = KINDS[path.suffix.lower()]
     check_file(path, "table" if loader is read_table else "recording")
-    with reading(path, kind, "it is cut short, damaged or a file of another kind: export it again"):
+    failure = f"cannot be read as {kind}"
+    with reading(
+        path, failure, "it is cut short, damaged or a file of another kind: export it again"
+    ):
         contents = loader(path)
         for name in contents:
             check_name(path, name)

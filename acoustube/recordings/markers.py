@@ -85,7 +85,9 @@ def read_markers(
     if not path.exists():
         raise ConfigError(f"{path} does not exist; give the name of a table or C3D file of markers")
     check_file(path, "markers")
-    with reading(path, "markers", "it is damaged or of another kind: export it again"):
+    with reading(
+        path, "cannot be read as markers", "it is damaged or of another kind: export it again"
+    ):
         rows, own = (_from_c3d if path.suffix.lower() == ".c3d" else _from_table)(path)
     first, second = names = _column_names(rows, columns, path)
     known = unit or own

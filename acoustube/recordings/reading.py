@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
 from acoustube.base.foreign.documents import read_document
+from acoustube.base.foreign.limits import reading
 from acoustube.base.netcdf import write_dataset
-from acoustube.recordings.cycles import assemble, read_own_netcdf, separate_known
+from acoustube.recordings.cycles import LABELS, assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
 from acoustube.recordings.tables import Note
 
@@ -75,6 +76,19 @@ def read(
     """
     path = Path(path)
     _check_kind(path)
+    with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
+        return _read(path, rate, temperature, channel, samples)
+    raise AssertionError  # unreachable: the block returns or raises
+
+
+def _read(
+    path: Path,
+    rate: float | None,
+    temperature: ArrayLike | None,
+    channel: int | None,
+    samples: int | None,
+) -> xr.Dataset:
+    """Return a recording; parameters as of :func:`read`."""
     given = {
         "sampling_rate": rate,
         "temperature": temperature,
@@ -88,6 +102,10 @@ def read(
     notes = [str(value) for value in contents.values() if isinstance(value, Note)]
     known, others = separate_known({n: v for n, v in contents.items() if not isinstance(v, Note)})
     named, labels = separate_known(over.pop("labels", {}))
+    if wrong := [name for name in named if name not in LABELS]:
+        raise ConfigError(
+            f"{path}: the labels of its sidecar state {wrong[0]}, which is no label; rename it"
+        )
     return assemble(path, known | named | over, others, labels, notes)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from tomlkit.items import Item
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import toml_array
+from acoustube.base.foreign.documents import read_document
+from acoustube.base.foreign.limits import reading
 from acoustube.base.writing import write
 from acoustube.signals.calibration import Calibration, Estimate
 from acoustube.signals.filters import TimeGain
@@ -98,8 +99,8 @@ def load(path: str | Path) -> Calibration:
     ConfigError
         If the file cannot be read or is not a calibration.
     """
-    try:
-        document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    with reading(path, "is not a calibration", "acoustube calibrate writes one"):
+        document = read_document(path)
         found, fits = document["calibration"], dict[str, Any]()
         for name in _FITS:
             value, deviation = found[name]
@@ -110,12 +111,7 @@ def load(path: str | Path) -> Calibration:
         if not fits["sampling_rate"] > 2 * processing.cutoff:
             raise ValueError("sampling_rate must be over twice the cutoff")
         return Calibration(processing=processing, **fits)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        lacks = isinstance(error, KeyError)
-        reason = f"it has no {error.args[0]}" if lacks else " ".join(str(error).split())
-        raise ConfigError(
-            f"{path} is not a calibration ({reason}); acoustube calibrate writes one"
-        ) from error
+    raise AssertionError  # unreachable: the block returns or raises
 
 
 def _processing(given: Mapping[str, Any]) -> Processing:

@@ -29,6 +29,8 @@ The second order rings least: its response to an impulse undershoots to -4.3 % a
 """
 OFFSET_CUTOFF = 100.0
 """Cut-off frequency in Hz of the high-pass that removes a cycle's offset and its drift."""
+LONGEST_TEMPLATE = 1e6
+"""Samples of the longest template, far longer than a cycle of any recorder."""
 TEMPLATE_CYCLES = 10
 """Length of the matched filter's Hann window in carrier cycles."""
 
@@ -135,12 +137,17 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     Raises
     ------
     ValueError
-        If the carrier is not below the Nyquist frequency.
+        If the carrier is not below the Nyquist frequency, or the template too long.
     """
     if not 0 < frequency < sampling_rate / 2:
         raise ValueError(
             f"frequency = {frequency:g} Hz must lie between 0 and half the sampling rate "
             f"({sampling_rate / 2:g} Hz); raise the sampling rate, or omit the matched filter"
+        )
+    if cycles / frequency * sampling_rate > LONGEST_TEMPLATE:
+        raise ValueError(
+            f"a template of {cycles:g} cycles of {frequency:g} Hz has more than "
+            f"{LONGEST_TEMPLATE:g} samples; give fewer cycles"
         )
     half = int(np.floor(cycles / frequency * sampling_rate / 2))
     time = np.arange(-half, half + 1) / sampling_rate

@@ -146,14 +146,14 @@ def check_name(path: str | Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def reading(path: str | Path, what: str, advice: str) -> Iterator[None]:
+def reading(path: str | Path, failure: str, advice: str) -> Iterator[None]:
     """Turn any failure of reading a file into one sentence, and silence libraries' warnings.
 
     Parameters
     ----------
     path : str or Path
-    what : str
-        What the file should be, such as "a surface".
+    failure : str
+        What the sentence says of the file, such as "is not a model".
     advice : str
         What to do.
 
@@ -169,7 +169,7 @@ def reading(path: str | Path, what: str, advice: str) -> Iterator[None]:
         raise
     # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
     except Exception as error:
-        raise ConfigError(f"{path} cannot be read as {what} ({reason(error)}); {advice}") from error
+        raise ConfigError(f"{path} {failure} ({reason(error)}); {advice}") from error
 
 
 def reason(error: Exception) -> str:

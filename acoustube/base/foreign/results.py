@@ -31,7 +31,7 @@ def check_result(path: str | Path, advice: str) -> None:
     ConfigError
     """
     limits.check_file(path, "result")
-    with limits.reading(path, "a result", advice):
+    with limits.reading(path, "cannot be read as a result", advice):
         seal = seal_of(path)
         if seal is Seal.BROKEN:
             raise ConfigError(f"{path} is damaged: its bytes are not those written; {advice}")
@@ -59,7 +59,7 @@ def open_result(
     ConfigError
     """
     check_result(path, advice)
-    with limits.reading(path, "a result", advice):
+    with limits.reading(path, "cannot be read as a result", advice):
         with xr.open_dataset(path, engine="h5netcdf", group=group) as file:
             data = file.load()
         if missing := [n for n in needed if n not in data.variables and n not in data.attrs]:

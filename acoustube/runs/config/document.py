@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acoustube.base.errors import ConfigError, short
+from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Number, nearest
 
 if TYPE_CHECKING:  # the command line imports this module before it writes anything
@@ -100,27 +100,6 @@ def section_of(name: str) -> str:
     if name not in _SECTION_OF:
         raise ConfigError(f"{name} is not a setting{nearest(name, _SECTION_OF)}")
     return _SECTION_OF[name]
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, or is not TOML.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path} is not a text file in UTF-8; give a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is not valid TOML: {error}") from error
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(
-            f"{path} cannot be read ({reason}); check the name of the file"
-        ) from error
 
 
 def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
