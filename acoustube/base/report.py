@@ -89,6 +89,10 @@ class Silent:
 SILENT = Silent()
 
 
+def ignore(*_progress: object) -> None:
+    """Discard a progress."""
+
+
 class TimeLeft:
     """Extrapolation of the time left from the recent rate of a fraction.
 

@@ -60,19 +60,7 @@ def indent(
 def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     """Press a tube, print the results and write them to a folder.
 
-    Parameters
-    ----------
-    config : Mechanics
-        The settings.
-    folder : path
-        The folder to be made; it appears only when it is complete.
-    console : rich.console.Console
-        Console to print on.
-
-    Returns
-    -------
-    Path
-        The folder.
+    Arguments and result are those of :func:`acoustube.cli.simulate.run_simulation`.
 
     Raises
     ------

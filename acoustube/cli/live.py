@@ -103,10 +103,6 @@ def run_live(
     out, duration
         See :func:`acoustube.runs.live.follow`.
 
-    Returns
-    -------
-    Tally
-
     Raises
     ------
     ConfigError

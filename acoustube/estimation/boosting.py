@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -20,6 +21,7 @@ MIN_SCALE = 0.05
 """Smallest stated scale, relative to the median absolute held-out residual."""
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Gradient boosting of regression trees, one model per fold and target.
 
@@ -58,22 +60,12 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     .. [2] G. Ke et al., LightGBM: a highly efficient gradient boosting decision tree, NeurIPS 2017.
     """
 
-    def __init__(
-        self,
-        *,
-        n_folds: int = 5,
-        max_iter: int = 150,
-        learning_rate: float = 0.1,
-        max_leaf_nodes: int = 31,
-        offset_columns: tuple[int | None, ...] | None = None,
-        seed: int = 0,
-    ):
-        self.n_folds = n_folds
-        self.max_iter = max_iter
-        self.learning_rate = learning_rate
-        self.max_leaf_nodes = max_leaf_nodes
-        self.offset_columns = offset_columns
-        self.seed = seed
+    n_folds: int = 5
+    max_iter: int = 150
+    learning_rate: float = 0.1
+    max_leaf_nodes: int = 31
+    offset_columns: tuple[int | None, ...] | None = None
+    seed: int = 0
 
     def fit(
         self,

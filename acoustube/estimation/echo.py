@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -14,6 +15,7 @@ from acoustube.estimation.inputs import check_inputs, check_rows, offsets
 from acoustube.estimation.splits import folds
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Networks that estimate a Laplace distribution for each target, one network per fold.
 
@@ -53,26 +55,14 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
        deep ensembles, NeurIPS 2017. arXiv:1612.01474
     """
 
-    def __init__(
-        self,
-        *,
-        n_folds: int = 10,
-        epochs: int = 25,
-        batch_size: int = 64,
-        learning_rate: float = 1e-3,
-        weight_decay: float = 1e-4,
-        hidden: tuple[int, ...] = (64, 64),
-        offset_columns: tuple[int | None, ...] | None = None,
-        seed: int = 0,
-    ):
-        self.n_folds = n_folds
-        self.epochs = epochs
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.hidden = hidden
-        self.offset_columns = offset_columns
-        self.seed = seed
+    n_folds: int = 10
+    epochs: int = 25
+    batch_size: int = 64
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-4
+    hidden: tuple[int, ...] = (64, 64)
+    offset_columns: tuple[int | None, ...] | None = None
+    seed: int = 0
 
     def fit(
         self,

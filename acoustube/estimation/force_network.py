@@ -6,6 +6,7 @@ Localization and Force Sensing" (the sleeve paper).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -19,6 +20,7 @@ from acoustube.estimation.inputs import check_inputs, check_rows
 from acoustube.estimation.splits import folds
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Fully connected 64-64-1 networks, one per fold, weighted by their validation losses.
 
@@ -54,22 +56,12 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     residuals of held-out rows with a similar estimate.
     """
 
-    def __init__(
-        self,
-        *,
-        n_folds: int = 10,
-        epochs: int = 100,
-        batch_size: int = 32,
-        learning_rate: float = 1e-3,
-        weight_decay: float = 1e-5,
-        seed: int = 0,
-    ):
-        self.n_folds = n_folds
-        self.epochs = epochs
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.seed = seed
+    n_folds: int = 10
+    epochs: int = 100
+    batch_size: int = 32
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-5
+    seed: int = 0
 
     def fit(
         self,

@@ -56,13 +56,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
 
 
 def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
-    """Return the lengths, coverage and resolution of a layout, one sentence each.
-
-    Parameters
-    ----------
-    tubes : sequence of Helix
-    found : Layout
-    """
+    """Return the lengths, coverage and resolution of a layout, one sentence each."""
     tube = tubes[0]
     lengths = " and ".join(f"{100 * length:.1f}" for length in found.tube_lengths)
     hand = f"{tube.hand}-handed"

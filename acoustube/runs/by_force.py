@@ -59,10 +59,6 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     force : array_like
         Total over all indenters, in N.
 
-    Returns
-    -------
-    ByForce
-
     Raises
     ------
     ConfigError

@@ -169,10 +169,6 @@ def process_recording(
     check : callable
         Called after each piece, to raise an interrupt that was lost.
 
-    Returns
-    -------
-    Processed
-
     Raises
     ------
     ConfigError

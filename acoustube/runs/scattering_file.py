@@ -17,10 +17,6 @@ from acoustube.waves.scattering import Scattering
 def to_dataset(found: Scattering) -> xr.Dataset:
     """Return a scattering matrix with its coordinates and its origin as a dataset.
 
-    Parameters
-    ----------
-    found : Scattering
-
     Returns
     -------
     xarray.Dataset
@@ -63,10 +59,6 @@ def to_dataset(found: Scattering) -> xr.Dataset:
 
 def read(path: str | Path) -> Scattering:
     """Read a scattering matrix that ``acoustube scatter`` wrote.
-
-    Parameters
-    ----------
-    path : str or Path
 
     Returns
     -------

@@ -13,6 +13,7 @@ import xarray as xr
 from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
 from acoustube.base.errors import SimulationError
 from acoustube.base.limits import LARGEST_CLOSING
+from acoustube.base.report import ignore
 from acoustube.base.types import Report
 from acoustube.base.units import KHZ, MM, MS, UM
 from acoustube.indentation import Indentation
@@ -58,7 +59,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
     config = config or Config()
     check_touched(config.indentation)
     settings = settings_in_si(config)
-    report = report or _silent
+    report = report or ignore
     seconds: dict[str, float] = {}
     notes: list[str] = []
 
@@ -124,14 +125,10 @@ def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
     height = measure(indentation, -1, np.array([indentation.indenters[0].z])).height[0]
     layers = height / viscous_thickness(settings.air, settings.pulse.frequency)
     warning = (
-        f"The lumen is {UM * height:.0f} um high under the tool, {layers:.0f} viscous boundary "
-        "layers: the losses there are more than first order."
+        f"The lumen is {UM * height:.0f} um high under the indenter, {layers:.0f} viscous "
+        "boundary layers: there the first-order model of losses is not valid."
     )
     return [warning] if layers < NARROW_GAP_LAYERS else []
-
-
-def _silent(_stage: str, _fraction: float) -> None:
-    """Report nothing."""
 
 
 @contextmanager

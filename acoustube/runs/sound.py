@@ -8,6 +8,7 @@ import numpy as np
 
 from acoustube import signals
 from acoustube.air import Air
+from acoustube.base.report import ignore
 from acoustube.lumen import Lumen
 from acoustube.runs.config.si import SISettings
 from acoustube.waves import (
@@ -83,7 +84,7 @@ def listen(
             source_end=source_end,
             time_step=time_step,
             lossy_band=band_of(settings.pulse) if settings.lossy else None,
-            progress=_share_of(progress or _ignore, done),
+            progress=_share_of(progress or ignore, done),
         )
         time_step = recordings[source_end].time_step
     return recordings, _budget(settings, cells, time_step, recordings)
@@ -261,7 +262,3 @@ def locate(settings: SISettings, recording: Recording) -> signals.Ranging:
         prominence=settings.prominence,
         farthest=settings.tube.length,
     )
-
-
-def _ignore(_fraction: float) -> None:
-    """Report nothing."""

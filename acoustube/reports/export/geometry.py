@@ -45,14 +45,7 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
     ----------
     run : xarray.Dataset
         Of ``simulate`` or ``indent``.
-    folder : Path
-        An empty one.
     suffix : {"stl", "vtp"}
-
-    Returns
-    -------
-    str
-        Summary of the files written.
 
     Raises
     ------
@@ -90,14 +83,7 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     ----------
     files : sequence of Path
         Of the sweep, from :func:`acoustube.runs.opening.files_of`.
-    folder : Path
-        An empty one.
     suffix : {"stl", "vtp"}
-
-    Returns
-    -------
-    str
-        Summary of the files written.
 
     Raises
     ------
@@ -255,13 +241,6 @@ def write_meshes(run: xr.Dataset, folder: Path) -> str:
     ----------
     run : xarray.Dataset
         Of ``simulate`` or ``indent``.
-    folder : Path
-        An empty one.
-
-    Returns
-    -------
-    str
-        Summary of the files written.
     """
     rows = reached(run)
     depths, displacements = run["indentation_depth"].values, run["node_displacement"].values

@@ -38,13 +38,6 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
     ----------
     data : xarray.Dataset
         Cycles, from :func:`acoustube.open_dataset`.
-    folder : Path
-        An empty one.
-
-    Returns
-    -------
-    str
-        Summary of the files written.
 
     Raises
     ------

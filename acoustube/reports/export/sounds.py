@@ -32,13 +32,6 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
     ----------
     data : xarray.Dataset
         Cycles, from :func:`acoustube.open_dataset`.
-    folder : Path
-        An empty one.
-
-    Returns
-    -------
-    str
-        Summary of the files written.
 
     Raises
     ------

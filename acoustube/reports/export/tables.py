@@ -31,13 +31,6 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
     ----------
     data : xarray.Dataset
         Any result.
-    folder : Path
-        An empty one.
-
-    Returns
-    -------
-    str
-        Summary of the files written.
     """
     known, written = [], []
     for dimension, stem in TABLES.items():

@@ -63,12 +63,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
 
 
 def in_xml(shape: pyvista.UnstructuredGrid | pyvista.PolyData) -> str:
-    """Return the content of a VTU or VTP file: VTK itself does not survive a full disk.
-
-    Parameters
-    ----------
-    shape : pyvista.UnstructuredGrid or pyvista.PolyData
-    """
+    """Return the content of a VTU or VTP file: VTK itself does not survive a full disk."""
     of_grid = isinstance(shape, pyvista.UnstructuredGrid)
     writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
     writer.SetInputData(shape)

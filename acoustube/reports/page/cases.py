@@ -55,10 +55,6 @@ class Found(NamedTuple):
 def read_sweep(folder: Path) -> Content:
     """Read the cases of a sweep.
 
-    Parameters
-    ----------
-    folder : Path
-
     Returns
     -------
     Content
@@ -125,16 +121,12 @@ def _order(case: Found) -> tuple[Any, ...]:
 
 
 def _key(config: Config) -> Key:
-    settings = _settings(config)
+    settings = dataclasses.asdict(config)
     press = settings["indentation"]
     kind = json.dumps([press.pop(name) for name in TOOL])
     place = float(press.pop("position_cm"))
     del press["depth_mm"]
     return kind, place, json.dumps(settings, sort_keys=True)
-
-
-def _settings(config: Config) -> dict[str, dict[str, Any]]:
-    return dataclasses.asdict(config)
 
 
 def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
@@ -167,15 +159,12 @@ def _states(cases: Sequence[Found]) -> tuple[dict[str, State], dict[str, str]]:
         data, matrix = store.read(path)
         versions.add(str(data.attrs["acoustube_version"]))
         walls = store.walls(path)
-        shape = None if walls is None else from_rings(*_rings(walls))
+        sides = () if walls is None else (walls["inner_wall"], walls["outer_wall"])
+        shape = from_rings(*(side.values.astype(float) for side in sides)) if sides else None
         for name, config, _ in some:
             settings = settings_in_si(config)
             states[name] = _state(data.sel(press=name), settings, matrix, walls, shape)
     return states, {"acoustube version": ", ".join(sorted(versions)), "source": "acoustube sweep"}
-
-
-def _rings(walls: xr.Dataset) -> list[Any]:
-    return [walls[name].values.astype(float) for name in ("inner_wall", "outer_wall")]
 
 
 def _state(
@@ -259,7 +248,7 @@ def _spectrum(matrix: xr.Dataset, settings: SISettings) -> Spectrum:
 
 def _shared(configs: Sequence[Config]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """Return the settings that are the same everywhere, and the names of the others."""
-    every = [_settings(config) for config in configs]
+    every = [dataclasses.asdict(config) for config in configs]
     shared: dict[str, Any] = {}
     varying = []
     for section, values in every[0].items():
@@ -276,7 +265,7 @@ def _group(
     cases: Sequence[Found], states: Mapping[str, State], varying: Sequence[tuple[str, str]]
 ) -> Group:
     config = cases[0].config
-    typed, settings = _settings(config), settings_in_si(config)
+    typed, settings = dataclasses.asdict(config), settings_in_si(config)
     tube = settings.tube
     others = [(s, n) for s, n in varying if n not in (*TOOL, "position_cm", "depth_mm")]
     return Group(

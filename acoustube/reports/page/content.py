@@ -214,10 +214,6 @@ def signal_of(
         Time in s at which the send pulse has decayed.
     **others
         The other attributes of :class:`Signal`.
-
-    Returns
-    -------
-    Signal
     """
     pressure = pressure / np.abs(pressure).max()
     shown, smooth = drawn(pressure), drawn(envelope, np.searchsorted(time, peak_times))

@@ -43,10 +43,6 @@ def read_run(folder: Path) -> Content:
     folder : Path
         A folder that contains `RUN`.
 
-    Returns
-    -------
-    Content
-
     Raises
     ------
     ConfigError

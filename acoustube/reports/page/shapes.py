@@ -151,10 +151,6 @@ def tool(press: Indenter, tube_diameter: float) -> Tool:
     press : Indenter
     tube_diameter : float
         Outer, in m.
-
-    Returns
-    -------
-    Tool
     """
     radius, top = press.diameter / 2, TOOL_HEIGHT * tube_diameter
     reach = TOOL_LENGTH * tube_diameter / 2

@@ -28,10 +28,6 @@ def read(where: str | Path) -> Content:
     where : str or path
         A folder that ``acoustube simulate``, ``indent`` or ``sweep`` wrote.
 
-    Returns
-    -------
-    Content
-
     Raises
     ------
     ConfigError

@@ -34,19 +34,7 @@ FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
-    """Calibrate the simulated sensor.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-        Not needed: the cycles are recorded anew in seconds.
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Calibrate the simulated sensor."""
     found, factor = calibrated()
     gain = found.processing.gain
     assert gain is not None

@@ -56,18 +56,7 @@ DECIBEL = 20 / np.log(10)
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Compare reach, dead zone and pairs of presses with the measured ones.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Compare reach, dead zone and pairs of presses with the measured ones."""
     dynamic = 2 * attenuation(REFERENCE_BORE) * REACHES[REFERENCE_BORE] / CM
     pairs = two_presses(scale, work, report)
     return Study(

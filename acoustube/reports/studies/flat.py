@@ -41,19 +41,7 @@ rise with depth."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press at many places and depths, locate the presses, and estimate their forces.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-        Folder of sweeps and cycles.
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Press at many places and depths, locate the presses, and estimate their forces."""
     first = recorded(scale.level, scale, work, report)
     second = recorded_again(scale.level, scale, work, report)
     coarser = None
@@ -177,10 +165,6 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
         From :func:`recorded`.
     scale : Scale
     report : Reporter
-
-    Returns
-    -------
-    Model
     """
     settings: dict[str, Any] = {"epochs": 5} if scale.quick else {}
     total = settings.get("epochs", 100)

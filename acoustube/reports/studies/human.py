@@ -56,19 +56,7 @@ COLOURS = ("#7fb3d5", "#e59866", "#943126")
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press a sleeve on a soft arm by three levels of force, and find the presses on it.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-        Folder of the sweeps.
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Press a sleeve on a soft arm by three levels of force, and find the presses on it."""
     table, presses = recorded(scale.level, scale, work / "arm", report)
     coarser = None
     if scale.coarser is not None:
@@ -157,13 +145,6 @@ def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter
 ) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, Scattering]]]:
     """Return the estimates for presses by hand, and the presses by their force.
-
-    Parameters
-    ----------
-    level : Level
-    scale : Scale
-    work : Path
-    report : Reporter
 
     Returns
     -------

@@ -40,19 +40,7 @@ SHAPES = ("straight", "wrapped", "flattened")
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press a sleeve on a rigid arm, locate the presses, and estimate their forces.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-        Folder of the sweeps.
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Press a sleeve on a rigid arm, locate the presses, and estimate their forces."""
     tables = recorded(scale.level, scale, work / "arm", SHAPES, report)
     coarser = None
     if scale.coarser is not None:
@@ -101,12 +89,6 @@ test machine's rod slid, and how the arm's curved surface took the deep presses.
 
 def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
     """Return the force network of the flat table, at every fifth of its places.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-    report : Reporter
 
     Returns
     -------

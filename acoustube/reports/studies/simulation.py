@@ -37,19 +37,7 @@ tube; one scattering matrix serves all."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Simulate presses of three rods, and estimate their distances from the echoes.
-
-    Parameters
-    ----------
-    scale : Scale
-    work : Path
-        Folder of the sweeps.
-    report : Reporter
-
-    Returns
-    -------
-    Study
-    """
+    """Simulate presses of three rods, and estimate their distances from the echoes."""
     depths = [FEW_DEPTHS if scale.quick else DEPTHS]
     rods = {"indenter_mm": list(RODS), "depth_mm": depths}
 

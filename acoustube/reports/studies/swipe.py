@@ -76,10 +76,6 @@ def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> t
     quick : bool
         A quarter as long.
 
-    Returns
-    -------
-    tuple of Track
-
     Notes
     -----
     The tube is straight: on a wrap a moving press would need the bends around each of its places.

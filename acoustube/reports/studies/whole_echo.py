@@ -43,10 +43,6 @@ def rows(
         echo: there both can be compared.
     scale : Scale
     report : Reporter
-
-    Returns
-    -------
-    list of Row
     """
     every = 1 if scale.quick else CYCLE_STRIDE
     with watched_interrupts() as check, report.progress(check) as show:

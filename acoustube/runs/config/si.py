@@ -124,16 +124,7 @@ def to_si(value: float | None, unit: str) -> float | None:
 
 
 def settings_in_si(config: Config) -> SISettings:
-    """Convert the settings of a simulation to SI units.
-
-    Parameters
-    ----------
-    config : Config
-
-    Returns
-    -------
-    SISettings
-    """
+    """Convert the settings of a simulation to SI units."""
     waves = config.waves
     return SISettings(
         **_press_fields(config),
@@ -153,16 +144,7 @@ def settings_in_si(config: Config) -> SISettings:
 
 
 def press_in_si(config: Config | Mechanics) -> SIPress:
-    """Convert the settings of a press to SI units.
-
-    Parameters
-    ----------
-    config : Config or Mechanics
-
-    Returns
-    -------
-    SIPress
-    """
+    """Convert the settings of a press to SI units."""
     return SIPress(**_press_fields(config))
 
 

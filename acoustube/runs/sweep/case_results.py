@@ -52,10 +52,6 @@ def simulate_cases(
         Press of all of them.
     matrix : Scattering or None
         Scattering of that press; whole tubes are marched without it.
-
-    Returns
-    -------
-    Done of CaseResults
     """
     rows, failed = {}, {}
     with one_thread():

@@ -295,10 +295,6 @@ def card(data: xr.Dataset, recipe: Recipe) -> str:
     data : xarray.Dataset
         From :func:`acoustube.open_dataset`.
     recipe : Recipe
-
-    Returns
-    -------
-    str
     """
     n_presses, n_tubes, n_sessions = (
         len(np.unique(data[name].values)) for name in ("press", "tube", "session")

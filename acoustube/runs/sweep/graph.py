@@ -108,10 +108,6 @@ def load_paths(cases: Iterable[Case]) -> list[LoadPath]:
     ----------
     cases : iterable of Case
         All of a plan: the increments of a load path depend on all its depths.
-
-    Returns
-    -------
-    list of LoadPath
     """
     paths: dict[str, dict[str, list[Case]]] = {}
     for case in cases:

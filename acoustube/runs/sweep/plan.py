@@ -212,10 +212,6 @@ def load_plan(
     **given
         ``count``, ``sampler``, ``seed``; None means not given.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     ConfigError

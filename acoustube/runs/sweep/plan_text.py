@@ -44,10 +44,6 @@ def parsed(name: str, words: Sequence[str]) -> Values | Interval:
     words : sequence of str
         Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
 
-    Returns
-    -------
-    tuple or Interval
-
     Raises
     ------
     ConfigError

@@ -172,10 +172,6 @@ def write(
     walls : xarray.Dataset or None
         The walls of the tube that they share, from :func:`acoustube.runs.walls.walls`.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     SimulationError

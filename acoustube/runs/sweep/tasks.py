@@ -102,10 +102,6 @@ def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
         Its own depth does not matter.
     depths : sequence of float
         Rising, in m.
-
-    Returns
-    -------
-    Done of PressPath
     """
     reused = cache.holds(press_runs.cache_key(settings, depths))
     stopped = ""
@@ -191,10 +187,6 @@ def scattering(
     part : Lumen
     label : str
         Description for the list of the cache.
-
-    Returns
-    -------
-    Done of Scattering
     """
     known = _cached(name)
     if known is not None:

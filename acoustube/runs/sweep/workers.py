@@ -102,10 +102,6 @@ class Workers:
     """Processes of this machine, started when there is work, and anew where one was lost.
 
     They stay until they are ended: what one has imported and compiled serves the next run too.
-
-    Parameters
-    ----------
-    count : int
     """
 
     def __init__(self, count: int) -> None:
@@ -275,12 +271,7 @@ def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
 
 
 def process_pool(workers: int) -> Executor:
-    """Return a pool of fresh processes, which share the cores.
-
-    Parameters
-    ----------
-    workers : int
-    """
+    """Return a pool of fresh processes, which share the cores."""
     import multiprocessing
 
     return ProcessPoolExecutor(
