@@ -360,8 +360,13 @@ def test_what_is_no_model_is_refused_and_nothing_in_it_is_run():
         pickle.dump({"header": 1}, file)
     np.savez("b.npz", header=np.array([{"kind": "acoustube model"}], dtype=object))
     Path("c.model").write_text("nothing")
-    for name in ("a.model", "b.npz", "c.model", "missing.model"):
-        with pytest.raises(ConfigError, match=f"{name} is not a model"):
+    for name, words in (
+        ("a.model", " is not a model"),
+        ("b.npz", ": header is an array of Python objects, which could run code"),
+        ("c.model", " is not a model"),
+        ("missing.model", " cannot be read .No such file"),
+    ):
+        with pytest.raises(ConfigError, match=f"{name}{words}"):
             estimation.load(name)
 
 
