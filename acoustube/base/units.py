@@ -15,5 +15,5 @@ MPA = 1e-6
 """For stresses in Pa."""
 PERCENT = 100
 """For fractions."""
-MEGABYTES, GIGABYTES = 1e-6, 1e-9
+GIGABYTES = 1e-9
 """For numbers of bytes."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import CM, CM2, MM
 from acoustube.base.writing import write
 from acoustube.recordings.markers import Markers
 from acoustube.sleeve import Helix, Layout, nearest
@@ -46,9 +47,9 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
         left = int(np.sum(~kept)) - gaps
         low, high = line.interval().T
         words.append(
-            f"column {name}: r = {1e3 * line.radius:.2f} mm ({1e3 * low[0]:.2f} to "
+            f"column {name}: r = {MM * line.radius:.2f} mm ({MM * low[0]:.2f} to "
             f"{1e3 * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
-            f"{int(kept.sum())} markers within {1e3 * line.deviation:.2f} mm"
+            f"{int(kept.sum())} markers within {MM * line.deviation:.2f} mm"
             + (f", {left} left out as outliers" if left else "")
             + (f", {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
         )
@@ -62,29 +63,29 @@ def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
     hand = f"{tube.hand}-handed"
     first = (
         f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} "
-        f"cm, pitch {100 * found.pitch:.2f} cm; {lengths} cm long with a lead of "
-        f"{100 * tube.lead:g} cm"
+        f"cm, pitch {CM * found.pitch:.2f} cm; {lengths} cm long with a lead of "
+        f"{CM * tube.lead:g} cm"
     )
-    words = [first, f"spacing: {1e3 * found.spacing:.1f} mm from tube to tube"]
+    words = [first, f"spacing: {MM * found.spacing:.1f} mm from tube to tube"]
     for number, ((near, far), each) in enumerate(
         zip(found.detection_range, tubes, strict=True), start=1
     ):
         words.append(
-            f"tube {number}: presses are detected from {100 * near:.0f} to {100 * far:.0f} cm"
+            f"tube {number}: presses are detected from {CM * near:.0f} to {CM * far:.0f} cm"
             + (
-                f"; its first {100 * (near - each.lead):.0f} cm on the arm are in the dead zone"
+                f"; its first {CM * (near - each.lead):.0f} cm on the arm are in the dead zone"
                 if near > each.lead + 1e-9
                 else ", the dead zone lies in the lead"
             )
         )
     words.append(
-        f"coverage: {100 * found.coverage:.1f} % of {1e4 * found.skin_area:.0f} cm2 of skin lie "
-        f"within {1e3 * found.within:g} mm of the detection range of a tube, "
+        f"coverage: {100 * found.coverage:.1f} % of {CM2 * found.skin_area:.0f} cm2 of skin lie "
+        f"within {MM * found.within:g} mm of the detection range of a tube, "
         f"{100 * found.blind:.1f} % next to a dead zone or beyond the reach"
     )
     words.append(
-        f"resolution: {found.patches:.0f} patches of {1e4 * found.patch_area:.1f} cm2 on the "
-        f"sleeve, for distances with a standard deviation of {100 * found.deviation:g} cm"
+        f"resolution: {found.patches:.0f} patches of {CM2 * found.patch_area:.1f} cm2 on the "
+        f"sleeve, for distances with a standard deviation of {CM * found.deviation:g} cm"
     )
     return words
 
@@ -114,8 +115,8 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
     near, far = found.detection_range[number]
     if not near <= distance <= far:
         raise ConfigError(
-            f"distance = {100 * distance:g} cm is outside the range of tube {number + 1}; "
-            f"use {100 * near:.4g} to {100 * far:.4g} cm"
+            f"distance = {CM * distance:g} cm is outside the range of tube {number + 1}; "
+            f"use {CM * near:.4g} to {CM * far:.4g} cm"
         )
     z = float(tube.height(distance))
     x, y, height = 1e3 * tube.place(distance)
@@ -123,12 +124,12 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
     around = np.degrees(abs(tube.twist) * along)
     beside = nearest(tubes, tube.place(distance))
     return (
-        f"contact at {100 * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
-        f"{height:.1f} mm, {100 * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
-        f"degrees, loop {int(z / tube.pitch) + 1}; ± {1e3 * found.deviation:g} mm along the tube "
-        f"is ± {1e3 * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
-        f"loop, of tube {int(beside.next_tube) + 1}, is {1e3 * float(beside.next_gap):.0f} mm "
-        f"away, where it reads {100 * float(beside.next_distance):.0f} cm"
+        f"contact at {CM * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
+        f"{height:.1f} mm, {CM * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
+        f"degrees, loop {int(z / tube.pitch) + 1}; ± {MM * found.deviation:g} mm along the tube "
+        f"is ± {MM * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
+        f"loop, of tube {int(beside.next_tube) + 1}, is {MM * float(beside.next_gap):.0f} mm "
+        f"away, where it reads {CM * float(beside.next_distance):.0f} cm"
     )
 
 

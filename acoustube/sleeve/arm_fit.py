@@ -25,6 +25,7 @@ from scipy.stats import t as student
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
 from acoustube.sleeve.helix import Frame
 
 Kept = NDArray[np.bool_]
@@ -246,7 +247,7 @@ def _radius_line(points: Array) -> Line:
     design = np.stack([np.ones_like(z), z], axis=1)
     if np.ptp(z) < LENGTH_RANGE[0]:
         raise ConfigError(
-            f"a column extends {100 * np.ptp(z):.2g} cm along z; the arm must lie along z, or else "
+            f"a column extends {CM * np.ptp(z):.2g} cm along z; the arm must lie along z, or else "
             'use axis = "fitted"'
         )
     values = np.asarray(np.linalg.lstsq(design, r, rcond=None)[0], float)
@@ -277,7 +278,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
     size = float(np.linalg.norm(across))
     if size < 2 * RADIUS_RANGE[0]:
         raise ConfigError(
-            f"the two columns are {1e3 * size:.2g} mm apart and must lie on opposite sides of the "
+            f"the two columns are {MM * size:.2g} mm apart and must lie on opposite sides of the "
             'arm; if they do not, put the arm along z and use axis = "z"'
         )
     x = across / size
@@ -340,7 +341,7 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
     if between < 2 * RADIUS_RANGE[0] and abs(u @ v) > 0.95:
         raise ConfigError(
-            f"the two columns lie on one line ({1e3 * between:.2g} mm apart), which determines no "
+            f"the two columns lie on one line ({MM * between:.2g} mm apart), which determines no "
             "radius; give columns on opposite sides of the arm"
         )
     for i, (points, (_, _, _, kept)) in enumerate(zip(columns, lines, strict=True)):
@@ -361,8 +362,8 @@ def _check_along(own: list[Array], length: float) -> None:
     for points, name in zip(own, ("first", "second"), strict=True):
         if np.ptp(points[:, 2]) < 0.5 * length:
             raise ConfigError(
-                f"the {name} column extends {100 * np.ptp(points[:, 2]):.3g} cm along the axis and "
-                f"both together {100 * length:.3g} cm; both must run along the sleeve: are x, y "
+                f"the {name} column extends {CM * np.ptp(points[:, 2]):.3g} cm along the axis and "
+                f"both together {CM * length:.3g} cm; both must run along the sleeve: are x, y "
                 "and z in this order?"
             )
 
@@ -372,7 +373,7 @@ def _check_radii(lines: tuple[Line, ...], length: float) -> None:
     ends = [line.radius + line.taper * z for line in lines for z in (0.0, length)]
     if not (RADIUS_RANGE[0] <= min(ends) and max(ends) <= RADIUS_RANGE[1]):
         raise ConfigError(
-            f"the radius comes out as {100 * min(ends):.3g} to {100 * max(ends):.3g} cm, and "
-            f"{100 * RADIUS_RANGE[0]:g} to {100 * RADIUS_RANGE[1]:g} cm fit an arm; check the "
+            f"the radius comes out as {CM * min(ends):.3g} to {CM * max(ends):.3g} cm, and "
+            f"{CM * RADIUS_RANGE[0]:g} to {CM * RADIUS_RANGE[1]:g} cm fit an arm; check the "
             "unit, the order of x, y and z, and whether the columns lie on opposite sides"
         )

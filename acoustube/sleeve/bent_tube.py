@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import CM
 from acoustube.sleeve.helix import Helix
 from acoustube.sleeve.ovalisation import ovality
 from acoustube.tube import Tube
@@ -77,8 +78,8 @@ def winding(
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):
         raise ConfigError(
-            f"{100 * start:.4g} to {100 * stop:.4g} cm is no part of a tube that is wound from "
-            f"{100 * helix.lead:.4g} to {100 * helix.tube_length:.4g} cm; take two distances there"
+            f"{CM * start:.4g} to {CM * stop:.4g} cm is no part of a tube that is wound from "
+            f"{CM * helix.lead:.4g} to {CM * helix.tube_length:.4g} cm; take two distances there"
         )
     n_parts = ceil(abs(float(np.diff(helix.angle(ends))[0])) / (2 * np.pi))
     edges = np.linspace(start, stop, n_parts + 1)

@@ -15,6 +15,7 @@ import numpy as np
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
 from acoustube.sleeve.arm_fit import Arm
 from acoustube.sleeve.helix import Helix, nearest
 
@@ -188,7 +189,7 @@ def design(
     if pitch is not None:
         if not 0 < pitch <= 4 * length:
             raise ConfigError(
-                f"pitch = {100 * pitch:g} cm must be positive and at most {400 * length:g} cm, "
+                f"pitch = {CM * pitch:g} cm must be positive and at most {400 * length:g} cm, "
                 "four lengths of the sleeve"
             )
         loops = length / pitch
@@ -222,8 +223,8 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
         fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
         advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
         raise ConfigError(
-            f"loops = {longest.loops:.4g} needs a tube of {100 * longest.tube_length:.0f} cm, and "
-            f"presses are detected up to {100 * reach:.0f} cm; {advice}, on more tubes, or set the "
+            f"loops = {longest.loops:.4g} needs a tube of {CM * longest.tube_length:.0f} cm, and "
+            f"presses are detected up to {CM * reach:.0f} cm; {advice}, on more tubes, or set the "
             "reach"
         )
 
@@ -238,8 +239,8 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     room = spacing(tubes)
     if room < outer_diameter:
         raise ConfigError(
-            f"neighbouring tubes would be {1e3 * room:.1f} mm apart and are "
-            f"{1e3 * outer_diameter:g} mm thick; use fewer loops, a larger pitch or fewer tubes"
+            f"neighbouring tubes would be {MM * room:.1f} mm apart and are "
+            f"{MM * outer_diameter:g} mm thick; use fewer loops, a larger pitch or fewer tubes"
         )
 
 

@@ -39,8 +39,7 @@ def draw_cycle(
     axes.axvline(0.0, color=SEND, lw=1, label="send pulse")
     axes.set_ylim(0, 1.15 * top)
     axes.set_xlim(float(place[0]), float(place[-1]))
-    axes.set_xlabel("distance (cm)")
-    axes.set_ylabel("fraction of the send pulse")
+    axes.set(xlabel="distance (cm)", ylabel="fraction of the send pulse")
     axes.legend(loc="upper right", fontsize="small")
     return axes
 
@@ -58,8 +57,7 @@ def draw_waterfall(
         interpolation="nearest", extent=(place[0], place[-1], -0.5, len(envelopes) - 0.5),
     )  # fmt: skip
     axes.figure.colorbar(image, ax=axes, label="dB of the send pulse")
-    axes.set_xlabel("distance (cm)")
-    axes.set_ylabel("cycle")
+    axes.set(xlabel="distance (cm)", ylabel="cycle")
     return axes
 
 
@@ -88,9 +86,7 @@ def draw_fall(axes: Axes, calibration: Calibration) -> Axes:
             CM * along, gain.level(along), color=SEND, ls="--",
             label=f"tanh, {near:.3g} to {far:.3g}",
         )  # fmt: skip
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("fraction of the send pulse")
+    axes.set(ylim=(0, None), xlabel="true distance (cm)", ylabel="fraction of the send pulse")
     axes.legend(fontsize="small")
     return axes
 
@@ -106,7 +102,6 @@ def draw_line(axes: Axes, calibration: Calibration) -> Axes:
         label=f"slope {slope:.4f} ± {deviation:.4f}, RMSE {MM * calibration.distance_rmse:.3g} mm",
     )  # fmt: skip
     axes.plot(CM * ends, CM * ends, color=PRESS, lw=0.8, ls=":", label="identity")
-    axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("estimated distance (cm)")
+    axes.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
     axes.legend(fontsize="small")
     return axes

@@ -63,8 +63,7 @@ def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target:
     ends = [np.min(truth[known], initial=np.inf), np.max(truth[known], initial=-np.inf)]
     if known.size:
         axes.plot(ends, ends, color=RETURN, lw=1, label="truth")
-    axes.set_xlabel(f"true {words}")
-    axes.set_ylabel(f"estimated {words}")
+    axes.set(xlabel=f"true {words}", ylabel=f"estimated {words}")
     axes.legend(fontsize="small")
     return axes
 
@@ -87,9 +86,7 @@ def draw_errors(
                       label="quartiles")  # fmt: skip
     axes.plot(at, quartiles[1], color=ENVELOPE, lw=1.2, label="median")
     axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated deviation")
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel(words)
-    axes.set_ylabel(f"absolute error, {PANELS[target][1]}")
+    axes.set(ylim=(0, None), xlabel=words, ylabel=f"absolute error, {PANELS[target][1]}")
     axes.legend(fontsize="small")
     return axes
 

@@ -109,8 +109,7 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
             label = f"envelope, {end} source end"
             axes.plot(distance, other["envelope"], "--", color=ENVELOPE, lw=0.8, label=label)
     _mark_pulses(axes, case, limit)
-    axes.set_ylim(-limit, limit)
-    axes.set_ylabel("fraction of the send pulse")
+    axes.set(ylim=(-limit, limit), ylabel="fraction of the send pulse")
     axes.legend(loc="lower right", fontsize="small", framealpha=0.9)
     axes.set_title(f"source end: {chosen}", loc="right", fontsize="small")
     return axes
@@ -188,8 +187,7 @@ def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
     axes.plot(depth[~closed], force[~closed], "o", color=ENVELOPE, ms=4, label="lumen open")
     if closed.any():
         axes.plot(depth[closed], force[closed], "s", color=RETURN, ms=5, label="lumen closed")
-    axes.set_xlabel("depth (mm)")
-    axes.set_ylabel("force (N)")
+    axes.set(xlabel="depth (mm)", ylabel="force (N)")
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left", fontsize="small")
@@ -203,8 +201,7 @@ def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
     section = MM2 * dataset["lumen_area"].values
     axes.plot(depth, height, color=ENVELOPE, label="height (mm)")
     axes.plot(depth, width, color=SEND, label="width (mm)")
-    axes.set_xlabel("depth (mm)")
-    axes.set_ylabel("lumen at the press (mm)")
+    axes.set(xlabel="depth (mm)", ylabel="lumen at the press (mm)")
     axes.set_xlim(left=0)
     axes.set_ylim(0, _top(height, width))
     area = axes.twinx()
@@ -223,9 +220,7 @@ def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
     for row, colour in zip(area, shades.to_rgba(depth), strict=True):
         axes.plot(z, row, color=colour, lw=1)
     axes.figure.colorbar(shades, ax=axes, label="depth (mm)", pad=0.01)
-    axes.set_xlabel("distance from the press (mm)")
-    axes.set_ylabel("lumen area (mm²)")
-    axes.set_xlim(z[0], z[-1])
+    axes.set(xlabel="distance from the press (mm)", ylabel="lumen area (mm²)", xlim=(z[0], z[-1]))
     axes.set_ylim(0, _top(area))
     return axes
 

@@ -72,8 +72,7 @@ def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, labe
             axes.fill_between(MM * depths, low, high, color=line.get_color(), alpha=0.2, lw=0)
     if not np.isfinite(cases[name].values).any():
         axes.text(0.5, 0.5, "no echo was found", ha="center", transform=axes.transAxes)
-    axes.set_xlabel("depth (mm)")
-    axes.set_ylabel(label)
+    axes.set(xlabel="depth (mm)", ylabel=label)
     axes.legend(fontsize="small")
     return axes
 
@@ -91,7 +90,5 @@ def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
     )
     axes.axvline(CM * float(cases["true_distance"].values[0]), color="w", lw=0.8, ls=":")
     axes.plot(CM * cases["estimated_distance"].values, depth, "r.", ms=4)
-    axes.set_xlim(0, CM * top)
-    axes.set_xlabel("distance (cm)")
-    axes.set_ylabel("depth (mm)")
+    axes.set(xlim=(0, CM * top), xlabel="distance (cm)", ylabel="depth (mm)")
     return image

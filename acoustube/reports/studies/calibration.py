@@ -150,8 +150,7 @@ def _figure(found: Calibration) -> Figure:
     _draw_fall(left, found, fine)
     right.plot(CM * found.true_distance, CM * found.estimated_distance, ".", color=ENVELOPE)
     right.plot([20, 200], [20, 200], color=RETURN, lw=0.8)
-    right.set_xlabel("true distance (cm)")
-    right.set_ylabel("estimated distance (cm)")
+    right.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
     return sheet
 
 

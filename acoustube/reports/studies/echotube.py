@@ -247,9 +247,7 @@ def _reach_figure(dynamic: float) -> Figure:
         axes.plot(fine, curve, color=colour, label=words)
     axes.plot(list(REACHES), list(REACHES.values()), "o", color=RETURN, label="measured")
     axes.plot(BORES[-1], WIDEST_REACH, "^", color=RETURN, label="measured, at least")
-    axes.set_xlabel("bore (mm)")
-    axes.set_ylabel("farthest place (cm)")
-    axes.set_ylim(bottom=0)
+    axes.set(xlabel="bore (mm)", ylabel="farthest place (cm)", ylim=(0, None))
     axes.legend(fontsize="small")
     return sheet
 
@@ -264,8 +262,6 @@ def _pair_figure(pairs: Sequence[xr.Dataset]) -> Figure:
                    color=ENVELOPE)  # fmt: skip
         for place in (NEARER, NEARER + gap):
             panel.axvline(CM * place, color=RETURN, lw=0.8, ls=":")
-        panel.set_xlim(20, 150)
-        panel.set_ylim(0, 2)
-        panel.set_ylabel("%")
+        panel.set(xlim=(20, 150), ylim=(0, 2), ylabel="%")
     axes[-1].set_xlabel("distance (cm)")
     return sheet

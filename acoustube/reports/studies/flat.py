@@ -18,7 +18,7 @@ from acoustube.reports.studies import flat_figures, ranged, whole_echo
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.reports.studies.presses import swept
 from acoustube.reports.studies.ranged import FIRST_DATASET_DEPTH, found_distance, shallowest
-from acoustube.reports.studies.report import Level, Row, Scale, Study
+from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
 from acoustube.runs.config import configured
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.sweep.cycles import Recipe, seed_of
@@ -193,16 +193,15 @@ def localisation_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row
     off = np.abs(found_distance(table) - table["true_distance"].values)
     rows += [
         ranged.detection_row(table, coarser),
-        Row(
-            quantity="depth from which contacts up to 0.6 m are reliable", unit="mm",
-            published=2.5, ours=MM * shallowest(table, 0.0, NEAR),
-            coarser=None if coarser is None else MM * shallowest(coarser, 0.0, NEAR),
+        compared_row(
+            lambda cycles: MM * shallowest(cycles, 0.0, NEAR), table, coarser,
+            quantity="depth from which contacts up to 0.6 m are reliable", unit="mm", published=2.5,
             why="The clutter was set by this on another specimen; each has its own irregularities.",
         ),
-        Row(
+        compared_row(
+            lambda cycles: MM * shallowest(cycles, BEYOND, 3.0), table, coarser,
             quantity="depth from which contacts beyond 1.95 m are reliable", unit="mm",
-            published=7.0, ours=MM * shallowest(table, BEYOND, 3.0),
-            coarser=None if coarser is None else MM * shallowest(coarser, BEYOND, 3.0),
+            published=7.0,
             why="The noise was set by this; only the deepest presses close the lumen.",
         ),
         Row(

@@ -38,8 +38,7 @@ def draw_distances(axes: Axes, table: xr.Dataset) -> None:
     axes.plot([15, 215], [15, 215], "k", lw=0.8)
     for bound in (15, 215):
         axes.axhline(bound, color="0.5", lw=0.8, ls="--")
-    axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("estimated distance (cm)")
+    axes.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
     axes.figure.colorbar(points, ax=axes, label="depth (mm)")
 
 
@@ -84,8 +83,7 @@ def _draw_map(
     image = axes.pcolormesh(
         CM * (places + BIN / 2), MM * depths, values, shading="nearest", **colours
     )
-    axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("depth (mm)")
+    axes.set(xlabel="true distance (cm)", ylabel="depth (mm)")
     axes.figure.colorbar(image, ax=axes, label=label)
 
 
@@ -123,16 +121,13 @@ def forces(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     for i, place in enumerate(places):
         mean = _means(table, found, place, depths)
         left.plot(MM * depths, mean, ".-", color=f"C{i}", lw=0.8, label=f"{CM * place:g} cm")
-    left.set_xlabel("depth (mm)")
-    left.set_ylabel("force (N)")
-    left.set_ylim(bottom=0)
+    left.set(xlabel="depth (mm)", ylabel="force (N)", ylim=(0, None))
     left.legend(fontsize="small")
     relative = 100 * np.abs(found - truth) / np.maximum(truth, 1e-9)
     image = np.stack([_means(table, relative, place, depths) for place in places])
     right.set_facecolor("0.8")
     drawn = right.pcolormesh(MM * depths, CM * places, image, shading="nearest", vmin=0, vmax=100)
-    right.set_xlabel("depth (mm)")
-    right.set_ylabel("true distance (cm)")
+    right.set(xlabel="depth (mm)", ylabel="true distance (cm)")
     sheet.colorbar(drawn, ax=right, label="mean absolute relative error (%)")
     return sheet
 

@@ -29,7 +29,7 @@ from acoustube.reports.studies.arm import (
     tool,
 )
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study
+from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
 from acoustube.reports.studies.swipe import resolved_pairs, swipe_figure, swipe_rows, swiped
 from acoustube.runs import presses as press_runs
 from acoustube.runs.by_force import ByForce, by_force
@@ -223,20 +223,18 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
         "centimetres, and a sleeve that shifts on the skin."
     )
     rows = ranged.distance_rows(table, coarser, (3.8, 14.5, 11.7), why)
-    for low, high in LEVELS:
-        rows += _counted(table, coarser, low, f"{low:g}-{high:g} N")
+    rows += [_counted(table, coarser, low, f"{low:g}-{high:g} N") for low, high in LEVELS]
     skin = np.concatenate([_skin(table, tube) for tube in (0, 1)])
     return [
         *rows,
-        Row(
+        compared_row(
+            lambda cycles: float(_wrong(cycles).sum()), table, coarser,
             quantity="errors over 25 cm (false positives)", unit="1", published=3.0,
-            ours=float(_wrong(table).sum()),
-            coarser=None if coarser is None else float(_wrong(coarser).sum()),
             why="Ours are due to the clutter, drawn by the seeds of the tubes.",
         ),
-        Row(
+        compared_row(
+            _reach, table, coarser,
             quantity="farthest located press", unit="cm", published=150.0,
-            ours=_reach(table), coarser=None if coarser is None else _reach(coarser),
             why="The sleeve paper assumes that the tube's narrowing on the stretched sleeve "
             "shortens the reach; ours is not narrowed.",
         ),
@@ -248,20 +246,14 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     ]  # fmt: skip
 
 
-def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> list[Row]:
+def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> Row:
     """Return the number of located presses of a level."""
-    counts = [
-        None if t is None else float((ranged.located(t) & (t["level"].values == low)).sum())
-        for t in (table, coarser)
-    ]
-    total = int((table["level"].values == low).sum())
-    return [
-        Row(
-            quantity=f"located presses, {words}", unit=f"of {total}", ours=counts[0] or 0.0,
-            coarser=counts[1],
-            why="Published as a figure: fewer of the lower two levels, and fewer with distance.",
-        )
-    ]  # fmt: skip
+    return compared_row(
+        lambda cycles: float((ranged.located(cycles) & (cycles["level"].values == low)).sum()),
+        table, coarser, quantity=f"located presses, {words}",
+        unit=f"of {int((table['level'].values == low).sum())}",
+        why="Published as a figure: fewer of the lower two levels, and fewer with distance.",
+    )  # fmt: skip
 
 
 def _wrong(table: xr.Dataset) -> NDArray[np.bool_]:

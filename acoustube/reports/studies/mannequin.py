@@ -28,7 +28,7 @@ from acoustube.reports.studies.arm import (
     tool,
 )
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study
+from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
 from acoustube.sleeve import Helix
 
 DEPTHS, FEW_DEPTHS = "1:8:0.5", "2:8:3"
@@ -180,10 +180,9 @@ def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -
             ours=CM * float(np.sqrt(np.nanmean(skin**2))), why="Not published.",
         ),
         ranged.detection_row(table, coarser),
-        Row(
+        compared_row(
+            lambda cycles: CM * farthest(cycles), table, coarser,
             quantity="farthest located press", unit="cm", published=210.0,
-            ours=CM * farthest(table),
-            coarser=None if coarser is None else CM * farthest(coarser),
             why=f"Presses are {CM * (PLACES[1] - PLACES[0]):g} cm apart; as published, only the "
             "deepest are located so far away.",
         ),

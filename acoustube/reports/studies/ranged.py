@@ -12,7 +12,7 @@ from acoustube import estimation
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.estimation import Errors
-from acoustube.reports.studies.report import Row
+from acoustube.reports.studies.report import Row, compared_row
 
 FALSE_POSITIVE_ERROR = 0.25
 """Error of the distance in m from which a detection is a false positive."""
@@ -105,11 +105,7 @@ def distance_rows(
 
 def detection_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
     """Return the fraction of cycles with an echo."""
-    ours, other = (
-        None if t is None else 100 * float(np.mean(np.isfinite(found_distance(t))))
-        for t in (table, coarser)
-    )
-    assert ours is not None
-    return Row(
-        quantity="cycles with an echo", unit="%", ours=ours, coarser=other, why="Not published."
-    )
+    return compared_row(
+        lambda cycles: 100 * float(np.mean(np.isfinite(found_distance(cycles)))), table, coarser,
+        quantity="cycles with an echo", unit="%", why="Not published.",
+    )  # fmt: skip

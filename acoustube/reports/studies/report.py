@@ -5,15 +5,16 @@ from __future__ import annotations
 import base64
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 
 from acoustube.base.version import __version__
@@ -106,6 +107,17 @@ class Row:
     def change(self) -> float:
         """Relative change from the coarser level; nan where one is missing."""
         return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
+
+
+def compared_row(
+    measure: Callable[[xr.Dataset], float],
+    table: xr.Dataset,
+    coarser: xr.Dataset | None,
+    **words: Any,
+) -> Row:
+    """Return the row of a measure of a table, and of that of the coarser level if there is one."""
+    other = None if coarser is None else measure(coarser)
+    return Row(ours=measure(table), coarser=other, **words)
 
 
 @dataclass(frozen=True, kw_only=True)

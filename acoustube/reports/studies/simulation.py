@@ -6,6 +6,7 @@ reflection, and the same presses at 10 and 20 kHz.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import CM, KHZ
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study
+from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
 from acoustube.reports.studies.simulation_cases import (
     CARRIER,
     CUT_ON,
@@ -122,10 +123,9 @@ def _error_rows(lossless: xr.Dataset, lossy: xr.Dataset, coarser: xr.Dataset | N
 
 def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     rows = [
-        Row(
+        compared_row(
+            _smallest_wins, lossless, coarser,
             quantity="depths at which the 10 mm rod echoes most", unit="%", published=100.0,
-            ours=_smallest_wins(lossless),
-            coarser=None if coarser is None else _smallest_wins(coarser),
             why="Published in words: the largest amplitudes occur for the 10 mm indenter.",
         )
     ]  # fmt: skip
@@ -165,10 +165,10 @@ def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
         "depends on depth, and finds little of it in its simulations too."
     )
     return [
-        Row(
+        compared_row(
+            partial(direct_range, rod=rod), lossless, coarser,
             quantity=f"{rod} mm rod: range over depth of the direct echo's distance",
-            unit="cm", ours=direct_range(lossless, rod),
-            coarser=None if coarser is None else direct_range(coarser, rod), why=why,
+            unit="cm", why=why,
         )
         for rod in RODS
     ]  # fmt: skip

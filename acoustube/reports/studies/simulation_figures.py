@@ -87,8 +87,7 @@ def _sections(cases: xr.Dataset) -> Figure:
                 f"{rod} mm rod, {MM * depths[i]:g} mm: {float(some['force'].values[i]):.2f} N",
                 fontsize="medium",
             )
-    axes[-1, 0].set_xlabel("x (mm)")
-    axes[-1, 0].set_ylabel("y (mm)")
+    axes[-1, 0].set(xlabel="x (mm)", ylabel="y (mm)")
     return sheet
 
 
@@ -121,8 +120,7 @@ def _over_depth(lossless: xr.Dataset, lossy: xr.Dataset) -> Figure:
                 row[0].plot(depth, 100 * some["amplitude"].values, dash, marker=".", color=colour,
                             label=label)  # fmt: skip
                 row[1].plot(depth, CM * some["error"].values, dash, marker=".", color=colour)
-        row[0].set_yscale("log")
-        row[0].set_ylabel("highest echo (% of the send pulse)")
+        row[0].set(yscale="log", ylabel="highest echo (% of the send pulse)")
         row[1].set_ylabel("error of the distance (cm)")
         row[1].axhline(0, color="0.7", lw=0.8, zorder=0)
         row[0].set_title(f"{end} source end", fontsize="medium")
@@ -153,9 +151,7 @@ def _late(lossless: xr.Dataset, lossy: xr.Dataset) -> Figure:
             label = f"{rod} mm rod" + " with losses" * (dash == "--")
             axes.plot(MM * some["depth"].values, 100 * some["late"].values, dash, marker=".",
                       color=f"C{i}", label=label)  # fmt: skip
-    axes.set_xlabel("depth (mm)")
-    axes.set_ylabel("late energy (%)")
-    axes.set_ylim(0, 100)
+    axes.set(xlabel="depth (mm)", ylabel="late energy (%)", ylim=(0, 100))
     axes.legend(fontsize="small")
     return sheet
 
@@ -170,8 +166,7 @@ def _modes(carried: dict[tuple[str, float], dict[str, Array]]) -> Figure:
             for mode, words in names.items():
                 percent = [100 * carried[rod, d].get(mode, np.zeros(2))[port] for d in depths]
                 panel.plot(MM * np.array(depths), percent, ".-", label=words)
-            panel.set_yscale("log")
-            panel.set_ylim(1e-4, 150)
+            panel.set(yscale="log", ylim=(1e-4, 150))
             panel.set_title(f"{rod} mm rod, {('reflected', 'transmitted')[port]}",
                             fontsize="medium")  # fmt: skip
         row[0].set_ylabel("power (%)")
@@ -189,8 +184,7 @@ def _frequencies(cases: xr.Dataset) -> Figure:
             some = of_rod(chosen(only(cases, "carrier_frequency", frequency), "absorbing"), rod)
             panel.plot(MM * some["depth"].values, 100 * some["amplitude"].values, ".-",
                        label=f"{frequency / 1e3:g} kHz")  # fmt: skip
-        panel.set_yscale("log")
-        panel.set_xlabel("depth (mm)")
+        panel.set(yscale="log", xlabel="depth (mm)")
         panel.set_title(f"{rod} mm rod", fontsize="medium")
     axes[0].set_ylabel("highest echo (% of the send pulse)")
     axes[0].legend(fontsize="small")
