@@ -77,7 +77,7 @@ class ConsoleReporter:
         self.console = console
 
     def title(self, text: str) -> None:
-        """Print the program with its version, and what it begins."""
+        """Print the program, its version, and the task that begins."""
         self.console.print(f"acoustube {__version__}: {text}", highlight=False)
 
     def line(self, text: str) -> None:
@@ -129,7 +129,7 @@ def _display(console: Console) -> Iterator[_Lines]:
 
 
 class _Lines:
-    """Progress display of one line now and then, the rarer the longer the work takes."""
+    """Progress display of occasional lines, rarer the longer the work takes."""
 
     def __init__(self, console: Console) -> None:
         self.console = console

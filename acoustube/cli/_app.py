@@ -27,7 +27,7 @@ COMMANDS = (
 )  # fmt: skip
 """Modules of this package that hold a command of their name."""
 SETTLED = ("simulate", "indent", "sweep")
-"""Commands that take settings, of which some have no option of their own."""
+"""Commands that take settings, also ones without an option."""
 
 app = App(
     name="acoustube",

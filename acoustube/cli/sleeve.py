@@ -63,7 +63,7 @@ class Arm:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Winding(Checked):
-    """Tubes, and how they are wound.
+    """Number, path and diameter of the wound tubes.
 
     Attributes
     ----------

@@ -142,7 +142,7 @@ def _trained(
 
 
 def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
-    """Print the number of cycles, and what the estimator is trained on."""
+    """Print the number of cycles, the targets and the training rows."""
     import numpy as np
 
     from acoustube.estimation.model import TARGETS, targets_of, usable

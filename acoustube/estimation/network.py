@@ -299,13 +299,6 @@ def predict(fitted: FittedNetworks, x: NDArray[Any]) -> NDArray[np.float64]:
 _all_outputs = jax.jit(jax.vmap(outputs))
 
 
-def own_outputs(
-    fitted: FittedNetworks, x: NDArray[Any], fold: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return the outputs (row, output) of the network for which each row was held out."""
-    return np.asarray(predict(fitted, x)[fold, np.arange(len(fold))])
-
-
 def weights(validation: NDArray[Any]) -> NDArray[np.float64]:
     """Return the folds' normalised inverse validation losses (fold,) after the last epoch."""
     inverse = 1 / np.maximum(np.asarray(validation[:, -1], float), 1e-12)

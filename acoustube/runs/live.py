@@ -104,7 +104,7 @@ class Tally:
 
     @property
     def rate(self) -> float:
-        """Cycles per second over the last ones, zero when none has come for two seconds."""
+        """Recent cycles per second; zero if none has arrived for two seconds."""
         if len(self.arrivals) < 2 or time.perf_counter() - self.arrivals[-1] > 2:
             return 0.0
         return (len(self.arrivals) - 1) / max(self.arrivals[-1] - self.arrivals[0], 1e-6)

@@ -153,7 +153,7 @@ def _tube_and_mesh(settings: SIPress, known: Arrays | None) -> tuple[Tube, Mesh 
 
 
 def _check_depth(tube: Tube, settings: SIPress) -> None:
-    """Reject a depth beyond what an imported tube allows, before it is meshed."""
+    """Raise if the depth exceeds the limit of an imported tube, before it is meshed."""
     deepest = deepest_press(tube, settings.layer)
     if settings.depth > deepest * (1 + 1e-9):
         raise ConfigError(

@@ -228,7 +228,7 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
 
 
 def true_rows(data: xr.Dataset) -> Iterator[list[object]]:
-    """Return the labels of :data:`LABEL_COLUMNS` of each cycle, empty where there is none."""
+    """Return the labels of :data:`LABEL_COLUMNS` of each cycle; a missing one is empty."""
     columns = [
         scale * data[name].values if name in data else np.full(data.sizes["cycle"], np.nan)
         for name, (_, scale) in LABEL_COLUMNS.items()

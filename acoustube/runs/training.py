@@ -43,7 +43,7 @@ def table_of(
     report: Callable[[str, float], None],
     check: Callable[[Path, float], None] | None = None,
 ) -> xr.Dataset:
-    """Describe the cycles of files, one file after another, and join the tables.
+    """Return the feature table of the cycles of files, read one after another.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def table_of(
 
 
 def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
-    """Join descriptions; a label that some lack is nan, or empty, there."""
+    """Join feature tables; missing labels become nan or empty."""
     variables: dict[str, Any] = {
         "features": (("cycle", "feature"), np.concatenate([p["features"].values for p in parts]))
     }

@@ -1,4 +1,4 @@
-"""Waves at the two ports of a lumen on a grid: how they are launched, recorded and separated.
+"""Waves at the two ports of a lumen on a grid: launching, recording and separation.
 
 Two-plane modal decomposition: the pressures in two layers of probes at a port, projected onto the
 modes of the section, are separated into ingoing and outgoing waves by the modes' axial phases, as

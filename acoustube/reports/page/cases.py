@@ -150,7 +150,7 @@ def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], lis
 
 
 def _states(cases: Sequence[Found]) -> tuple[dict[str, State], dict[str, str]]:
-    """Return the state of each case by its name, and where the data come from."""
+    """Return the state of each case by its name, and the origin of the data."""
     by_file: dict[Path, list[Found]] = {}
     for case in cases:
         by_file.setdefault(case.path, []).append(case)

@@ -68,7 +68,7 @@ class Arrays:
 
 
 def encoded(content: Content) -> str:
-    """Return a page's content as JSON that may stand in a script element."""
+    """Return a page's content as JSON, escaped for a script element."""
     arrays = Arrays()
     page = {
         "title": content.title,

@@ -123,7 +123,7 @@ class Solid:
         return triangles[np.repeat(self.shown[wall], per_face)]
 
     def _whole(self, sampling: Any, position: Array, triangles: Index) -> tuple[Array, Index]:
-        """Mirror what is modelled to the whole length."""
+        """Return the modelled part completed by its mirror image along the tube."""
         points = np.asarray(sampling @ position)
         if not self.halved[1]:
             return points, triangles

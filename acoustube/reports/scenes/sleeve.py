@@ -60,7 +60,7 @@ class Picture:
 
 
 def draw(picture: Picture, path: Path) -> bool:
-    """Draw a sleeve in a process of its own.
+    """Draw a sleeve in a separate process.
 
     Parameters
     ----------

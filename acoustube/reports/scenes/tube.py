@@ -33,7 +33,7 @@ TIME_LIMIT = 120.0
 
 
 def draw(run: Path) -> dict[str, Image] | None:
-    """Draw the tube of a run in a process of its own.
+    """Draw the tube of a run in a separate process.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ def compared_row(
     coarser: xr.Dataset | None,
     **words: Any,
 ) -> Row:
-    """Return the row of a measure of a table, and of that of the coarser level if there is one."""
+    """Return the row of a measure of a table, with that of the coarser level if given."""
     other = None if coarser is None else measure(coarser)
     return Row(ours=measure(table), coarser=other, **words)
 

@@ -84,7 +84,7 @@ sound does not."""
 
 
 def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tuple[float, float]:
-    """Return mean and deviation of a rod's absolute errors in cm, where there is an echo."""
+    """Return mean and deviation in cm of the absolute errors of a rod's detected presses."""
     if cases is None:
         return float("nan"), float("nan")
     size = CM * np.abs(of_rod(chosen(cases, end), rod)["error"].values)

@@ -72,7 +72,7 @@ def check_round(tube: TubeSettings) -> None:
 
 
 def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Raise if the press goes past the floor, or far beyond a closed lumen."""
+    """Raise if the indenter would pass the floor, or go far beyond a closed lumen."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
     gives = indentation.layer_mm or 0.0
     deepest = _round_down(bore + tube.wall_mm / 2 + gives)
@@ -216,7 +216,7 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:
-    """Return the time in ms that sound takes to the far end and back (mm over m/s)."""
+    """Return the round-trip time of sound to the far end in ms (mm over m/s)."""
     return 2 * MM_PER_CM * tube.length_cm / sound_speed(waves.temperature_c)
 
 

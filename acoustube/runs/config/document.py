@@ -1,4 +1,4 @@
-"""Settings in TOML documents, and options that take precedence over them."""
+"""Settings in TOML documents, overridden by options."""
 
 from __future__ import annotations
 

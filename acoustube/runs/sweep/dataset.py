@@ -43,7 +43,7 @@ RANGES = {
     "shear_modulus": ("shear modulus", 1e-6, "MPa"), "tube_length": ("tube length", 1e2, "cm"),
     "carrier_frequency": ("carrier", 1e-3, "kHz"),
 }  # fmt: skip
-"""Labels whose range stands on a dataset card: name, factor from SI, unit."""
+"""Labels whose range is on a dataset card: name, factor from SI, unit."""
 CARD_TEXT = """\
 # Cycles of a rangefinder on a soft acoustic waveguide
 

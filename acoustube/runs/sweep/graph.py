@@ -19,7 +19,6 @@ from acoustube.runs.config import Config
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.sweep.plan import digest
 from acoustube.runs.sweep.tasks import Band
-from acoustube.waves import Pulse
 
 REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
 """Temperatures in degC of the scattering matrices: those of all air in range are within 18 K."""
@@ -160,16 +159,12 @@ def _group(cases: tuple[Case, ...]) -> Group:
     bands = []
     for settings in (case.settings for case in cases):
         ratio = sound_speed(reference) / sound_speed(settings.temperature)
-        bands.append([ratio * edge for edge in sound.band_of(_burst(settings.pulse))])
+        burst = dataclasses.replace(settings.pulse, cycles=min(settings.pulse.cycles, BURST_CYCLES))
+        bands.append([ratio * edge for edge in sound.band_of(burst)])
     lowest, highest = min(low for low, _ in bands), max(high for _, high in bands)
     low = BAND_STEP * floor(lowest / BAND_STEP) or lowest
     band = Band(low, BAND_STEP * ceil(highest / BAND_STEP), reference)
     return Group(first.depth, band, cases)
-
-
-def _burst(pulse: Pulse) -> Pulse:
-    """Return a pulse cut to the cycles of a rangefinder's burst, if it is longer."""
-    return Pulse(frequency=pulse.frequency, cycles=min(pulse.cycles, BURST_CYCLES))
 
 
 def _reference(temperature: float) -> float:

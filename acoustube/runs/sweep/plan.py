@@ -198,7 +198,7 @@ def load_plan(
     over: Mapping[str, Sequence[str]] | None = None,
     **given: Any,
 ) -> Plan:
-    """Build a plan from the defaults, then a file, then what the command line gives.
+    """Build a plan from the defaults, a file and the command line, the later overriding.
 
     Parameters
     ----------
@@ -302,6 +302,6 @@ def tube_name(config: Config) -> str:
 
 
 def digest(content: Any) -> str:
-    """Return the SHA-256 of what JSON can hold, whatever the order of its names."""
+    """Return the SHA-256 of data as JSON with sorted names."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -67,7 +67,7 @@ def run_sweep(
     share: tuple[int, int] = (1, 1),
     retry: bool = False,
 ) -> bool:
-    """Compute the cases of a plan that are not there yet.
+    """Compute the missing cases of a plan.
 
     Parameters
     ----------

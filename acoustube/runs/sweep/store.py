@@ -58,7 +58,7 @@ class Contents(NamedTuple):
 
 
 def prepared(path: str | Path) -> Path:
-    """Return a folder that a sweep can be written to, made if it is not there.
+    """Return a writable folder for a sweep, created if it does not exist.
 
     Raises
     ------

@@ -99,7 +99,7 @@ class Task:
 
 
 class Workers:
-    """Processes of this machine, started when there is work, and anew where one was lost.
+    """Pool of local processes, started on demand, and restarted when one is lost.
 
     They stay until they are ended: what one has imported and compiled serves the next run too.
     """

@@ -49,7 +49,7 @@ class PointProbe(NamedTuple):
 
 
 Probe = float | ModalProbe | PointProbe
-"""A distance in m stands for the mean over its plane, which is the plane mode's amplitude."""
+"""Probe, or a distance in m, which stands for the mean over its plane (plane-mode amplitude)."""
 
 
 def height_of(probe: Probe) -> float:

@@ -285,7 +285,7 @@ def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | N
 def _absorber_step(
     layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
 ) -> tuple[Absorber | None, jax.Array | None]:
-    """Advance an absorber, if there is one, and return the change of its cells."""
+    """Advance an absorber, or None, and return the pressure change of its cells."""
     if layer is None:
         return None, None
     near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])

@@ -103,7 +103,7 @@ def along_elements(
     mixed: Array | None,
     values: Array,
 ) -> Array:
-    """Integrate along elements what depends on the functions L_j and their slopes.
+    """Integrate products of the functions L_j and of their slopes along elements.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ WALL_DEGREE = 4
 
 
 class WallPoints(NamedTuple):
-    """Points of a wall and what is known there.
+    """Points of a wall with their normals, weights and derivatives.
 
     Attributes
     ----------

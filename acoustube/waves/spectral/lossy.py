@@ -66,7 +66,7 @@ def lossy_scattering(
     air: Air,
     sizes: list[int],
 ) -> tuple[list[Complex], Complex, Array]:
-    """Return S of each side, the wavenumbers of the ends' modes, and what a poorer space changes.
+    """Return S of each side, the wavenumbers of the ends' modes, and the change in a smaller space.
 
     Parameters
     ----------

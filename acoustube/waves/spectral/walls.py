@@ -113,7 +113,7 @@ def _gauss_points(n: int, degree: int) -> int:
 
 @lru_cache(maxsize=8)
 def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array, Array]:
-    """Return what takes n values round a contour to those of their spline at Gauss's points.
+    """Return the matrix from n values round a contour to their spline at Gauss's points.
 
     Returns
     -------
