@@ -1,0 +1,309 @@
+"""Commands that are ended at random moments: ``python -m tests.fuzz.kills --count 1000``.
+
+Each ends in time with the right code and a sentence, leaves no output or a whole one, and the
+repeated command gives what an undisturbed one does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from acoustube.base import remnants
+from tests.fuzz.__main__ import ROOT, _corpus
+
+ENDS = {"KILL": (signal.SIGKILL,), "INT": (signal.SIGINT,), "TERM": (signal.SIGTERM,),
+        "INT twice": (signal.SIGINT, signal.SIGINT)}  # fmt: skip
+IN_TIME, PATIENCE = 5.0, 120.0
+"""Seconds to end in after a signal, and to wait for a command."""
+BEFORE_PYTHON = 1.0
+"""Processor time in s, generous, in which Python starts, and says nothing of its own."""
+NOISE = ("Traceback", "Exception ignored", "Error:", "free()", "Warning")
+SMALL = ("--indenter", "25", "--depth", "0.6")
+TIMES = ("elapsed_time",)
+"""Variables that differ from run to run."""
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "simulate": ("simulate", *SMALL, "--config", "CORPUS/coarse.toml", "--resolution", "11",
+                 "--method", "scattering", "--out", "new/o"),
+    "indent": ("indent", *SMALL, "--steps", "1", "--config", "CORPUS/coarse.toml", "--out", "o"),
+    "sweep": ("sweep", *SMALL, "0", "--vary", "mesh=coarse", "resolution=11", "--workers", "1",
+              "--out", "o"),
+    "dataset": ("dataset", "CORPUS/sweep", "--cycles", "2", "--workers", "1", "--out", "o"),
+    "page": ("show", "CORPUS/indent", "--html", "o.html"),
+    "figure": ("show", "CORPUS/sweep", "--out", "o.png"),
+    "export vtu": ("export", "CORPUS/indent", "--format", "vtu", "--out", "o"),
+    "export stl": ("export", "CORPUS/sweep", "--format", "stl", "--out", "o"),
+    "export wav": ("export", "CORPUS/cycles", "--out", "o"),
+    "scatter": ("scatter", "CORPUS/lumen.stl", "--resolution", "8", "--band", "5", "15", "--step",
+                "1", "--out", "o.nc"),
+    "process": ("process", "CORPUS/good.npz", "--out", "o.csv", "--figure", "p.png"),
+    "calibrate": ("calibrate", "MADE/blocked.npz", "--untouched", "MADE/untouched.npz", "--out",
+                  "o.toml", "--figure", "p.png"),
+    "train": ("train", "MADE/labelled.nc", "--estimator", "network", "--epochs", "3", "--folds",
+              "2", "--prominence", "0.001", "--out", "o.model"),
+    "evaluate": ("evaluate", "CORPUS/boosting.model", "CORPUS/labelled.nc", "--out", "o.csv"),
+    "sleeve": ("sleeve", "--forearm", "25", "17", "26", "--loops", "9", "--out", "o"),
+    "reproduce": ("reproduce", "calibration", "--quick", "--workers", "1", "--out", "o"),
+    "check": ("check",),
+    "cite": ("cite", "CORPUS/indent"),
+    "cache": ("cache", "list"),
+    "help": ("simulate", "--help"),
+}  # fmt: skip
+"""Commands by name; the paths of good files begin with CORPUS, those made here with MADE."""
+CACHED = ("simulate", "indent", "sweep")
+"""Commands that are faster the second time."""
+RESUMED = ("sweep", "dataset", "reproduce")
+"""Commands whose folder grows, and is completed by the same command."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a command ended.
+
+    Attributes
+    ----------
+    code : int
+    seconds : float
+        Since the first signal.
+    errors : str
+        Standard error.
+    """
+
+    code: int
+    seconds: float
+    errors: str
+
+
+class Bench:
+    """Place for commands to run in: good files, a cache that knows the presses, and results.
+
+    Parameters
+    ----------
+    place : Path
+        Empty folder.
+    """
+
+    def __init__(self, place: Path) -> None:
+        self.place, self.corpus = place, _corpus()
+        self.cache = place / "cache"
+        self.environment = os.environ | {"ACOUSTUBE_CACHE": str(self.cache), "MPLBACKEND": "agg"}
+        self.environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+        self.known: dict[str, tuple[float, dict[str, Any]]] = {}
+        os.environ["ACOUSTUBE_CACHE"] = str(self.cache)
+        _make(place / "made")
+
+    def words(self, name: str) -> list[str]:
+        """Return the words of a command, with its paths."""
+        places = {"CORPUS": str(self.corpus), "MADE": str(self.place / "made")}
+        words = list(COMMANDS[name])
+        for short, path in places.items():
+            words = [word.replace(short, path) for word in words]
+        return words
+
+    def run(self, name: str, folder: Path, ends: Sequence[int] = (), delay: float = 0) -> Ending:
+        """Run a command, and send it signals after a delay."""
+        command = [sys.executable, "-m", "acoustube", *self.words(name)]
+        with subprocess.Popen(
+            command, cwd=folder, env=self.environment, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=_not_ignored,
+        ) as process:  # fmt: skip
+            started = time.monotonic()
+            if ends:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(delay)
+                started = time.monotonic()
+                for number in ends:
+                    process.send_signal(number)
+                    time.sleep(0.05)
+            try:
+                _, errors = process.communicate(timeout=PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                _, errors = process.communicate()
+                errors += f"\nstill running after {PATIENCE:.0f} s"
+            return Ending(process.returncode, time.monotonic() - started, errors)
+
+    def expected(self, name: str) -> tuple[float, dict[str, Any]]:
+        """Return how long a command takes undisturbed, when all is cached, and its outputs."""
+        if name not in self.known:
+            for _ in range(2 if name in CACHED else 1):
+                with self.folder() as folder:
+                    ending = self.run(name, folder)
+                    if ending.code:
+                        raise RuntimeError(f"{name}: {ending.errors}")
+                    self.known[name] = ending.seconds, outputs(folder)
+        return self.known[name]
+
+    @contextlib.contextmanager
+    def folder(self) -> Iterator[Path]:
+        """Yield an empty folder."""
+        with tempfile.TemporaryDirectory(dir=self.place) as folder:
+            yield Path(folder)
+
+    def trial(self, name: str, how: str, delay: float, *, again: bool) -> list[str]:
+        """End a command after a delay; return what is wrong, and nothing if all is well."""
+        _, whole = self.expected(name)
+        with self.folder() as folder:
+            ending = self.run(name, folder, ENDS[how], delay)
+            wrong = _about_end(ending, how, delay) + _about_files(folder, whole, name, ending)
+            hidden = _hidden(folder)
+            if how != "KILL":
+                wrong += [f"left behind: {path.name}" for path in hidden]
+            remnants.clear()
+            wrong += [f"not found by cache clear: {path.name}" for path in _hidden(folder)]
+            if again and (not outputs(folder) or name in RESUMED):
+                repeated = self.run(name, folder)
+                if repeated.code:
+                    wrong.append(f"repeated, it ends with {repeated.code}: {repeated.errors}")
+                elif not _alike(outputs(folder), whole):
+                    wrong.append("repeated, it gives another result")
+        return wrong
+
+
+def _not_ignored() -> None:
+    """Let interrupts come through, which are ignored in the background of a shell."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _make(folder: Path) -> None:
+    """Write the recordings that the good files lack."""
+    sys.path.insert(0, str(ROOT / "tests"))  # as pytest does
+    from labelled_cycles import cycles
+    from test_calibration import PLACES, blocked, untouched
+    from test_pipeline import RATE
+
+    folder.mkdir()
+    common = {"rate": RATE, "temperature": 20.0}
+    np.savez(folder / "blocked.npz", signal=blocked(), true_distance=PLACES, **common)
+    np.savez(folder / "untouched.npz", signal=untouched(), **common)
+    cycles(56, seed=2).to_netcdf(folder / "labelled.nc", engine="h5netcdf")
+
+
+def _about_end(ending: Ending, how: str, delay: float) -> list[str]:
+    """Return what is wrong with the end of a command."""
+    last = ending.errors.strip().splitlines()[-1:] or [""]
+    if ending.code == -signal.SIGKILL and how == "KILL":
+        return []
+    noise = [word for word in NOISE if word in ending.errors]
+    if delay < BEFORE_PYTHON and ending.code in (-signal.SIGINT, -signal.SIGTERM, 130, 143, 1):
+        return []
+    wrong = [f"it says {' and '.join(noise)}:\n{ending.errors}"] if noise else []
+    if ending.code == 0:  # it had ended before
+        return wrong if ending.seconds < 1 else [*wrong, "it went on, and ended with 0"]
+    if ending.code != 128 + ENDS[how][0]:
+        wrong.append(f"it ended with {ending.code}:\n{ending.errors}")
+    if not last[0].startswith("acoustube: interrupted"):
+        wrong.append(f"no sentence, but {last[0]!r}")
+    if ending.seconds > IN_TIME:
+        wrong.append(f"it took {ending.seconds:.1f} s to end")
+    return wrong
+
+
+def _about_files(folder: Path, whole: dict[str, Any], name: str, ending: Ending) -> list[str]:
+    """Return what is wrong with the outputs of a command that was ended."""
+    found = outputs(folder)
+    if ending.code == 0 and not _alike(found, whole):
+        return ["it ended with 0, without its outputs"]
+    if name in RESUMED:
+        parts = {path: content for path, content in found.items() if path in whole}
+        return [] if _alike(parts, {p: whole[p] for p in parts}) else ["a part is not whole"]
+    # Two files are written one after the other: one may be there alone, but it is whole.
+    there = {path: content for path, content in whole.items() if path in found}
+    if not _alike(found, there):
+        return [f"half an output: {', '.join(found)}"]
+    return [] if not found or found.keys() == whole.keys() or "/" not in "".join(found) else [
+        f"half a folder: {', '.join(found)}"
+    ]  # fmt: skip
+
+
+def _hidden(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob(f"{remnants.ASIDE}*") if path.name.startswith(".")]
+
+
+def outputs(folder: Path) -> dict[str, Any]:
+    """Return the contents of all files that are not hidden, by their paths."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.is_file() and remnants.ASIDE not in name:
+            found[name] = _content(path)
+    return found
+
+
+def _content(path: Path) -> Any:
+    """Return what two runs of a command have in common in a file."""
+    if path.suffix == ".nc":
+        import xarray as xr
+
+        try:
+            with xr.open_dataset(path, engine="h5netcdf") as data:
+                kept = data.load().drop_vars(TIMES, errors="ignore")
+        except Exception as error:  # half written
+            return str(error)
+        return {str(n): v.values.tobytes() for n, v in kept.variables.items() if v.dtype != object}
+    if path.suffix in (".model", ".npz"):
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name].tobytes() for name in archive.files if name != "header"}
+    content = path.read_bytes()
+    # Times are in the page, and in the report.
+    return len(content) > 1000 if path.suffix == ".html" else content
+
+
+def _alike(found: dict[str, Any], expected: dict[str, Any]) -> bool:
+    return found == expected
+
+
+def main() -> int:
+    """Run trials, print what was found, and return 1 if anything was."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.kills", description=__doc__)
+    parser.add_argument("--seed", type=int, default=secrets.randbits(32), help="drawn if not given")
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
+    parser.add_argument("--command", action="append", choices=COMMANDS, help="all if not given")
+    parser.add_argument("--again", type=float, default=0.3, help="share that is repeated")
+    given = parser.parse_args()
+    print(f"seed {given.seed}", flush=True)
+    place, tally, found = Path(tempfile.mkdtemp(prefix="acoustube-kills-")), Counter[str](), 0
+    try:
+        bench = Bench(place)
+        for number in range(given.first, given.first + given.count):
+            name, how, delay, again = _drawn(bench, Random(f"{given.seed} {number}"), given)
+            wrong = bench.trial(name, how, delay, again=again)
+            tally[how] += 1
+            if wrong:
+                found += 1
+                print(f"\n{number}: {name}, {how} after {delay:.2f} s: {'; '.join(wrong)}")
+                print(f"  again: --seed {given.seed} --first {number} --count 1", flush=True)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    counts = ", ".join(f"{count} {how}" for how, count in sorted(tally.items()))
+    print(f"{tally.total()} kills ({counts}) with seed {given.seed}, {found} found")
+    return 1 if found else 0
+
+
+def _drawn(bench: Bench, chance: Random, given: argparse.Namespace) -> tuple[str, str, float, bool]:
+    """Draw a command, a way to end it, a moment, and whether it is repeated."""
+    name = chance.choice(given.command or list(COMMANDS))
+    how = chance.choice(list(ENDS))
+    share, again = chance.random(), chance.random() < given.again
+    return name, how, share * min(bench.expected(name)[0], 30.0), again
+
+
+if __name__ == "__main__":
+    sys.exit(main())
