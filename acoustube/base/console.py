@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acoustube.base.errors import readable
@@ -44,6 +46,12 @@ def _plain_console() -> type[Console]:
     class Plain(Console):
         def render_str(self, text: str, **options: Any) -> Text:
             return super().render_str(readable(text), **options | {"markup": False, "emoji": False})
+
+        def on_broken_pipe(self) -> None:
+            """Fall silent: what goes to files does not depend on who reads the messages."""
+            self.quiet = True
+            with Path(os.devnull).open("w") as nowhere:
+                os.dup2(nowhere.fileno(), self.file.fileno())
 
     return Plain
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -42,7 +44,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
         raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
     try:
         _reach(address)
-        client = Client(address, timeout=10, set_as_default=False)
+        client = _connected(Client, address)
     except (OSError, ValueError, TimeoutError) as error:
         raise ConfigError(
             f"dask = {address}: no scheduler answers there; start one with `dask scheduler` and "
@@ -56,13 +58,37 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     return client.get_executor(), 2 * threads
 
 
+def _connected(client: Callable[..., Any], address: str) -> Any:
+    """Return a client of a scheduler.
+
+    Where something else answers, the client waits for ever: it does so on a thread of its own.
+    """
+    found: Future[Any] = Future()
+
+    def connect() -> None:
+        try:
+            found.set_result(client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False))
+        except Exception as error:
+            found.set_exception(error)
+
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL)  # a failure is told in our own words
+    threading.Thread(target=connect, daemon=True).start()
+    scheduler = found.result(1.5 * SCHEDULER_TIMEOUT)
+    log.setLevel(before)
+    return scheduler
+
+
 def _reach(address: str) -> None:
     """Connect to a scheduler briefly: the client itself reports a failure twice, and late."""
     place = urlsplit(address if "//" in address else f"//{address}")
     if place.scheme in ("", "tcp", "tls"):
-        socket.create_connection((place.hostname, place.port or 8786), timeout=10).close()
+        socket.create_connection((place.hostname, place.port or 8786), SCHEDULER_TIMEOUT).close()
 
 
+SCHEDULER_TIMEOUT = 10.0
+"""Seconds in which a scheduler has to answer."""
 ATTEMPTS = 3
 """Lost workers after which a task is given up."""
 POLL_INTERVAL = 0.2
