@@ -23,6 +23,7 @@ import numpy as np
 
 from acoustube.waves.spectral.polynomials import (
     Array,
+    Index,
     Polynomials,
     gauss,
     gauss_lobatto,
@@ -51,12 +52,12 @@ class Boxes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Matrices of line elements with the basis functions L_j P_i, j from 0 to `order`.
+    """Matrices of line elements in the enriched basis.
 
     Attributes
     ----------
     stiffness, mass : ndarray
-        (n_elements, n_j, n_i, n_j, n_i), in m and m3.
+        (n_elements, size, size), in m and m3; see :class:`Layout`.
     first, last : ndarray
         The box x0, a, y0, b at both ends in m, (4,).
     """
@@ -67,7 +68,9 @@ class Elements:
     last: Array
 
 
-def assemble(wall: Wall, edges: Array, basis: Polynomials, order: int, n_points: int) -> Elements:
+def assemble(
+    wall: Wall, edges: Array, basis: Polynomials, layout: Layout, n_points: int
+) -> Elements:
     """Integrate the stiffness and mass of all elements of a lumen.
 
     Parameters
@@ -76,8 +79,7 @@ def assemble(wall: Wall, edges: Array, basis: Polynomials, order: int, n_points:
     edges : ndarray
         Boundaries of the elements along z in m, (n_elements + 1,), increasing.
     basis : Polynomials
-    order : int
-        Highest degree along an element.
+    layout : Layout
     n_points : int
         Gauss points along an element.
 
@@ -90,14 +92,67 @@ def assemble(wall: Wall, edges: Array, basis: Polynomials, order: int, n_points:
     z = (edges[:-1, None] + step[:, None] * (points + 1) / 2).ravel()
     boxes, first, last = element_boxes(wall, edges, points)
     mass, along, across = section_matrices(wall.contours(z, basis.degree), boxes, basis)
-    stiffness = along_elements(step, order, (points, weights), mass, along, across)
-    return Elements(stiffness, along_elements(step, order, (points, weights), None, None, mass),
-                    first, last)  # fmt: skip
+    stiffness = along_elements(step, layout, (points, weights), mass, along, across)
+    inertia = along_elements(step, layout, (points, weights), None, None, mass)
+    return Elements(stiffness, inertia, first, last)
+
+
+class Layout(NamedTuple):
+    """Order of the unknowns of an element: those of the basis, then those of the enriched one.
+
+    The basis has the functions L_j P_i with j <= `order`, i < `n`; the enriched one in addition
+    those with i >= `n`, and then those with j = `order` + 1, i < `n`.
+
+    Attributes
+    ----------
+    n, n_all : int
+        Number of functions across the tube of both.
+    order : int
+        Degree along an element of the basis.
+    """
+
+    n: int
+    n_all: int
+    order: int
+
+    @property
+    def n_basis(self) -> int:
+        """Number of unknowns of the basis."""
+        return self.n * (self.order + 1)
+
+    @property
+    def n_higher(self) -> int:
+        """Number of unknowns of the functions across the tube that the basis lacks."""
+        return (self.n_all - self.n) * (self.order + 1)
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns of an element."""
+        return self.n_basis + self.n_higher + self.n
+
+    def end(self, j: int) -> Index:
+        """Return the places of the unknowns of an end, j = 0 or 1, for all functions across."""
+        more = self.n_all - self.n
+        return np.concatenate(
+            [j * self.n + np.arange(self.n), self.n_basis + j * more + np.arange(more)]
+        )
+
+    def ordered(self, matrix: Array) -> Array:
+        """Return matrices (n_elements, n_j, n_j, n_all, n_all) in this order, two-dimensional."""
+        n, n_j, ends = self.n, self.order + 1, np.cumsum([0, self.n_basis, self.n_higher, self.n])
+        low, high, lower, last = slice(n), slice(n, None), slice(n_j), slice(n_j, None)
+        groups = list(zip((lower, lower, last), (low, high, low), ends[:-1], ends[1:], strict=True))
+        found = np.empty((len(matrix), self.size, self.size))
+        for j, i, a, b in groups:
+            for k, m, c, d in groups:
+                part = matrix[:, j, k, i, m].transpose(0, 1, 3, 2, 4)
+                found[:, a:b, c:d].reshape(part.shape)[...] = part
+        return found
 
 
 def along_elements(
     step: Array,
-    order: int,
+    layout: Layout,
     rule: tuple[Array, Array],
     slopes: Array | None,
     mixed: Array | None,
@@ -109,36 +164,38 @@ def along_elements(
     ----------
     step : ndarray
         Lengths of the elements in m, (n_elements,).
-    order : int
-        Highest degree along an element.
+    layout : Layout
     rule : tuple of ndarray
         Points from -1 to 1 and weights, (n_points,).
     slopes, mixed, values : ndarray
         Factors of L_j' L_k', of L_j' L_k (and of its mirror image) and of L_j L_k at all points,
-        (n_elements n_points, n, n); the first two may be none.
+        (n_elements n_points, n_all, n_all); the first two may be none.
 
     Returns
     -------
     ndarray
-        (n_elements, order + 1, n, order + 1, n).
+        (n_elements, size, size).
     """
     points, weights = rule
-    value, slope = lobatto(order, points)
-    n, n_j = values.shape[-1], order + 1
+    n_j = layout.order + 2
+    value, slope = lobatto(n_j - 1, points)
+    half = (step / 2)[:, None, None]
 
-    def combined(f: Array, g: Array, part: Array) -> Array:
-        pair = np.einsum("jq,kq,q->jkq", f, g, weights).reshape(-1, len(points))
-        found = np.matmul(pair, part.reshape(len(step), len(points), -1))
-        return found.reshape(len(step), n_j, n_j, n, n).transpose(0, 1, 3, 2, 4)
+    def pairs(f: Array, g: Array) -> Array:
+        return np.asarray((f[:, None] * g * weights).reshape(n_j**2, -1))
 
-    half = (step / 2)[:, None, None, None, None]
-    total = half * combined(value, value, values)
+    def flat(part: Array) -> Array:
+        return part.reshape(len(step), len(points), -1)
+
+    terms = [(pairs(value, value), half * flat(values))]
     if slopes is not None:
-        total += combined(slope, slope, slopes) / half
+        terms.append((pairs(slope, slope), flat(slopes) / half))
     if mixed is not None:
-        cross = combined(slope, value, mixed)
-        total += cross + cross.transpose(0, 3, 4, 1, 2)
-    return total
+        terms.append((pairs(slope, value), flat(mixed)))
+        terms.append((pairs(value, slope), flat(mixed.swapaxes(1, 2))))
+    factors, parts = zip(*terms, strict=True)
+    total = np.matmul(np.concatenate(factors, axis=1), np.concatenate(parts, axis=1))
+    return layout.ordered(total.reshape(len(step), n_j, n_j, layout.n_all, layout.n_all))
 
 
 def element_boxes(wall: Wall, edges: Array, points: Array) -> tuple[Boxes, Array, Array]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.waves.spectral.assembly import Boxes, along_elements, element_boxes
+from acoustube.waves.spectral.assembly import Boxes, Layout, along_elements, element_boxes
 from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss, polynomials
 from acoustube.waves.spectral.walls import Contours, Wall
 
@@ -78,7 +78,7 @@ def wall_matrices(
     points: WallPoints,
     functions: WallFunctions,
     edges: Array,
-    order: int,
+    layout: Layout,
     weight: Array,
     *,
     tangential: bool,
@@ -91,8 +91,7 @@ def wall_matrices(
     functions : WallFunctions
     edges : ndarray
         Borders of the elements in m.
-    order : int
-        Highest degree along an element.
+    layout : Layout
     weight : ndarray
         (n_sections, n_points).
     tangential : bool
@@ -101,7 +100,7 @@ def wall_matrices(
     Returns
     -------
     stiffness, mass : ndarray
-        int w grad p . grad q and int w p q, (n_elements, n_j, n, n_j, n).
+        int w grad p . grad q and int w p q, (n_elements, size, size).
     """
     p, p_x, p_y, p_z = functions
     share = (weight * points.area)[:, None]
@@ -120,5 +119,5 @@ def wall_matrices(
         slopes = product((1 - n_z**2) * p, p)
     n_points = len(points.z) // (len(edges) - 1)
     step, rule = np.diff(edges), gauss(n_points)
-    stiffness = along_elements(step, order, rule, slopes, mixed, values)
-    return stiffness, along_elements(step, order, rule, None, None, mass)
+    stiffness = along_elements(step, layout, rule, slopes, mixed, values)
+    return stiffness, along_elements(step, layout, rule, None, None, mass)

@@ -70,7 +70,7 @@ def moved_scattering(
     x, y = velocity(points.z[:, None], points.contours.t)
     outwards = x * points.normal[0] + y * points.normal[1]
     stiffness, mass = wall_matrices(
-        points, wall_functions(points, basis), edges, system.order + 1, outwards, tangential=False
+        points, wall_functions(points, basis), edges, system.layout, outwards, tangential=False
     )
     moving = replace(system, stiffness=stiffness, mass=mass)
     found = []

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.waves.spectral.assembly import Elements, assemble
-from acoustube.waves.spectral.elimination import condense, eliminate, solve
-from acoustube.waves.spectral.polynomials import Array, polynomials
+from acoustube.waves.spectral.assembly import Elements, Layout, assemble
+from acoustube.waves.spectral.elimination import factor, solve
+from acoustube.waves.spectral.polynomials import Array, Index, polynomials
 from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes, port_functions, port_modes
 from acoustube.waves.spectral.walls import Wall
 
@@ -35,13 +35,13 @@ class Discretisation:
     Attributes
     ----------
     stiffness, mass : ndarray
-        Of the elements in the enriched basis, (n_elements, n_j, n, n_j, n).
-    n_functions, order : int
-        Number of functions across the tube, and degree along it, of the basis itself.
+        Of the elements in the enriched basis, (n_elements, size, size).
+    layout : Layout
+        Order of their unknowns.
     modes : PortModes
         Of the ports.
     ports : ndarray
-        Integrals of the polynomials times the modes, in m, (n_ports, n, n_modes).
+        Integrals of the polynomials times the modes, in m, (n_ports, n_all, n_modes).
     heights : tuple of float
         z of the ports in m.
     radius : float
@@ -54,8 +54,7 @@ class Discretisation:
 
     stiffness: Array
     mass: Array
-    n_functions: int
-    order: int
+    layout: Layout
     modes: PortModes
     ports: Array
     heights: tuple[float, float]
@@ -70,12 +69,12 @@ class Discretisation:
 
     @property
     def load(self) -> Array:
-        """Load vectors of the modes of all ports, (n_elements, n_j, n, n_ports n_modes)."""
+        """Load vectors of the modes of all ports, (n_elements, size, n_ports n_modes)."""
         m = len(self.modes)
-        load = np.zeros((*self.mass.shape[:3], m * len(self.ports)))
-        load[-1, 1, :, -m:] = self.ports[-1]
+        load = np.zeros((*self.mass.shape[:2], m * len(self.ports)))
+        load[-1, self.layout.end(1), -m:] = self.ports[-1]
         if not self.halved:
-            load[0, 0, :, :m] = self.ports[0]
+            load[0, self.layout.end(0), :m] = self.ports[0]
         return load
 
 
@@ -85,10 +84,11 @@ class Response(NamedTuple):
     Attributes
     ----------
     fields : ndarray
-        Blocks of a Krylov space, the response itself among them, (n_elements, n_j, n, n_columns) of
-        the richer basis.
+        Blocks of a Krylov space in the basis, the response itself among them,
+        (n_elements, n_basis, n_columns).
     correction : ndarray
-        First-order correction of the response in the enriched basis, of that shape.
+        First-order correction of the response by the other functions of the enriched basis,
+        (n_elements, size - n_basis, n_ports n_modes).
     impedance : ndarray
         Z in 1/m, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
@@ -132,20 +132,22 @@ def discretise(
     """
     halved = wall.reversible
     basis = polynomials(degree + DEGREE_INCREASE, odd)
-    elements = assemble(wall, edges, basis, order + 1, order + spare_points)
+    layout = Layout(basis.count(degree), basis.size, order)
+    elements = assemble(wall, edges, basis, layout, order + spare_points)
     reach = MARGIN + wavenumber * wall.radius
     modes = port_modes(reach, odd)
     far = port_modes(reach + FARTHEST, odd, lowest=reach)
     boxes = [elements.last] if halved else [elements.first, elements.last]
     places = ((-1, 1),) if halved else ((0, 0), (-1, 1))
-    for place, box in zip(places, boxes, strict=True):
+    for (element, end), box in zip(places, boxes, strict=True):
         functions = port_functions(far, basis, box, wall.radius)
-        _add_far_modes(elements, place, functions, far, wall.radius, wavenumber)
+        _add_far_modes(
+            elements, (element, layout.end(end)), functions, far, wall.radius, wavenumber
+        )
     return Discretisation(
         stiffness=elements.stiffness,
         mass=elements.mass,
-        n_functions=basis.count(degree),
-        order=order,
+        layout=layout,
         modes=modes,
         ports=np.stack([port_functions(modes, basis, box, wall.radius) for box in boxes]),
         heights=(2 * wall.middle - edges[-1] if halved else edges[0], edges[-1]),
@@ -156,7 +158,7 @@ def discretise(
 
 def _add_far_modes(
     elements: Elements,
-    place: tuple[int, int],
+    place: tuple[int, Index],
     functions: Array,
     modes: PortModes,
     radius: float,
@@ -167,8 +169,8 @@ def _add_far_modes(
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
     stiff = (functions * (decay + middle / (2 * decay))) @ functions.T
-    elements.stiffness[element, end, :, end] += stiff
-    elements.mass[element, end, :, end] += (functions / (2 * decay)) @ functions.T
+    elements.stiffness[element][np.ix_(end, end)] += stiff
+    elements.mass[element][np.ix_(end, end)] += (functions / (2 * decay)) @ functions.T
 
 
 def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]:
@@ -187,56 +189,56 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     list of Response
         One per parity along z; for a lumen that is not symmetric along z, one.
     """
-    n, n_j = system.n_functions, system.order + 1
-    matrix = system.stiffness - shift * system.mass
-    condensed = condense(np.ascontiguousarray(matrix[:, :n_j, :n, :n_j, :n]))
-    mass = np.ascontiguousarray(system.mass[:, :n_j, :n, :n_j, :n])
-    higher = condense(np.ascontiguousarray(matrix[:, :n_j, n:, :n_j, n:]))
-    load = system.load
-    found = []
-    for held in system.sides:
-        chain = eliminate(condensed, held=held)
-        response = solve(condensed, chain, load[:, :n_j, :n])
-        fields = [response]
-        if system.layers is not None:
-            layer = (system.layers[0] + LAYER_RATIO * shift * system.layers[1])[:, :n_j, :n]
-            layer = np.ascontiguousarray(layer[:, :, :, :n_j, :n])
-            for _ in range(LAYER_BLOCKS):
-                fields.insert(0, solve(condensed, chain, _applied(layer, _normalised(fields[0]))))
-            fields.append(fields.pop(LAYER_BLOCKS))
-        for _ in range(blocks - 1):
-            fields.append(solve(condensed, chain, _applied(mass, _normalised(fields[-1]))))
-        ahead = load[:, :n_j, n:] - _applied(matrix[:, :n_j, n:, :n_j, :n], response)
-        step = solve(higher, eliminate(higher, held=held), ahead)
-        bubble = -_applied(matrix[:, [n_j], :n, :n_j, :n], response)[:, 0]
-        bubble_step = np.linalg.solve(matrix[:, n_j, :n, n_j, :n], bubble)
-        correction = np.zeros_like(load)
-        correction[:, :n_j, n:], correction[:, n_j, :n] = step, bubble_step
-        full = np.zeros((*load.shape[:3], sum(field.shape[-1] for field in fields)))
-        full[:, :n_j, :n] = np.concatenate(fields, axis=-1)
-        found.append(
-            Response(
-                fields=full,
-                correction=correction,
-                impedance=_dot(load[:, :n_j, :n], response),
-                by_degree=_dot(ahead, step),
-                by_element=bubble.swapaxes(1, 2) @ bubble_step,
-            )
+    layout, n = system.layout, system.layout.n_basis
+    low, high = slice(n), slice(n, n + layout.n_higher)
+    last = slice(n + layout.n_higher, None)
+
+    def matrix(a: slice, b: slice) -> Array:
+        return np.asarray(system.stiffness[:, a, b] - shift * system.mass[:, a, b])
+
+    factors = factor(matrix(low, low), layout.n)
+    sides = system.sides
+    load = np.concatenate([system.load] * len(sides), axis=-1)
+    held = np.repeat(sides, system.load.shape[-1])
+    response = solve(factors, load[:, low], held)
+    fields = [response]
+    if system.layers is not None:
+        stiff, heavy = (part[:, low, low] for part in system.layers)
+        layer = stiff + LAYER_RATIO * shift * heavy
+        for _ in range(LAYER_BLOCKS):
+            fields.insert(0, solve(factors, layer @ _normalised(fields[0], len(sides)), held))
+        fields.append(fields.pop(LAYER_BLOCKS))
+    for _ in range(blocks - 1):
+        ahead = system.mass[:, low, low] @ _normalised(fields[-1], len(sides))
+        fields.append(solve(factors, ahead, held))
+    ahead = load[:, high] - matrix(high, low) @ response
+    step = solve(factor(matrix(high, high), layout.n_all - layout.n), ahead, held)
+    bubble = -matrix(last, low) @ response
+    bubble_step = np.linalg.solve(matrix(last, last), bubble)
+    parts = (np.split(part, len(sides), axis=-1) for part in (
+        load[:, low], response, ahead, step, bubble, bubble_step
+    ))  # fmt: skip
+    split = [np.split(field, len(sides), axis=-1) for field in fields]
+    return [
+        Response(
+            fields=np.concatenate(blocks_of_side, axis=-1),
+            correction=np.concatenate([higher_step, inner_step], axis=1),
+            impedance=_dot(side_load, own),
+            by_degree=_dot(higher_load, higher_step),
+            by_element=inner_load.swapaxes(1, 2) @ inner_step,
         )
-    return found
+        for blocks_of_side, side_load, own, higher_load, higher_step, inner_load, inner_step in zip(
+            zip(*split, strict=True), *parts, strict=True
+        )
+    ]
 
 
-def _normalised(block: Array) -> Array:
-    """Return an orthonormal basis of a block's columns."""
-    return np.asarray(np.linalg.qr(block.reshape(-1, block.shape[-1]))[0].reshape(block.shape))
-
-
-def _applied(matrix: Array, field: Array) -> Array:
-    """Apply the elements' matrices (n_elements, j, i, k, l) to fields (n_elements, k, l, n)."""
-    n_elements, j, i, k, m = matrix.shape
-    flat = matrix.reshape(n_elements, j * i, k * m) @ field.reshape(n_elements, k * m, -1)
-    return flat.reshape(n_elements, j, i, -1)
+def _normalised(block: Array, n_sides: int) -> Array:
+    """Return a block with orthonormal columns for each side."""
+    flat = block.reshape(-1, block.shape[-1])
+    bases = [np.linalg.qr(part)[0] for part in np.split(flat, n_sides, axis=1)]
+    return np.concatenate(bases, axis=1).reshape(block.shape)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.tensordot(a, b, ((0, 1, 2), (0, 1, 2)))
+    return np.tensordot(a, b, ((0, 1), (0, 1)))

@@ -2,136 +2,107 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
+from numpy.typing import NDArray
 
 from acoustube.waves.spectral.polynomials import Array
 
-Factors = tuple[Any, Any]
 
-
-@dataclass(frozen=True, eq=False)
-class Condensed:
-    """Elements after static condensation of their interior unknowns.
+class Factors(NamedTuple):
+    """Elements without their interior unknowns, and their nodes eliminated from the last on.
 
     Attributes
     ----------
-    inside : list of tuple
-        Factors of each element's inner block.
+    matrix : ndarray
+        Of the elements, (n_elements, n_j n, n_j n).
+    inside : ndarray
+        Inverses of the elements' inner blocks, (n_elements, n_inner, n_inner).
     follow : ndarray
         Negative response of the interior unknowns to those of the two ends,
         (n_elements, n_inner, 2 n).
-    ends : ndarray
-        Condensed matrix (Schur complement) of both ends of each element, (n_elements, 2 n, 2 n).
+    nodes : ndarray
+        Inverses of the nodes' blocks, (n_elements + 1, n, n).
+    onwards : ndarray
+        Negative response of each node but the first to the one before it, (n_elements, n, n).
     """
 
-    inside: list[Factors]
+    matrix: Array
+    inside: Array
     follow: Array
-    ends: Array
+    nodes: Array
+    onwards: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """Factors of the nodes along the tube in the order of z.
-
-    Attributes
-    ----------
-    nodes : list of tuple
-    onwards : list of ndarray
-        Negative response of each node to the next, (n, n).
-    couplings : ndarray
-        Coupling matrix of each node to the next, (n_elements, n, n).
-    held : bool
-        True if the pressure at the first node is prescribed as zero.
-    """
-
-    nodes: list[Factors]
-    onwards: list[Array]
-    couplings: Array
-    held: bool
-
-
-def condense(matrix: Array) -> Condensed:
-    """Eliminate the interior unknowns of each element (static condensation).
+def factor(matrix: Array, n: int) -> Factors:
+    """Factor the matrix of a chain of elements.
 
     Parameters
     ----------
     matrix : ndarray
-        K - s M, (n_elements, n_j, n, n_j, n); the functions j = 0 and 1 are the ends'.
+        K - s M, (n_elements, n_j n, n_j n); the first two groups of n unknowns are the ends'.
+    n : int
+        Number of functions across the tube.
+
+    Notes
+    -----
+    By explicit inverses, which makes all that follows products of stacks of matrices. The first
+    node is the last to be eliminated, so that it can be held or free with the same factors.
     """
-    n_elements, n_j, n = matrix.shape[:3]
-    flat = matrix.reshape(n_elements, n_j * n, n_j * n)
     border = 2 * n
-    coupling = flat[:, border:, :border]
-    inside = [lu_factor(block, check_finite=False) for block in flat[:, border:, border:]]
-    follow = np.stack(
-        [lu_solve(f, c, check_finite=False) for f, c in zip(inside, coupling, strict=True)]
-    )
-    ends = flat[:, :border, :border] - coupling.swapaxes(1, 2) @ follow
-    return Condensed(inside, follow, ends)
+    coupling = matrix[:, border:, :border]
+    inside = np.linalg.inv(matrix[:, border:, border:])
+    follow = inside @ coupling
+    ends = matrix[:, :border, :border] - coupling.swapaxes(1, 2) @ follow
+    nodes = np.zeros((len(ends) + 1, n, n))
+    nodes[:-1] += ends[:, :n, :n]
+    nodes[1:] += ends[:, n:, n:]
+    onwards = np.empty((len(ends), n, n))
+    nodes[-1] = np.linalg.inv(nodes[-1])
+    for number in range(len(ends) - 1, -1, -1):
+        coupled = ends[number, :n, n:]
+        onwards[number] = nodes[number + 1] @ coupled.T
+        nodes[number] = np.linalg.inv(nodes[number] - coupled @ onwards[number])
+    return Factors(matrix, np.asarray(inside), np.asarray(follow), nodes, onwards)
 
 
-def eliminate(condensed: Condensed, *, held: bool) -> Chain:
-    """Factor the nodal system, with the pressure at the first node prescribed as zero or free."""
-    ends = condensed.ends
-    n_elements, n = len(ends), ends.shape[1] // 2
-    couplings = ends[:, :n, n:].copy()
-    diagonal = np.zeros((n_elements + 1, n, n))
-    diagonal[:-1] += ends[:, :n, :n]
-    diagonal[1:] += ends[:, n:, n:]
-    if held:
-        diagonal[0], couplings[0] = np.eye(n), 0.0
-    nodes: list[Factors] = []
-    onwards: list[Array] = []
-    for number, block in enumerate(diagonal):
-        if number:
-            block = block - couplings[number - 1].T @ onwards[-1]
-        nodes.append(lu_factor(block, check_finite=False))
-        if number < n_elements:
-            onwards.append(lu_solve(nodes[-1], couplings[number], check_finite=False))
-    return Chain(nodes, onwards, couplings, held)
-
-
-def solve(condensed: Condensed, chain: Chain, load: Array) -> Array:
+def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
     """Solve the factored system for load vectors.
 
     Parameters
     ----------
-    condensed : Condensed
-    chain : Chain
+    factors : Factors
     load : ndarray
-        Of each element, (n_elements, n_j, n, n_loads); a node's loads are summed.
+        Of each element, (n_elements, n_j n, n_loads); a node's loads are summed.
+    held : ndarray of bool
+        For which loads the pressure at the first node is prescribed as zero, (n_loads,).
 
     Returns
     -------
     ndarray
-        Of that shape; the value at a node is repeated in both of its elements.
+        Of the loads' shape; the value at a node is repeated in both of its elements.
+
+    Notes
+    -----
+    With one step of iterative refinement, without which inverses leave rough errors in the fields.
     """
-    n_elements, n_j, n, n_loads = load.shape
-    inner = load[:, 2:].reshape(n_elements, (n_j - 2) * n, n_loads)
-    border = load[:, :2].reshape(n_elements, 2 * n, n_loads)
-    border = border - condensed.follow.swapaxes(1, 2) @ inner
-    nodal = np.zeros((n_elements + 1, n, n_loads))
+    found = _solve_once(factors, load, held)
+    return found + _solve_once(factors, load - factors.matrix @ found, held)
+
+
+def _solve_once(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
+    n_elements, n = len(load), factors.nodes.shape[-1]
+    inner = load[:, 2 * n :]
+    border = load[:, : 2 * n] - factors.follow.swapaxes(1, 2) @ inner
+    nodal = np.zeros((n_elements + 1, n, load.shape[-1]))
     nodal[:-1] += border[:, :n]
     nodal[1:] += border[:, n:]
-    if chain.held:
-        nodal[0] = 0.0
-    for number, factors in enumerate(chain.nodes):
-        if number:
-            nodal[number] -= chain.couplings[number - 1].T @ nodal[number - 1]
-        nodal[number] = lu_solve(factors, nodal[number], check_finite=False)
     for number in range(n_elements - 1, -1, -1):
-        nodal[number] -= chain.onwards[number] @ nodal[number + 1]
-    if chain.held:
-        nodal[0] = 0.0
+        nodal[number] -= factors.onwards[number].T @ nodal[number + 1]
+    nodal = factors.nodes @ nodal
+    nodal[0][:, held] = 0.0
+    for number in range(n_elements):
+        nodal[number + 1] -= factors.onwards[number] @ nodal[number]
     both = np.concatenate([nodal[:-1], nodal[1:]], axis=1)
-    found = np.empty_like(load)
-    found[:, :2] = both.reshape(n_elements, 2, n, n_loads)
-    inner = np.stack(
-        [lu_solve(f, g, check_finite=False) for f, g in zip(condensed.inside, inner, strict=True)]
-    )
-    found[:, 2:] = (inner - condensed.follow @ both).reshape(n_elements, n_j - 2, n, n_loads)
-    return found
+    return np.concatenate([both, factors.inside @ inner - factors.follow @ both], axis=1)

@@ -15,9 +15,9 @@ LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
 """Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
 DEGREE_MARGIN = 3
-FIELDS_PER_WAVE = 2.2
+FIELDS_PER_WAVE = 1.2
 """Fields of the reduced space per standing wave that fits the lumen in the band."""
-SPARE_SHIFTS = 3
+SPARE_SHIFTS = 2
 GRADING = 1.4
 """Shifts are even in this power of the frequency."""
 

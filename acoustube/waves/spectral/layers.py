@@ -33,6 +33,8 @@ from acoustube.waves.spectral.sound import Air
 
 NARROW_SECTION = 60.0
 """Heights of a section, in viscous layers, under which the gaps are measured point by point."""
+MANY_LAYERS = 15.0
+"""Half widths in |D| from which the functions of the width are taken asymptotically."""
 SAMPLES = 10
 """Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
@@ -63,9 +65,15 @@ def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
     """Return f, from h, b and D; see the module's text. They are broadcast."""
-    argument = width / (2 * thickness)
-    tube = ive(1, argument) / ive(0, argument)
-    return np.asarray((1 - roundness) * np.tanh(argument) + roundness * tube)
+    argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
+    # Asymptotic to a relative 1e-7 where the air is many layers wide, as it mostly is.
+    inverse = 1 / argument
+    series = 0.5 + inverse * (0.125 + inverse * (0.125 + 0.195 * inverse))
+    found: Complex = np.array(1 - b * inverse * series)
+    few = argument.real < MANY_LAYERS
+    narrow, b = argument[few], b[few]
+    found[few] = (1 - b) * np.tanh(narrow) + b * ive(1, narrow) / ive(0, narrow)
+    return found
 
 
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:

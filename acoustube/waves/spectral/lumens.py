@@ -115,7 +115,8 @@ class Lines:
     def __init__(self, rings: Array) -> None:
         inner = rings[1:-1]
         self.knots = inner[..., 2].mean(axis=1)
-        self.coefficients = CubicSpline(self.knots, inner).c
+        pieces = CubicSpline(self.knots, inner).c
+        self.coefficients = np.ascontiguousarray(pieces.transpose(3, 0, 1, 2))
         self.rings = rings
 
     def __call__(self, z: Array) -> tuple[Array, Array, Array, Array]:
@@ -124,22 +125,22 @@ class Lines:
         height = np.broadcast_to(z[:, None], (len(z), len(low)))
         s = np.clip(height, self.knots[0], self.knots[-1])
         for _ in range(NEWTON_STEPS):
-            point, slope = self._at(s)
-            step = (np.clip(height, low, high) - point[..., 2]) / slope[..., 2]
+            there, along = self._at(s, 2)
+            step = (np.clip(height, low, high) - there) / along
             s = np.clip(s + step, self.knots[0], self.knots[-1])
             if np.abs(step).max() < 1e-13:
                 break
-        point, slope = self._at(s)
-        place, along = point[..., :2], slope[..., :2] / slope[..., 2:]
+        (x, x_s), (y, y_s), (_, z_s) = (self._at(s, axis) for axis in range(3))
+        place, along = np.stack([x, y], axis=-1), np.stack([x_s / z_s, y_s / z_s], axis=-1)
         for rim, end, beyond in ((1, 0, height < low), (-2, -1, height > high)):
             place, along = self._beyond(height, rim, end, beyond, place, along)
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
-    def _at(self, s: Array) -> tuple[Array, Array]:
-        """Return points (n, n_around, 3) and their derivatives with respect to mean ring height."""
+    def _at(self, s: Array, axis: int) -> tuple[Array, Array]:
+        """Return a coordinate (n, n_around) and its derivative by the mean height of the rings."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
-        t = (s - self.knots[piece])[..., None]
-        a, b, c, d = self.coefficients[:, piece, np.arange(s.shape[1])]
+        t = s - self.knots[piece]
+        a, b, c, d = self.coefficients[axis][:, piece, np.arange(s.shape[1])]
         return ((a * t + b) * t + c) * t + d, (3 * a * t + 2 * b) * t + c
 
     def _beyond(

@@ -26,6 +26,9 @@ from scipy.linalg import solve_triangular
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+CHUNK = 8
+"""Number of sections that are integrated over at a time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Polynomials:
@@ -132,10 +135,12 @@ def legendre(degree: int, x: Array) -> Array:
     """Return the Legendre polynomials, normalised to unit mean square, (degree + 1, ...)."""
     p = np.ones((degree + 1, *np.shape(x)))
     if degree > 0:
-        p[1] = x
+        np.multiply(x, np.sqrt(3), out=p[1])
     for n in range(1, degree):
-        p[n + 1] = ((2 * n + 1) * x * p[n] - n * p[n - 1]) / (n + 1)
-    return p * _norm(degree, x)
+        np.multiply(p[n], x, out=p[n + 1])
+        p[n + 1] *= np.sqrt((2 * n + 1) * (2 * n + 3)) / (n + 1)
+        p[n + 1] -= (n / (n + 1) * np.sqrt((2 * n + 3) / (2 * n - 1))) * p[n - 1]
+    return p
 
 
 def integrated_legendre(degree: int, x: Array) -> Array:
@@ -193,9 +198,25 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
     ndarray
         In m2, (n_sections, degree + 1, degree + 1).
     """
-    p = legendre(degree, x).transpose(1, 0, 2)
-    q = (integrated_legendre(degree, y) * (dx * height[:, None])).transpose(1, 2, 0)
-    return -np.matmul(p, q)
+    found = np.empty((len(x), degree + 1, degree + 2))
+    # Few sections at a time, so that their polynomials stay in the processor's cache.
+    for start in range(0, len(x), CHUNK):
+        few = slice(start, start + CHUNK)
+        p, q = legendre(degree, x[few]), legendre(degree + 1, y[few])
+        p *= dx[few]
+        np.matmul(p.transpose(1, 0, 2), q.transpose(1, 2, 0), out=found[few])
+    return -height[:, None, None] * (found @ _antiderivatives(degree).T)
+
+
+@lru_cache(maxsize=8)
+def _antiderivatives(degree: int) -> Array:
+    """Return the coefficients of the normalised polynomials' antiderivatives in the next ones."""
+    n = np.arange(degree + 1)
+    norm = np.sqrt(2 * np.arange(degree + 2) + 1.0)
+    found = np.zeros((degree + 1, degree + 2))
+    found[n, n + 1] = 1 / (norm[:-1] * norm[1:])
+    found[n[1:], n[:-1]] = -1 / (norm[1:-1] * norm[:-2])
+    return found
 
 
 def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:

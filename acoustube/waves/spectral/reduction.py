@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh, solve
+from numpy.typing import NDArray
+from scipy.linalg import eigh, solve, solve_triangular, svd
 
 from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.polynomials import Array
@@ -14,28 +15,40 @@ from acoustube.waves.spectral.ports import Complex
 DEPENDENCE_TOLERANCE = 1e-9
 """Relative norm of a field's component outside the span below which it is dropped."""
 
+SAMPLE_TOLERANCE = 1e-8
+"""The same for the span of solutions with losses at some frequencies."""
+MAX_MATRICES = 32
+"""Number of frequencies whose matrices are held at a time."""
+
 
 class Reduced(NamedTuple):
     """Galerkin projection for one parity along z.
 
     Attributes
     ----------
-    basis : ndarray
-        Coefficients of the orthonormal fields, (n, r).
+    fields : ndarray
+        Orthonormal fields of the basis, (n_elements, n_basis, n_fields).
+    corrections : ndarray
+        Orthonormal fields in the other functions of the enriched basis,
+        (n_elements, size - n_basis, n_corrections).
     stiffness, mass : ndarray
-        (r, r).
+        (r, r), r = n_fields + n_corrections.
     ports : ndarray
         (r, n_ports n_modes).
     """
 
-    basis: Array
+    fields: Array
+    corrections: Array
     stiffness: Array
     mass: Array
     ports: Array
 
     def first(self, n: int) -> Reduced:
         """Return the projection on the first n fields."""
-        return Reduced(self.basis[:, :n], self.stiffness[:n, :n], self.mass[:n, :n], self.ports[:n])
+        return self._replace(
+            fields=self.fields[..., :n], corrections=self.corrections[..., :0],
+            stiffness=self.stiffness[:n, :n], mass=self.mass[:n, :n], ports=self.ports[:n],
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
@@ -44,113 +57,170 @@ class Reduced(NamedTuple):
 
 
 def extended(system: Discretisation, before: Reduced | None, fields: Array) -> Reduced:
-    """Add fields (n_elements, n_j, n, n_fields) to a projection, or create one."""
-    n_elements, n_j, n = fields.shape[:3]
-    new = _unique(fields)
-    # Prescribed nodes and unused functions stay exactly zero, despite rounding.
-    used = np.abs(new).sum(axis=1, keepdims=True) > 0
-    new = new / np.linalg.norm(new, axis=0)
-    old = np.zeros((len(new), 0)) if before is None else before.basis
-    new = _orthonormal(new, old) * used
-    everywhere = _everywhere(new, fields.shape)
-    blocks = []
-    for matrix in (system.stiffness, system.mass):
-        applied = matrix.reshape(n_elements, n_j * n, n_j * n) @ everywhere
-        # Assembly: contributions of both neighbouring elements to a node are summed.
-        summed = _summed(applied.reshape(*fields.shape[:3], -1))
-        blocks.append((old.T @ summed, new.T @ summed))
-    ports = new.T @ _summed(system.load)
-    if before is None:
-        return Reduced(new, blocks[0][1], blocks[1][1], ports)
-    stiffness, mass = (
-        np.block([[matrix, cross], [cross.T, own]])
-        for matrix, (cross, own) in zip((before.stiffness, before.mass), blocks, strict=True)
-    )
-    return Reduced(
-        np.concatenate([before.basis, new], axis=-1), stiffness, mass,
-        np.concatenate([before.ports, ports]),
-    )  # fmt: skip
+    """Add fields (n_elements, n_basis, n_fields) to a projection without corrections."""
+    n = fields.shape[1]
+    nothing = np.zeros((len(fields), system.layout.size - n, 0))
+    old = fields[..., :0] if before is None else before.fields
+    new = _orthonormal(fields, old)
+    everything = np.concatenate([old, new], axis=-1)
+    found = []
+    for number, matrix in enumerate((system.stiffness, system.mass)):
+        own = _product(everything, matrix[:, :n, :n] @ new)
+        if before is not None:
+            # Only what the new fields add is computed.
+            known, size = (before.stiffness, before.mass)[number], old.shape[-1]
+            own = np.block([[known, own[:size]], [own[:size].T, own[size:]]])
+        found.append(own)
+    ports = _product(everything, system.load[:, :n])
+    return Reduced(everything, nothing, found[0], found[1], ports)
+
+
+def corrected(system: Discretisation, before: Reduced, corrections: Array) -> Reduced:
+    """Add corrections (n_elements, size - n_basis, n_corrections) to a projection without any."""
+    new = _orthonormal(corrections, corrections[..., :0])
+    return reassembled(system, before._replace(corrections=new))
 
 
 def reassembled(system: Discretisation, space: Reduced) -> Reduced:
     """Return the projection of another discretisation onto the same fields."""
-    fields = _everywhere(space.basis, system.mass.shape)
-    size = fields.shape[1]
-    stiffness, mass = (
-        np.tensordot(fields, matrix.reshape(-1, size, size) @ fields, ((0, 1), (0, 1)))
+    n = space.fields.shape[1]
+    found = [
+        _projected(matrix, space.fields, space.corrections)
         for matrix in (system.stiffness, system.mass)
+    ]
+    load = system.load
+    ports = [_product(space.fields, load[:, :n]), _product(space.corrections, load[:, n:])]
+    return Reduced(space.fields, space.corrections, found[0], found[1], np.concatenate(ports))
+
+
+def _projected(matrix: Array, fields: Array, corrections: Array) -> Array:
+    n = fields.shape[1]
+    own = _product(fields, matrix[:, :n, :n] @ fields)
+    cross = _product(fields, matrix[:, :n, n:] @ corrections)
+    return np.block(
+        [[own, cross], [cross.T, _product(corrections, matrix[:, n:, n:] @ corrections)]]
     )
-    return space._replace(stiffness=stiffness, mass=mass)
 
 
-def _unique(fields: Array) -> Array:
-    """Return fields as global unknowns, (n, n_fields): of an element all but its first end."""
-    first = fields[0, 0]
-    return np.concatenate([first, fields[:, 1:].reshape(-1, first.shape[-1])])
-
-
-def _everywhere(unknowns: Array, shape: tuple[int, ...]) -> Array:
-    """Return fields per element, (n_elements, n_j n, n_fields), from their global unknowns."""
-    n_elements, n_j, n = shape[:3]
-    fields = np.empty((n_elements, n_j, n, unknowns.shape[-1]))
-    fields[:, 1:] = unknowns[n:].reshape(n_elements, n_j - 1, n, -1)
-    fields[0, 0], fields[1:, 0] = unknowns[:n], fields[:-1, 1]
-    return fields.reshape(n_elements, n_j * n, -1)
-
-
-def _summed(loads: Array) -> Array:
-    """Assemble element loads into loads of the global unknowns, in the order of :func:`_unique`."""
-    total = loads[:, 1:].copy()
-    total[:-1, 0] += loads[1:, 0]
-    return np.concatenate([loads[0, 0], total.reshape(-1, loads.shape[-1])])
+def _product(a: Array, b: Array) -> Array:
+    """Return the products of all fields (n_elements, n, n_fields) with others."""
+    flat = a.shape[0] * a.shape[1]
+    return np.asarray(a.reshape(flat, a.shape[-1]).T @ b.reshape(flat, b.shape[-1]))
 
 
 def _orthonormal(new: Array, old: Array) -> Array:
-    """Orthonormalise fields (n, m) against the old ones, and drop linearly dependent ones."""
-    new, triangle = np.linalg.qr(new - old @ (old.T @ new))
+    """Orthonormalise fields against the old ones, and drop linearly dependent ones."""
+    shape = new.shape[:2]
+    flat = new.reshape(-1, new.shape[-1])
+    known = old.reshape(len(flat), old.shape[-1])
+    flat = flat / np.linalg.norm(flat, axis=0)
+    flat, triangle = np.linalg.qr(flat - known @ (known.T @ flat))
     # Not by the diagonal of R: a field dropped there would be missing from later ones.
     turned, size, _ = np.linalg.svd(triangle)
-    new = new @ turned[:, size > DEPENDENCE_TOLERANCE * size[0]]
-    return np.asarray(np.linalg.qr(new - old @ (old.T @ new))[0])
+    flat = flat @ turned[:, size > DEPENDENCE_TOLERANCE]
+    flat -= known @ (known.T @ flat)
+    # The second time by the Gram matrix, which is several times as fast.
+    factor = np.linalg.cholesky(flat.T @ flat)
+    flat = solve_triangular(factor, flat.T, lower=True, check_finite=False).T
+    return np.asarray(flat.reshape(*shape, flat.shape[1]))
 
 
-def lossy_impedance(
-    reduced: Reduced,
-    wall: list[Reduced],
-    losses: tuple[Complex, Complex],
-    wavenumber: Complex,
-    flux: Complex,
-) -> Complex:
-    """Return the response of the ports' lossy modes in 1/m, (n_frequencies, n, n).
+class LossyModel(NamedTuple):
+    """A lumen with layers in the coordinates of its lossless modes.
 
-    Parameters
+    At a wavenumber k its matrix is diag(`square`) - k^2 less the walls' parts times their losses.
+
+    Attributes
     ----------
-    reduced : Reduced
-    wall : list of Reduced
-        Integrals over the wall in the same fields, one for each function of the place.
-    losses : tuple of ndarray
-        Factors of their stiffness and of their mass in m, (n_frequencies, n_parts).
-    wavenumber : ndarray
-        Of free sound in the air in 1/m, (n_frequencies,).
-    flux : ndarray
-        What the flux of each lossy mode has of the lossless ones, (n_frequencies, n, n).
+    square : ndarray
+        Squared wavenumbers of the modes in 1/m2, (r,).
+    ports : ndarray
+        (r, n_ports n_modes).
+    stiffness, mass : ndarray
+        Of the wall, one for each function of the place, (n_parts, r, r).
     """
+
+    square: Array
+    ports: Array
+    stiffness: Array
+    mass: Array
+
+
+class LossyBand(NamedTuple):
+    """What a lossy response needs to know of each frequency.
+
+    Attributes
+    ----------
+    wavenumber : ndarray
+        Of free sound in the air in 1/m, (n,).
+    viscous, thermal : ndarray
+        Factors of the wall's stiffness and of its mass in m, (n, n_parts).
+    flux : ndarray
+        What the flux of each lossy mode has of the lossless ones, (n, n_ports n_modes, ...).
+    """
+
+    wavenumber: Complex
+    viscous: Complex
+    thermal: Complex
+    flux: Complex
+
+    def at(self, which: NDArray[np.intp]) -> LossyBand:
+        """Return the data of some frequencies."""
+        return LossyBand(*(part[which] for part in self))
+
+
+def lossy_model(reduced: Reduced, wall: list[Reduced]) -> LossyModel:
+    """Return a lumen with layers from its lossless part and its wall's integrals."""
     square, vector = eigh(
         *((part + part.T) / 2 for part in (reduced.stiffness, reduced.mass)), check_finite=False
     )
-    ports = vector.T @ reduced.ports
     stiffness, mass = (
         np.stack([vector.T @ part @ vector for part in parts])
         for parts in ([q.stiffness for q in wall], [q.mass for q in wall])
     )
-    found = np.empty(flux.shape, complex)
-    diagonal = np.diag_indices(len(square))
-    for number, k in enumerate(wavenumber):
-        viscous, thermal = losses[0][number], k**2 * losses[1][number]
-        matrix = -np.tensordot(viscous, stiffness, 1) - np.tensordot(thermal, mass, 1)
-        matrix[diagonal] += square - k**2
-        load = ports @ flux[number]
-        found[number] = load.T @ solve(matrix, load, check_finite=False, overwrite_a=True)
+    return LossyModel(square, vector.T @ reduced.ports, stiffness, mass)
+
+
+def lossy_fields(model: LossyModel, band: LossyBand) -> Complex:
+    """Return the fields (n_frequencies, r, n_ports n_modes) of the loads of the lossy modes."""
+    found = np.empty((len(band.wavenumber), *model.ports.shape), complex)
+    diagonal = np.diag_indices(len(model.square))
+    for number, (k, viscous, thermal, flux) in enumerate(zip(*band, strict=True)):
+        matrix = -np.tensordot(viscous, model.stiffness, 1)
+        matrix -= np.tensordot(k**2 * thermal, model.mass, 1)
+        matrix[diagonal] += model.square - k**2
+        found[number] = solve(matrix, model.ports @ flux, check_finite=False, overwrite_a=True)
+    return found
+
+
+def lossy_impedance(model: LossyModel, band: LossyBand, fields: Complex) -> Complex:
+    """Return the response of the ports' lossy modes in 1/m, (n_frequencies, n, n).
+
+    Parameters
+    ----------
+    model : LossyModel
+    band : LossyBand
+    fields : ndarray
+        Solutions at some of the frequencies, (n_samples, r, n), in whose span those at the others
+        are sought; the matrix being symmetric, each counts as a field on both sides.
+    """
+    columns = fields.transpose(1, 0, 2).reshape(len(model.square), -1)
+    turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    span = turned[:, size > SAMPLE_TOLERANCE * size[0]]
+    load = span.T @ model.ports
+    one, own = span.T @ span, (span.T * model.square) @ span
+    walls = np.stack([span.T @ part @ span for part in [*model.stiffness, *model.mass]])
+    flat = np.concatenate([[own, one], walls]).reshape(2 + len(walls), -1)
+    square = band.wavenumber[:, None] ** 2
+    factors = np.concatenate(
+        [np.ones_like(square), -square, -band.viscous, -square * band.thermal], axis=1
+    )
+    found = np.empty(band.flux.shape, complex)
+    for start in range(0, len(found), MAX_MATRICES):
+        few = slice(start, start + MAX_MATRICES)
+        matrices = (factors[few] @ flat).reshape(-1, *one.shape)
+        right = load @ band.flux[few]
+        found[few] = right.swapaxes(1, 2) @ np.linalg.solve(matrices, right)
     return found
 
 

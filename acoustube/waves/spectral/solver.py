@@ -22,15 +22,16 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
-    DEGREE_INCREASE,
     LAYER_BLOCKS,
+    DEGREE_INCREASE,
     SPARE_POINTS,
     Discretisation,
     Response,
@@ -49,7 +50,7 @@ from acoustube.waves.spectral.ports import (
     port_modes,
     scattering_of,
 )
-from acoustube.waves.spectral.reduction import Reduced, extended, impedance, reassembled
+from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance, reassembled
 from acoustube.waves.spectral.result import SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
@@ -62,13 +63,17 @@ KRYLOV_BLOCKS = 3
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
 ADAPTATION_TOLERANCE = 0.25
-"""Fraction of the tolerance for each of the three errors while the basis is adapted."""
+"""Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
 COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
-CORRECTION_SAFETY = 2.0
-"""Safety factor on a correction, which neglects its own effect on the basis."""
-EXTRA_GAUSS_POINTS = 3
-"""Additional Gauss points along an element for the final matrices."""
+ROUGHNESS_RATIO = 0.25
+"""Elements are split whose integrals change by so much of the largest change with more points."""
+QUANTILE = 0.95
+"""Share of the frequencies at which the error is to be within the tolerance."""
+ERROR_WINDOW = 5
+"""Frequencies on either side whose errors count at one: an error may pass through zero."""
+MAX_POINT_DOUBLINGS = 2
+"""Largest number of times that the Gauss points along an element are doubled."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 MAX_ADAPTATIONS = 8
@@ -203,51 +208,80 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    basis, wanted, spare = (
-        first_basis(wall, odd, k, KRYLOV_BLOCKS),
-        ADAPTATION_TOLERANCE * tolerance,
-        SPARE_POINTS,
-    )
+    basis, wanted = first_basis(wall, odd, k, KRYLOV_BLOCKS), tolerance
     for _ in range(MAX_SOLUTIONS):
-        system, basis, responses = _adapted(task, odd, basis, wanted, spare)
+        system, basis, responses = _adapted(task, odd, basis, wanted)
         spaces, rough, error, sizes = _swept(system, basis, responses, k, tolerance)
-        finer = discretise(
-            wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(k[-1]),
-            spare_points=spare + EXTRA_GAUSS_POINTS,
-        )  # fmt: skip
-        fine = [reassembled(finer, space) for space in spaces]
-        s = _scattering(finer, fine, k)
-        by_points = _difference(system, s, rough, k)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        if task.lossy or (error + by_points).max() <= tolerance:
+        finer, fine, s, by_points, spare = _integrated(task, odd, basis, system, spaces, rough)
+        error = maximum_filter1d(error + by_points, 2 * ERROR_WINDOW + 1)
+        typical = float(np.quantile(error, QUANTILE))
+        if task.lossy or typical <= tolerance:
             break
-        # Narrow resonances amplify errors that are small at the shifts.
-        if by_points.max() > ADAPTATION_TOLERANCE * tolerance:
-            spare += 2 * EXTRA_GAUSS_POINTS
-        if error.max() > ADAPTATION_TOLERANCE * tolerance:
-            wanted *= min(0.5 * tolerance / error.max(), 0.3)
+        # Resonances amplify errors that are small at the probes.
+        wanted *= 0.5 * tolerance / typical
+        if np.quantile(by_points, QUANTILE) > ADAPTATION_TOLERANCE * tolerance:
+            change = np.linalg.norm(finer.stiffness - system.stiffness, axis=(1, 2))
+            basis = replace(
+                basis, edges=split(basis.edges, change > ROUGHNESS_RATIO * change.max())
+            )
     kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
     if task.lossy:
         series, walls = wall_projections(
-            finer, fine, wall, basis.edges, basis.degree, odd, ELEMENT_DEGREE + spare,
+            finer, fine, wall, basis.edges, basis.degree, odd, ELEMENT_DEGREE + SPARE_POINTS,
             task.frequency, task.air,
         )  # fmt: skip
         sides, kz, lacking = lossy_scattering(
             finer, fine, walls, series, task.frequency, task.air, sizes
         )
-        s, error = of_both_ports(sides), CORRECTION_SAFETY * lacking
+        s, error = of_both_ports(sides), lacking + by_points
     moved = np.zeros_like(s)
     if task.velocity is not None:
         where = (
             basis.edges,
-            ELEMENT_DEGREE + spare + EXTRA_GAUSS_POINTS,
+            ELEMENT_DEGREE + spare,
             polynomials(basis.degree + DEGREE_INCREASE, odd),
         )
         all_kz = np.tile(kz, (1, len(system.ports)))
         moved = of_both_ports(moved_scattering(finer, fine, wall, *where, task.velocity, k, all_kz))
     s, moved, names, zeros = _at_reference(s, moved, kz, system, task)
     n_fields = spaces[0].size
-    return _Part(names, zeros, s, moved, error + by_points, basis, n_fields, system.heights)
+    return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
+
+
+def _integrated(
+    task: _Task,
+    odd: bool | None,
+    basis: Basis,
+    system: Discretisation,
+    spaces: list[Reduced],
+    before: Complex,
+) -> tuple[Discretisation, list[Reduced], Complex, Array, int]:
+    """Return matrices of more points in the same fields, with S, and what the points change.
+
+    Features of the wall that the points miss are not resolved by the elements either, so that all
+    changes count, not only the last.
+    """
+    spare, largest = SPARE_POINTS, np.zeros(len(task.k))
+    for _ in range(MAX_POINT_DOUBLINGS):
+        spare += ELEMENT_DEGREE + spare
+        finer = discretise(
+            task.wall,
+            basis.edges,
+            basis.degree,
+            ELEMENT_DEGREE,
+            odd,
+            float(task.k[-1]),
+            spare_points=spare,
+        )
+        fine = [reassembled(finer, space) for space in spaces]
+        s = _scattering(finer, fine, task.k)
+        change = _difference(system, s, before, task.k)
+        largest = np.maximum(largest, change)
+        if np.quantile(change, QUANTILE) <= ADAPTATION_TOLERANCE * task.tolerance:
+            break
+        before = s
+    return finer, fine, s, largest, spare
 
 
 def _at_reference(
@@ -268,23 +302,17 @@ def _at_reference(
 
 
 def _adapted(
-    task: _Task, odd: bool | None, basis: Basis, wanted: float, spare: int
+    task: _Task, odd: bool | None, basis: Basis, wanted: float
 ) -> tuple[Discretisation, Basis, dict[float, list[Response]]]:
     """Raise the degree and split elements until both errors at the probes are as wanted."""
     shifts = basis.shifts
     probes = shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
     for _ in range(MAX_ADAPTATIONS):
         system = discretise(
-            task.wall,
-            basis.edges,
-            basis.degree,
-            ELEMENT_DEGREE,
-            odd,
-            float(task.k[-1]),
-            spare_points=spare,
+            task.wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(task.k[-1])
         )
         if task.lossy:
-            where = basis.edges, basis.degree, odd, ELEMENT_DEGREE + spare
+            where = basis.edges, basis.degree, odd, ELEMENT_DEGREE + SPARE_POINTS
             system = with_layers(system, task.wall, *where)
         responses = {float(shift): respond(system, float(shift), KRYLOV_BLOCKS) for shift in probes}
         by_degree, by_element = _errors(system, responses)
@@ -314,8 +342,8 @@ def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> t
             changes = np.concatenate([side.by_degree[None], side.by_element])
             changed = changed_scattering(side.impedance[None], changes, kz)
             largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2))
-            by_degree = max(by_degree, CORRECTION_SAFETY * float(largest[0]))
-            by_element = np.maximum(by_element, CORRECTION_SAFETY * largest[1:])
+            by_degree = max(by_degree, float(largest[0]))
+            by_element = np.maximum(by_element, largest[1:])
     return by_degree, by_element
 
 
@@ -354,11 +382,11 @@ def _swept(
             break
     corrections = [[r[side].correction for r in responses.values()] for side in range(len(spaces))]
     spaces = [
-        extended(system, space, _side_by_side(c, slice(None)))
+        corrected(system, space, _side_by_side(c, slice(None)))
         for space, c in zip(spaces, corrections, strict=True)
     ]
     richest = _scattering(system, spaces, k)
-    lacking = CORRECTION_SAFETY * _difference(system, richest, now, k)
+    lacking = _difference(system, richest, now, k)
     error = lacking + _difference(system, now, before, k)
     return spaces, richest, error, sizes
 
