@@ -3,8 +3,8 @@
 Reading order: `polynomials`, `walls` and `lumens` (what is integrated over), `assembly` (stiffness
 and mass), `ports` (modes of the ends), `elimination` (direct solution along the tube),
 `discretisation` (a basis and a richer one), `reduction` (many frequencies at once), `boundary`,
-`layers` and `lossy` (losses), `derivatives`, and `partition`, `first_basis` and `solver` (what is
-chosen, and the error).
+`layers` and `lossy` (losses), `derivatives`, and `partition`, `first_basis`, `band` and `solver`
+(what is chosen, and the error).
 """
 
 from acoustube.waves.spectral.lumens import wall_of

@@ -28,9 +28,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from acoustube.waves.spectral.band import (
+    ADAPTATION_TOLERANCE,
+    KRYLOV_BLOCKS,
+    difference,
+    scattering_at,
+    swept,
+)
 from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
-    LAYER_BLOCKS,
     DEGREE_INCREASE,
     SPARE_POINTS,
     Discretisation,
@@ -48,9 +54,8 @@ from acoustube.waves.spectral.ports import (
     changed_scattering,
     of_both_ports,
     port_modes,
-    scattering_of,
 )
-from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance, reassembled
+from acoustube.waves.spectral.reduction import Reduced, reassembled
 from acoustube.waves.spectral.result import SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
@@ -58,12 +63,8 @@ from acoustube.waves.spectral.walls import Wall
 ELEMENT_DEGREE = 7
 """Polynomial degree along an element."""
 MAX_DEGREE = 16
-KRYLOV_BLOCKS = 3
-"""Number of blocks of the Krylov space at each shift."""
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
-ADAPTATION_TOLERANCE = 0.25
-"""Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
 COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
 ROUGHNESS_RATIO = 0.25
@@ -209,14 +210,14 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
     basis, wanted = first_basis(wall, odd, k, KRYLOV_BLOCKS), tolerance
-    for _ in range(MAX_SOLUTIONS):
+    for number in range(MAX_SOLUTIONS):
         system, basis, responses = _adapted(task, odd, basis, wanted)
-        spaces, rough, error, sizes = _swept(system, basis, responses, k, tolerance)
+        spaces, rough, error, sizes = swept(system, basis, responses, k, tolerance)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
         finer, fine, s, by_points, spare = _integrated(task, odd, basis, system, spaces, rough)
         error = maximum_filter1d(error + by_points, 2 * ERROR_WINDOW + 1)
         typical = float(np.quantile(error, QUANTILE))
-        if task.lossy or typical <= tolerance:
+        if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
         # Resonances amplify errors that are small at the probes.
         wanted *= 0.5 * tolerance / typical
@@ -275,8 +276,8 @@ def _integrated(
             spare_points=spare,
         )
         fine = [reassembled(finer, space) for space in spaces]
-        s = _scattering(finer, fine, task.k)
-        change = _difference(system, s, before, task.k)
+        s = scattering_at(finer, fine, task.k)
+        change = difference(system, s, before, task.k)
         largest = np.maximum(largest, change)
         if np.quantile(change, QUANTILE) <= ADAPTATION_TOLERANCE * task.tolerance:
             break
@@ -345,73 +346,3 @@ def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> t
             by_degree = max(by_degree, float(largest[0]))
             by_element = np.maximum(by_element, largest[1:])
     return by_degree, by_element
-
-
-def _swept(
-    system: Discretisation,
-    basis: Basis,
-    responses: dict[float, list[Response]],
-    k: Array,
-    tolerance: float,
-) -> tuple[list[Reduced], Complex, Array, list[int]]:
-    """Return the richest space of each side, S, its errors, and sizes without the last shift."""
-    for shift in basis.shifts:
-        if float(shift) not in responses:
-            responses[float(shift)] = respond(system, float(shift), KRYLOV_BLOCKS)
-    fields = [[r[side].fields for r in responses.values()] for side in range(len(system.sides))]
-    n_blocks = KRYLOV_BLOCKS + LAYER_BLOCKS * (system.layers is not None)
-    kept = (n_blocks - 1) * fields[0][0].shape[-1] // n_blocks
-    spaces = [extended(system, None, _side_by_side(f, slice(None, kept))) for f in fields]
-    before = _scattering(system, spaces, k)
-    spaces = [
-        extended(system, space, _side_by_side(f, slice(kept, None)))
-        for space, f in zip(spaces, fields, strict=True)
-    ]
-    now = _scattering(system, spaces, k)
-    for _ in range(MAX_ADAPTATIONS):
-        doubt = _difference(system, now, before, k)
-        shift = _worst(k, doubt, np.array(list(responses)))
-        responses[shift] = respond(system, shift, KRYLOV_BLOCKS)
-        before, sizes = now, [space.size for space in spaces]
-        spaces = [
-            extended(system, space, response.fields)
-            for space, response in zip(spaces, responses[shift], strict=True)
-        ]
-        now = _scattering(system, spaces, k)
-        if _difference(system, now, before, k).max() <= ADAPTATION_TOLERANCE * tolerance:
-            break
-    corrections = [[r[side].correction for r in responses.values()] for side in range(len(spaces))]
-    spaces = [
-        corrected(system, space, _side_by_side(c, slice(None)))
-        for space, c in zip(spaces, corrections, strict=True)
-    ]
-    richest = _scattering(system, spaces, k)
-    lacking = _difference(system, richest, now, k)
-    error = lacking + _difference(system, now, before, k)
-    return spaces, richest, error, sizes
-
-
-def _side_by_side(fields: list[Array], columns: slice) -> Array:
-    return np.concatenate([field[..., columns] for field in fields], axis=-1)
-
-
-def _worst(k: Array, doubt: Array, shifts: Array) -> float:
-    """Return the squared wavenumber of largest estimated error, away from the shifts so far."""
-    gap = np.diff(np.sort(shifts)).min()
-    away = np.abs(k[:, None] ** 2 - shifts).min(axis=1) > 0.1 * gap
-    if not away.any():
-        return float(np.sort(shifts)[-2:].mean())
-    return float(k[np.argmax(np.where(away, doubt, -1.0))] ** 2)
-
-
-def _difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:
-    """Return the largest difference of propagating coefficients at each wavenumber."""
-    travels = k[:, None] * system.radius > system.modes.zeros
-    both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
-    return np.asarray(np.where(both, np.abs(a - b), 0.0).max(axis=(1, 2, 3, 4)))
-
-
-def _scattering(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
-    kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
-    return of_both_ports([scattering_of(impedance(space, k), kz) for space in spaces])
