@@ -75,7 +75,7 @@ def live(
     port : str
         Serial port, such as /dev/ttyACM0.
     out : Path
-        Table to write (CSV), which must be new; a row is on the disk with its cycle.
+        Table to write (CSV), which must be new; each row is written as its cycle arrives.
     duration : float
         Duration in s; without it until the line ends or an interrupt.
     """

@@ -51,7 +51,7 @@ def reproduce(
         table of Figs. 4 and 5 and of Tables I and II, the sleeve on a mannequin's and on a human
         arm of Figs. 6 and 7; and the reach of EchoTube by bore; or all.
     out : Path
-        Folder to write; one that was begun by this command is finished.
+        Folder to write, or to resume.
     quick : bool
         Few presses on a coarse grid, as a test of the installation; the numbers mean little.
     """

@@ -44,8 +44,8 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
     for column, values in enumerate(targets.T):
         if is_constant(values):
             raise ConfigError(
-                f"target {column} is {values[0]:g} in all rows, and nothing can be learned of it; "
-                "record different ones"
+                f"target {column} is {values[0]:g} in all rows, so that it cannot be estimated; "
+                "record different values"
             )
     return x, targets
 

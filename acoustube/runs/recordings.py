@@ -214,7 +214,7 @@ def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
 
 
 def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[object]]:
-    """Return a row of :data:`COLUMNS` for each cycle, the first of which has a number.
+    """Return a row of :data:`COLUMNS` for each cycle, given the number of the first.
 
     The ranging is one of several cycles or of a single one.
     """

@@ -348,7 +348,7 @@ def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dic
 
 
 def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
-    """Return all peaks; the rows of a source end with fewer of them end in nan."""
+    """Return all peaks of each source end, padded with nan."""
     most = max(result.echoes.times.size for result in results)
     dims, rows = "source_end peak", np.full((3, len(results), most), np.nan)
     for i, result in enumerate(results):

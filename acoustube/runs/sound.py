@@ -246,7 +246,7 @@ def _duration(settings: SISettings, air: Air) -> float:
 
 
 def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:
-    """Return a progress function for one of the runs, `done` of which are over."""
+    """Return the progress function of one source end, after `done` others."""
     return lambda part: progress((done + part) / len(SOURCE_ENDS))
 
 

@@ -18,7 +18,7 @@ from acoustube.indentation.reference_element import HEX20, TET10
 from acoustube.runs.config import Mechanics, configured
 from acoustube.runs.config.si import press_in_si
 
-SAME = 1e-9
+COINCIDENT_DISTANCE = 1e-9
 """Largest distance in m between coincident nodes."""
 
 
@@ -52,7 +52,7 @@ def mesh_of(run: xr.Dataset) -> Mesh:
         points=points,
         elements=run["element_node"].values,
         reference=HEX20 if run.sizes["corner"] == len(HEX20.nodes) else TET10,
-        halved=(bool(low[0] > -SAME), bool(low[2] > -SAME)),
+        halved=(bool(low[0] > -COINCIDENT_DISTANCE), bool(low[2] > -COINCIDENT_DISTANCE)),
         **faces,
     )
 
@@ -79,7 +79,10 @@ def indentation_of(run: xr.Dataset) -> Indentation:
         halved=indenter.halves,
     )
     stored = run["node_position"].values
-    if stored.shape != mesh.points.shape or np.abs(stored - mesh.points).max() > SAME:
+    if (
+        stored.shape != mesh.points.shape
+        or np.abs(stored - mesh.points).max() > COINCIDENT_DISTANCE
+    ):
         raise ConfigError(
             "the run was written by a version of acoustube that made another mesh; repeat the run"
         )

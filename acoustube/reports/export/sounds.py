@@ -70,6 +70,6 @@ def labels(data: xr.Dataset) -> pd.DataFrame:
 
 
 def episodes(table: pd.DataFrame) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return the numbers of the cycles with which another press or session begins."""
+    """Return the index of the first cycle of each press and session."""
     names = (table["press"] + "/" + table["session"]).to_numpy()
     return np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))

@@ -105,7 +105,7 @@ def round_tube(bore: float, wall: float, reach: float) -> Shape:
 
 
 def strip(number: Index) -> Index:
-    """Return triangles of an open sheet of points, from their numbers (n, m)."""
+    """Return the triangles of a sheet of points, given the grid (n, m) of their indices."""
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
 
@@ -115,7 +115,7 @@ def _closed(outline: Array) -> Array:
 
 
 def underside(press: Indenter, x: Array, z: Array) -> Array:
-    """Return the height of an indenter's lower side above its lowest point, in m; nan beside it.
+    """Return the height in m of an indenter's lower side above its lowest point; nan outside.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def simulate_cases(
 
 
 def placed(settings: SISettings, matrix: Scattering | None) -> list[PlacedScatterer]:
-    """Return the presses of a case: its one press in its air, or none of an untouched tube."""
+    """Return the press of a case at its place, in its air; none for an untouched tube."""
     if matrix is None:
         return []
     return [PlacedScatterer(at_sound_speed(matrix, settings.air.sound_speed), settings.position)]

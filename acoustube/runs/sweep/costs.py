@@ -46,7 +46,7 @@ def case_cost(cases: Sequence[Case]) -> float:
 
 
 def _lengths(cases: Sequence[Case]) -> float:
-    """Return the length in m of the cases' tubes together."""
+    """Return the total tube length of the cases in m."""
     return sum(case.settings.tube.length for case in cases)
 
 

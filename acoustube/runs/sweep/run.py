@@ -195,7 +195,7 @@ def work_of(
     share: tuple[int, int],
     retry: bool,
 ) -> Work:
-    """Return the remaining work of some cases, or of one of several equal parts of them."""
+    """Return the remaining work of some cases, or of one shard of them."""
     paths = load_paths(cases)
     mine = shard(paths, *share)
     finished = mine & set(found.finished)

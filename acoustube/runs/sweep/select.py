@@ -69,7 +69,7 @@ def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
 
 
 def envelope_of(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances in m and the envelope there."""
+    """Return the distances in m of an envelope, and the envelope."""
     settings, recording, ranging = ranged(case)
     delay = recording.time - float(ranging.send_time)
     away = signals.distance(delay, settings.temperature) + settings.probe

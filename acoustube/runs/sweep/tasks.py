@@ -88,7 +88,7 @@ class PressPath(NamedTuple):
 
 
 def untouched(settings: SIPress) -> Pressed:
-    """Return a tube before it is pressed."""
+    """Return an undeformed tube."""
     bore = settings.tube.inner_diameter
     return Pressed(0.0, bore, bore, np.pi * bore**2 / 4, closed=False, part=None)
 

@@ -194,7 +194,7 @@ def count_of(workers: int | Workers | None) -> int:
 def run_tasks(
     tasks: Iterable[Task], workers: Workers | Executor, width: int, tick: Callable[[], None]
 ) -> None:
-    """Run tasks and those that follow from them.
+    """Run tasks and their follow-up tasks.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss, poly
 from acoustube.waves.spectral.walls import Contours, Wall
 
 WALL_DEGREE = 4
-"""Degree up to which as many points round the tube are taken: integrands are small corrections."""
+"""Degree that limits the number of points round the tube: the integrands are small corrections."""
 
 
 class WallPoints(NamedTuple):
