@@ -96,12 +96,8 @@ def test_file_holds_the_calibration(calibration):
 def test_other_files_are_no_calibration(tmp_path):
     (tmp_path / "other.toml").write_text("[tube]\nlength_cm = 40\n")
     (tmp_path / "broken.toml").write_text("[calibration\n")
-    for name, words in (
-        ("other.toml", "is not a calibration"),
-        ("broken.toml", "is not valid TOML: Expected"),
-        ("missing.toml", "cannot be read .No such file"),
-    ):
-        with pytest.raises(ConfigError, match=f"{name} {words}"):
+    for name in ("other.toml", "broken.toml", "missing.toml"):
+        with pytest.raises(ConfigError, match=f"{name} is not a calibration"):
             load(tmp_path / name)
 
 

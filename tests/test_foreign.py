@@ -13,15 +13,20 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from commands import run_here
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from acoustube import recordings, signals
 from acoustube.base.console import ConsoleReporter, plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed, read_document
+from acoustube.base.netcdf import MARK, Seal, seal_of, write_dataset
 from acoustube.base.surfaces import read_lumen
 from acoustube.recordings.markers import read_markers
+from acoustube.runs.opening import ORDER, open_dataset
 from acoustube.signals.calibration import Calibration, Estimate
 
 DAMAGED = Path(__file__).parent / "data" / "damaged"
@@ -293,3 +298,57 @@ def test_absurd_numbers_in_a_calibration_are_a_sentence(tmp_path, name, value):
     assert "Traceback" not in told.stderr
     assert "c.toml" in told.stderr or "a.npz" in told.stderr
     assert "; " in told.stderr
+
+
+def result(path):
+    """A dataset of cycles, as `acoustube dataset` writes it."""
+    cycles = np.random.default_rng(0).integers(0, 4096, (5, 400))
+    labels = {"press": list("abcde"), "temperature": np.full(5, 20.0)}
+    data = xr.Dataset({"signal": (("cycle", "time"), cycles)}, attrs={"sampling_rate": 2e5})
+    write_dataset(data.assign({n: ("cycle", v) for n, v in labels.items()}), path)
+    return path
+
+
+@given(share=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
+@settings(max_examples=30, deadline=None)
+def test_one_changed_bit_of_a_result_is_found_before_hdf5_opens_it(tmp_path_factory, share, bit):
+    path = result(tmp_path_factory.mktemp("a") / "cycles-1.nc")
+    content = bytearray(path.read_bytes())
+    # But for the mark at the end, without which a file is one of an earlier version.
+    content[int(share * (len(content) - len(MARK) - 32))] ^= 1 << bit
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"cycles-1\.nc is damaged: its bytes are not those wr"):
+        open_dataset(path)
+
+
+def test_results_of_earlier_versions_open_and_damaged_ones_are_refused(tmp_path):
+    path = result(tmp_path / "cycles-1.nc")
+    assert seal_of(path) is Seal.INTACT
+    old = path.read_bytes()[: -len(MARK) - 32]
+    path.write_bytes(old)
+    assert seal_of(path) is Seal.NONE
+    assert open_dataset(path).sizes["cycle"] == 5
+    path.write_bytes(old[: len(old) // 2])
+    with pytest.raises(ConfigError, match=r"cycles-1\.nc cannot be read as a result .*; repeat"):
+        open_dataset(path)
+
+
+@pytest.mark.parametrize(
+    "command", ["show . --html a.html", "export . --format stl --out new", "cite ."]
+)
+@pytest.mark.parametrize("name", ["run.nc", "cases-1.nc", "cycles-1.nc"])
+@pytest.mark.parametrize("what", ["other names", "odd settings", "zeros"])
+def test_foreign_and_odd_results_are_a_sentence(tmp_path, command, name, what):
+    names = (*ORDER, "signal", "node_position", "lumen_face")
+    odd = {n: (("press",), np.arange(2.0)) for n in names} | {
+        "configuration": ("press", ["[" * 20_000, '{"tube": 1}'])
+    }
+    data = xr.Dataset({"x": 1.0} if what == "other names" else odd, attrs={"configuration": "[]"})
+    data.to_netcdf(tmp_path / name, engine="h5netcdf")
+    if what == "zeros":
+        (tmp_path / name).write_bytes(bytes(5000))
+    told = run_here(*command.split())
+    assert told.returncode == 2, told.stdout
+    (line,) = told.stderr.splitlines()
+    assert "; " in line
+    assert len(line) < 800

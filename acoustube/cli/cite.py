@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 from zipfile import is_zipfile
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.limits import reading
 from acoustube.cli._options import FLAG
 from acoustube.cli.references import TOPICS, Reference, references
 
@@ -69,7 +69,8 @@ def topics_of(result: Path) -> set[str]:
         path = result / "run.nc"
         return _of_text(_attributes(path).get("configuration"), path)
     if (result / "sleeve.csv").is_file() and (result / "layout.txt").is_file():
-        fitted = (result / "layout.txt").read_text(encoding="utf-8").startswith("markers")
+        with (result / "layout.txt").open("rb") as file:
+            fitted = file.read(7) == b"markers"
         return {"arm"} if fitted else set()
     if result.is_file() and is_zipfile(result):  # as NumPy's archives are, whatever their name
         from acoustube.estimation import load
@@ -105,18 +106,18 @@ def _of_sweep(result: Path) -> set[str]:
         return {
             "press", "air", "losses", "absorber", "grid", "scattering", "cascade", "rangefinder",
         }  # fmt: skip
-    texts = data["configuration"].values if "configuration" in data else [None]
+    with reading(result, "is damaged", "repeat acoustube sweep, which computes it again"):
+        texts = data["configuration"].values if "configuration" in data else [None]
     return set().union(*(_of_text(text, result) for text in texts))
 
 
 def _of_text(text: Any, source: Path) -> set[str]:
     """Return the topics of a run's methods from its settings as JSON; None without settings."""
-    try:
-        return _of_settings(json.loads(str(text)))
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ConfigError(
-            f"{source} holds no settings of acoustube; name what a command of it wrote"
-        ) from error
+    from acoustube.base.foreign.results import settings_in
+
+    with reading(source, "holds no settings of acoustube", "name what a command of it wrote"):
+        return _of_settings(settings_in(text, source))
+    raise AssertionError  # unreachable: the block returns or raises
 
 
 def _of_settings(settings: dict[str, Any]) -> set[str]:
@@ -139,8 +140,10 @@ def _of_settings(settings: dict[str, Any]) -> set[str]:
 def _attributes(path: Path) -> dict[str, Any]:
     import h5py
 
-    try:
-        with h5py.File(path) as file:
-            return dict(file.attrs)
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read ({error}); name an intact result") from error
+    from acoustube.base.foreign.results import check_result
+
+    advice = "name an intact result"
+    check_result(path, advice)
+    with reading(path, "cannot be read", advice), h5py.File(path) as file:
+        return dict(file.attrs)
+    raise AssertionError  # unreachable: the block returns or raises

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_out, partial_folder, publish
+from acoustube.base.foreign.limits import OF_CONTENT, reading
 from acoustube.cli._options import Output
 
 if TYPE_CHECKING:
@@ -65,7 +66,9 @@ def export(
             f"format = {kind} does not fit {results}, which is {IN_WORDS[of]}; use "
             f"{' or '.join(formats)}{advice}"
         )
-    with partial_folder(out) as partial:
+    advice = "repeat the command that wrote it"
+    damaged = reading(results, "is damaged or no result of acoustube", advice, OF_CONTENT)
+    with partial_folder(out) as partial, damaged:
         found = _write(data, results, kind or formats[0], partial)
         folder = publish(partial, out)
     output.console().print(f"{found} written to {folder}.", soft_wrap=True, highlight=False)
@@ -73,8 +76,7 @@ def export(
 
 def _opened(where: Path) -> xr.Dataset:
     """Open a result of any kind."""
-    import xarray as xr
-
+    from acoustube.base.foreign.results import open_result
     from acoustube.runs.opening import PATTERNS, open_dataset
 
     if not where.exists():
@@ -85,13 +87,7 @@ def _opened(where: Path) -> xr.Dataset:
         return open_dataset(where)
     if not path.is_file():
         raise ConfigError(f"{where} holds no result of acoustube; name {NAMEABLE}")
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            return file.load()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ConfigError(
-            f"{path} cannot be read as a result ({' '.join(str(error).split())}); name {NAMEABLE}"
-        ) from error
+    return open_result(path, f"name {NAMEABLE}")
 
 
 def _kind(data: xr.Dataset, where: Path) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
+from acoustube.base.foreign.limits import reading
 from acoustube.base.writing import write_all
 from acoustube.cli._options import Output, check_picture
 
@@ -73,10 +74,7 @@ def _figure(where: Path, out: Path) -> tuple[bytes, int]:
     cases = open_dataset(where)
     if "press" not in cases.dims:
         raise ConfigError(f"{where} is a dataset of cycles; name the folder of a sweep")
-    try:
-        cases = cases.load()
-    except (OSError, RuntimeError) as error:
-        raise ConfigError(
-            f"{where} holds a damaged file; repeat the command acoustube sweep to recompute it"
-        ) from error
-    return picture(sweep_figure.figure(cases), out), cases.sizes["press"]
+    advice = "repeat the command acoustube sweep to recompute it"
+    with reading(where, "holds a damaged file", advice):
+        drawn = sweep_figure.figure(cases.load())
+    return picture(drawn, out), cases.sizes["press"]

@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import check_result
 
 ORDER = (
     "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
@@ -21,7 +23,7 @@ PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
 """Result files of a folder, by the dimension along which they are joined."""
 
 
-def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
+def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = True) -> xr.Dataset:
     """Open a sweep or a dataset of cycles, or several, as one.
 
     Parameters
@@ -29,6 +31,9 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
     where : str, path or several
         Folders that ``acoustube sweep`` or ``acoustube dataset`` wrote, their files, or patterns
         such as ``"runs/*"``.
+    verify : bool
+        Whether the bytes of each file are hashed first, at about 1 GB/s, and a damaged one is
+        refused; False for a large dataset that was verified before.
 
     Returns
     -------
@@ -40,7 +45,8 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
     Raises
     ------
     ConfigError
-        If there is nothing, or sweeps and datasets are mixed.
+        If there is nothing, a file is damaged or another program's, or sweeps and datasets are
+        mixed.
 
     Examples
     --------
@@ -61,39 +67,43 @@ def open_dataset(where: str | Path | Iterable[str | Path]) -> xr.Dataset:
             f"{where} holds sweeps and datasets, which have different dimensions; open one kind"
         )
     (dimension,) = kinds
+    command = "sweep" if dimension == "press" else "dataset"
+    advice = f"repeat acoustube {command}, which computes it again"
     for path in paths:
-        _check_file(path, dimension)
-    found = xr.open_mfdataset(
-        paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
-        data_vars="minimal", coords="minimal", compat="override", combine_attrs="drop_conflicts",
-    )  # fmt: skip
-    for internal in ("content", "scattering", "walls"):
-        found.attrs.pop(internal, None)
-    if dimension == "press":
-        return _sorted(found.drop_duplicates("press"))
-    if "sampling_rate" not in found.attrs:
-        raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
-    return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
+        _check_file(path, dimension, advice, verify=verify)
+    with reading(str(paths[0].parent), "cannot be read", advice):
+        found = xr.open_mfdataset(
+            paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
+            data_vars="minimal", coords="minimal", compat="override",
+            combine_attrs="drop_conflicts",
+        )  # fmt: skip
+        for internal in ("content", "scattering", "walls"):
+            found.attrs.pop(internal, None)
+        if dimension == "press":
+            return _sorted(found.drop_duplicates("press"))
+        if "sampling_rate" not in found.attrs:
+            raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
+        return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
+    raise AssertionError  # unreachable: the block returns or raises
 
 
-def _check_file(path: Path, dimension: str) -> None:
+def _check_file(path: Path, dimension: str, advice: str, *, verify: bool) -> None:
     """Reject a file that is damaged, or that another program wrote under such a name."""
     import h5py
 
+    if verify:
+        check_result(path, advice)
     needed = ORDER if dimension == "press" else ("press", "signal")
-    try:
-        with h5py.File(path) as file:
-            missing = [name for name in needed if name not in file]
-    except OSError as error:
-        command = "sweep" if dimension == "press" else "dataset"
-        raise ConfigError(
-            f"{path} is damaged ({error}); repeat acoustube {command}, which computes it again"
-        ) from error
+    with reading(path, "is damaged", advice), h5py.File(path) as file:
+        missing = [name for name in needed if not isinstance(file.get(name), h5py.Dataset)]
+        of_length = [file[name].shape[:1] for name in needed if name not in missing]
     if missing:
         raise ConfigError(
             f"{path} is not a file of acoustube sweep or dataset (it has no {missing[0]}); move it "
             "elsewhere"
         )
+    if len(set(of_length)) > 1:
+        raise ConfigError(f"{path} is damaged: its columns differ in length; {advice}")
 
 
 def _sorted(cases: xr.Dataset) -> xr.Dataset:

@@ -9,6 +9,8 @@ from typing import Any
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import open_result
 from acoustube.base.netcdf import flag, variable
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering
@@ -72,14 +74,11 @@ def read(path: str | Path) -> Scattering:
     """
     if not Path(path).is_file():
         raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as file:
-            return from_dataset(file.load())
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{path} is not a file of this version's acoustube scatter "
-            f"({' '.join(str(error).split())}); write one with it"
-        ) from error
+    advice = "write one with acoustube scatter"
+    failure = "is not a file of this version's acoustube scatter"
+    with reading(path, failure, advice):
+        return from_dataset(open_result(path, advice, failure))
+    raise AssertionError  # unreachable: the block returns or raises
 
 
 def from_dataset(data: xr.Dataset) -> Scattering:

@@ -100,7 +100,7 @@ def load(path: str | Path) -> Calibration:
         If the file cannot be read or is not a calibration.
     """
     with reading(path, "is not a calibration", "acoustube calibrate writes one"):
-        document = read_document(path)
+        document = _document(path)
         found, fits = document["calibration"], dict[str, Any]()
         for name in _FITS:
             value, deviation = found[name]
@@ -112,6 +112,13 @@ def load(path: str | Path) -> Calibration:
             raise ValueError("sampling_rate must be over twice the cutoff")
         return Calibration(processing=processing, **fits)
     raise AssertionError  # unreachable: the block returns or raises
+
+
+def _document(path: str | Path) -> dict[str, Any]:
+    try:
+        return read_document(path)
+    except ConfigError as error:  # of any kind: the sentence says what it should be
+        raise ValueError(str(error).removeprefix(f"{path} ")) from error
 
 
 def _processing(given: Mapping[str, Any]) -> Processing:

@@ -35,6 +35,12 @@ VARIABLE = "ACOUSTUBE_LIMITS"
 RAISE = "give --limits FACTOR to raise the limits"
 """What to do about a file that exceeds a limit."""
 
+OF_CONTENT = (
+    ArithmeticError, AttributeError, LookupError, MemoryError, NotImplementedError, RecursionError,
+    TypeError, ValueError,
+)  # fmt: skip
+"""Errors of a result whose content is not what its names say."""
+
 _KINDS = {
     stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISCHR: "a device",
     stat.S_ISBLK: "a device", stat.S_ISSOCK: "a socket",
@@ -146,7 +152,12 @@ def check_name(path: str | Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def reading(path: str | Path, failure: str, advice: str) -> Iterator[None]:
+def reading(
+    path: str | Path,
+    failure: str,
+    advice: str,
+    errors: type[Exception] | tuple[type[Exception], ...] = Exception,
+) -> Iterator[None]:
     """Turn any failure of reading a file into one sentence, and silence libraries' warnings.
 
     Parameters
@@ -156,6 +167,8 @@ def reading(path: str | Path, failure: str, advice: str) -> Iterator[None]:
         What the sentence says of the file, such as "is not a model".
     advice : str
         What to do.
+    errors : type or tuple of type, optional
+        Errors of reading; :data:`OF_CONTENT` where files are written too.
 
     Raises
     ------
@@ -168,7 +181,7 @@ def reading(path: str | Path, failure: str, advice: str) -> Iterator[None]:
     except ConfigError:
         raise
     # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
-    except Exception as error:
+    except errors as error:
         raise ConfigError(f"{path} {failure} ({reason(error)}); {advice}") from error
 
 

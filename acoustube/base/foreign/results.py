@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,10 @@ from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed
 from acoustube.base.netcdf import Seal, seal_of
 
+FAILURE = "cannot be read as a result"
 
-def check_result(path: str | Path, advice: str) -> None:
+
+def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
     """Raise if a result is damaged, or no netCDF-4 file.
 
     Files with a seal (:mod:`acoustube.base.netcdf`) are hashed. Others, of earlier versions or of
@@ -25,13 +26,15 @@ def check_result(path: str | Path, advice: str) -> None:
     path : str or Path
     advice : str
         What to do about a damaged file.
+    failure : str
+        What the sentence says of a file that cannot be read.
 
     Raises
     ------
     ConfigError
     """
     limits.check_file(path, "result")
-    with limits.reading(path, "cannot be read as a result", advice):
+    with limits.reading(path, failure, advice):
         seal = seal_of(path)
         if seal is Seal.BROKEN:
             raise ConfigError(f"{path} is damaged: its bytes are not those written; {advice}")
@@ -39,42 +42,23 @@ def check_result(path: str | Path, advice: str) -> None:
             child.read("survey", Path(path), "result")
 
 
-def open_result(
-    path: str | Path, advice: str, needed: Iterable[str] = (), group: str | None = None
-) -> xr.Dataset:
-    """Return a result in memory, checked.
+def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
+    """Return a result in memory, checked; see :func:`check_result`.
 
     Parameters
     ----------
     path : str or Path
-    advice : str
-        What to do about a damaged file, or one without what is needed.
-    needed : iterable of str
-        Variables and attributes that it must have.
-    group : str, optional
-        Group of the file.
+    advice, failure : str
 
     Raises
     ------
     ConfigError
     """
-    check_result(path, advice)
-    with limits.reading(path, "cannot be read as a result", advice):
-        with xr.open_dataset(path, engine="h5netcdf", group=group) as file:
-            data = file.load()
-        if missing := [n for n in needed if n not in data.variables and n not in data.attrs]:
-            raise ConfigError(f"{path} is no such result, it has no {missing[0]}; {advice}")
-        return data
-
-
-def attributes(path: str | Path, advice: str) -> dict[str, Any]:
-    """Return the attributes of a result, checked.
-
-    Raises
-    ------
-    ConfigError
-    """
-    return dict(open_result(path, advice).attrs)
+    check_result(path, advice, failure)
+    opening = limits.reading(path, failure, advice)
+    with opening, xr.open_dataset(path, engine="h5netcdf") as file:
+        return file.load()
+    raise AssertionError  # unreachable: the block returns or raises
 
 
 def settings_in(text: Any, source: str | Path) -> dict[str, Any]:

@@ -14,6 +14,8 @@ import xarray as xr
 
 from acoustube import signals
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import check_result, settings_in
 from acoustube.base.units import CM
 from acoustube.reports.page.content import (
     PULSED,
@@ -35,6 +37,8 @@ from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import select, store
 from acoustube.waves.network import at_sound_speed
 
+ADVICE = "repeat the command acoustube sweep to recompute it"
+"""What to do about a damaged file."""
 MOST_CASES = 400
 """Largest number of cases of a page; of more, some places are omitted."""
 UNTOUCHED_REACH = 0.08
@@ -66,7 +70,7 @@ def read_sweep(folder: Path) -> Content:
     ConfigError
         If it has no finished case, or a damaged file.
     """
-    try:
+    with reading(folder, "holds a damaged file", ADVICE):
         cases = list(_cases(folder))
         if not cases:
             raise ConfigError(
@@ -75,12 +79,6 @@ def read_sweep(folder: Path) -> Content:
             )
         groups, notes = limited(_grouped(cases))
         states, described = _states([case for group in groups.values() for case in group])
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(
-            f"{folder} holds a damaged file; repeat the command acoustube sweep to recompute it"
-        ) from error
     shared, varying = _shared([case.config for group in groups.values() for case in group])
     return Content(
         title=f"{folder.resolve().name}: a soft tube, pressed {len(states)} times",
@@ -97,13 +95,14 @@ def _cases(folder: Path) -> Iterator[Found]:
     """Yield each case once."""
     seen: set[str] = set()
     for path in sorted(folder.glob(PATTERNS["press"])):
+        check_result(path, ADVICE)
         # Without xarray, which takes a tenth of a second per file.
         with h5py.File(path) as file:
             names, settings = (file[name].asstr()[:] for name in ("press", "configuration"))
         for name, text in zip(names, settings, strict=True):
             if str(name) not in seen:
                 seen.add(str(name))
-                yield Found(str(name), configured(json.loads(str(text))), path)
+                yield Found(str(name), configured(settings_in(text, path)), path)
 
 
 def _grouped(cases: Sequence[Found]) -> dict[Key, list[Found]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,8 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import open_result, settings_in
 from acoustube.base.units import CM, MM
 from acoustube.reports.page.content import (
     PRESSED,
@@ -48,27 +49,23 @@ def read_run(folder: Path) -> Content:
     ConfigError
         If the file is damaged or something else.
     """
-    try:
-        with xr.open_dataset(folder / RUN, engine="h5netcdf") as file:
-            data = file.load()
+    path, advice = folder / RUN, "write one with either command"
+    failure = "is damaged or no run of acoustube simulate or indent"
+    with reading(path, failure, advice):
+        data = open_result(path, advice, failure)
         simulated = "source_end" in data.dims
-        settings = json.loads(data.attrs["configuration"])
+        settings = settings_in(data.attrs["configuration"], path)
         if simulated:
             group = _simulated(data, configured(settings))
         else:
             group = _indented(data, configured(settings, Mechanics))
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{folder / RUN} is damaged or no run of acoustube simulate or indent "
-            f"({' '.join(str(error).split())}); write one with either command"
-        ) from error
     return Content(
         title=f"{folder.resolve().name}: a soft tube, pressed",
         lead=PULSED if simulated else PRESSED,
         groups=[group],
         settings=settings,
         origin=_origin(data),
-        notes=[note for note in data.attrs["warnings"].splitlines() if note],
+        notes=[note for note in str(data.attrs.get("warnings", "")).splitlines() if note],
         missing=_missing(data, simulated),
     )
 

@@ -21,6 +21,7 @@ import xarray as xr
 
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, check_writable
+from acoustube.base.foreign.results import check_result
 from acoustube.base.netcdf import to_netcdf
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
@@ -126,6 +127,7 @@ def _names(path: Path) -> list[str] | None:
 def intact(path: Path) -> xr.Dataset | None:
     """Return the dataset of a file, or None if the file is damaged."""
     try:
+        check_result(path, "")
         data, matrix = read(path)
         return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
     except Exception:  # a damaged file fails in many ways, and all mean the same
