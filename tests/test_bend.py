@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
@@ -189,8 +190,7 @@ def test_flattened_straight_bore_delays_its_modes_as_their_cut_ons_move(side):
 
 
 def test_flattening_that_is_none_is_refused():
-    with pytest.raises(ConfigError, match="must be positive and curvature"):
-        Bent(length=0.0, curvature=1.0)
+    refused(lambda: Bent(length=0.0, curvature=1.0), setting="length", value=0.0)
 
 
 def test_more_modes_change_a_wrapped_tube_by_less_than_a_ten_thousandth():
@@ -210,20 +210,20 @@ def test_modes_of_a_press_can_be_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("setting", "given", "value"),
     [
-        ({"bend_radius": 0.004}, ["bend_radius = 4 mm is too sharp", "4.158 mm or more"]),
-        ({"angle": 0}, ["angle = 0 must be positive"]),
-        ({"radius": -1}, ["radius = -1"]),
-        ({"highest": 4.0}, ["frequency = 50000 Hz", "raise highest"]),
-        ({"modes": ("00", "99c")}, ["modes = 99c", "raise highest"]),
+        ("bend_radius", 0.004, 0.004),
+        ("angle", 0, 0),
+        ("radius", -1, -1),
+        ("highest", 4.0, 4.0),
+        ("modes", ("00", "99c"), "99c"),
     ],
 )
-def test_bends_that_cannot_be_are_refused(changes, words):
-    with pytest.raises(ConfigError) as refusal:
-        bend(AIR, BAND, **{"radius": RADIUS, **WRAP, **changes})
-    for word in words:
-        assert word in str(refusal.value)
+def test_bends_that_cannot_be_are_refused(setting, given, value):
+    words = {"radius": RADIUS, **WRAP, setting: given}
+    error = refused(lambda: bend(AIR, BAND, **words), setting=setting, value=value)
+    if setting == "bend_radius":
+        assert error.allowed[0] == pytest.approx(4.158e-3, rel=1e-3)
 
 
 def test_frequencies_that_fall_are_refused():

@@ -81,9 +81,10 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:
         raise ConfigError(
-            f"force = {outside[0]:.4g} N is not between 0 and {path[-1]:.4g} N, which the path "
-            f"reaches at {MM * indentation.depth[-1]:.4g} mm; press deeper"
-        )
+            f"is not between 0 and {path[-1]:.4g} N, which the path reaches at "
+            f"{MM * indentation.depth[-1]:.4g} mm", setting="force", value=float(outside[0]),
+            unit="N", allowed=(0.0, float(path[-1])), advice="press deeper",
+        )  # fmt: skip
     rising = np.concatenate([[True], path[1:] > np.maximum.accumulate(path)[:-1]])
     table = np.stack(_along(indentation), axis=1)[rising]
     found = PchipInterpolator(path[rising], table)(wanted)

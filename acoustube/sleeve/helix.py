@@ -358,4 +358,4 @@ def _newton_step(tube: Helix, x: Array, y: Array, height: Array, z: Array) -> An
 
 def _check_positive(name: str, value: float, advice: str) -> None:
     if not 0 < value < np.inf:
-        raise ConfigError(f"{name} = {value} must be positive; {advice}")
+        raise ConfigError("must be positive", setting=name, value=value, advice=advice)

@@ -45,9 +45,10 @@ def ovality(tube: Tube, curvature: float) -> float:
     found = (1 - tube.poisson_ratio**2) * (curvature * mean**2 / tube.wall_thickness) ** 2
     if found > COLLAPSE:
         raise ConfigError(
-            f"curvature = {curvature:.4g} 1/m flattens the tube by {100 * found:.0f} %, and from "
-            f"{100 * COLLAPSE:.0f} % on it kinks; wrap it less tightly, or take a thicker wall"
-        )
+            f"flattens the tube by {100 * found:.0f} %, and it kinks from {100 * COLLAPSE:.0f} %",
+            setting="curvature", value=curvature, unit="1/m",
+            advice="wrap it less tightly, or take a thicker wall",
+        )  # fmt: skip
     return found * mean / (tube.inner_diameter / 2)
 
 

@@ -93,9 +93,9 @@ class Bent:
     def __post_init__(self) -> None:
         if not (0 < self.length < np.inf and 0 <= self.curvature < np.inf):
             raise ConfigError(
-                f"length = {self.length} m must be positive and curvature = {self.curvature} 1/m "
-                "must be 0 or positive, both finite"
-            )
+                f"must be positive and curvature = {self.curvature} 1/m zero or positive",
+                setting="length", value=self.length, unit="m", advice="give finite numbers",
+            )  # fmt: skip
 
 
 def bend(
@@ -243,12 +243,14 @@ def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
     """Validate bore radius, bend radius and angle."""
     for name, value in (("radius", radius), ("bend_radius", bend_radius), ("angle", angle)):
         if not 0 < value < np.inf:
-            raise ConfigError(f"{name} = {value} must be positive; give m, and rad for the angle")
+            advice = "give m, and rad for the angle"
+            raise ConfigError("must be positive", setting=name, value=value, advice=advice)
     if radius > LARGEST_CURVATURE * bend_radius:
         raise ConfigError(
-            f"bend_radius = {1e3 * bend_radius:.4g} mm is too sharp for a bore radius of "
-            f"{1e3 * radius:.4g} mm; use {1e3 * radius / LARGEST_CURVATURE:.4g} mm or more"
-        )
+            f"is too sharp for a bore radius of {radius:.4g} m", setting="bend_radius",
+            value=bend_radius, unit="m", allowed=(radius / LARGEST_CURVATURE, np.inf),
+            advice=f"use {radius / LARGEST_CURVATURE:.4g} m or more",
+        )  # fmt: skip
 
 
 def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> None:
@@ -257,10 +259,10 @@ def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> N
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
         raise ConfigError(
-            f"frequency = {frequency[-1]:g} Hz needs modes up to j' = "
-            f"{2 * pi * frequency[-1] * radius / air.sound_speed / 0.8:.3g}, not highest = "
-            f"{highest:g}; raise highest"
-        )
+            f"is too low for {frequency[-1]:g} Hz", setting="highest", value=highest,
+            advice="use "
+            f"{2 * pi * frequency[-1] * radius / air.sound_speed / 0.8:.3g} or more",
+        )  # fmt: skip
 
 
 def _result_modes(
@@ -273,9 +275,9 @@ def _result_modes(
     unknown = [name for name in wanted if name not in bore.names]
     if unknown:
         raise ConfigError(
-            f"modes = {', '.join(unknown)} are not among those computed, {', '.join(bore.names)}; "
-            "raise highest"
-        )
+            f"are not among those computed, {', '.join(bore.names)}", setting="modes",
+            value=", ".join(unknown), allowed=tuple(bore.names), advice="raise highest",
+        )  # fmt: skip
     return tuple(wanted)
 
 
