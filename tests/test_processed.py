@@ -1,6 +1,7 @@
 """The commands process and calibrate on files, as a user meets them."""
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -243,3 +244,56 @@ def test_recording_that_fails_in_a_later_piece_leaves_no_rows(names, monkeypatch
     assert {row["file"] for row in rows} == (set() if alone else {"b.npz"})
     assert len(rows) == (0 if alone else len(DISTANCES))
     assert (captured.out == "") is alone
+
+
+def with_lead(cycles, lead, noise=0.0):
+    """The same cycles of a recorder that starts `lead` samples before the send pulse."""
+    random = np.random.default_rng(3)
+    quiet = np.median(cycles) + noise * np.ptp(cycles) * random.standard_normal((len(cycles), lead))
+    return np.concatenate([quiet, cycles], axis=1)[:, : cycles.shape[1]]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("lead", [1, 60, 333, 1000])
+@pytest.mark.parametrize("how", ["given", "auto"])
+def test_send_pulse_is_found_where_the_recorder_started_before_it(lead, noise, how):
+    """Distances to the sample (0.9 mm), and the lead to half a carrier cycle."""
+    places = DISTANCES[DISTANCES < 1.2]
+    cycles = cycles_at(places, noise=noise)
+    save("a.npz", cycles)
+    save("b.npz", with_lead(cycles, lead, noise))
+    start = f"{1e3 * lead / RATE}" if how == "given" else "auto"
+    words = ("process", "a.npz", "--prominence", 0.1)
+    known = [float(row["distance_cm"]) for row in rows_of(run_here(*words).stdout)]
+    told = run_here("process", "b.npz", "--prominence", 0.1, "--pulse-at", start)
+    assert told.returncode == 0, told.stderr
+    found = [float(row["distance_cm"]) for row in rows_of(told.stdout)]
+    assert found == pytest.approx(known, abs=100 * 343 / 2 / RATE)
+    (at,) = re.findall(r"b.npz: the send pulse starts ([-\d.]+) ms after the first", told.stderr)
+    assert float(at) == pytest.approx(1e3 * lead / RATE, abs=0.5e3 / 42e3)
+
+
+def test_distances_are_wrong_without_the_lead_and_the_note_says_what_to_give():
+    save("b.npz", with_lead(cycles_at(DISTANCES, height=2.0), 1000))
+    told = run_here("process", "b.npz", "--prominence", 0.1)
+    assert "if the recorder starts before that pulse, give --pulse-at MS" in " ".join(
+        told.stderr.split()
+    )
+
+
+def test_lead_that_cannot_be_is_refused():
+    cycles = cycles_at(DISTANCES)
+    apart = [with_lead(one[None], 100 * i)[0] for i, one in enumerate(cycles)]
+    save("apart.npz", np.array(apart))
+    save("late.npz", cycles[:, 35:])
+    save("a.npz", cycles)
+    for name, start, words in (
+        ("apart.npz", "auto", "% of the cycles, so the send pulse cannot be found; give --pulse"),
+        ("late.npz", "auto", "before the first sample; record earlier"),
+        ("a.npz", "30", "pulse-at = 30 is after the last sample; use less than 19.995 ms"),
+        ("a.npz", "-1", "pulse-at = -1 is out of range; use 0 to 1e+06 ms"),
+        ("a.npz", "soon", "--pulse-at"),
+    ):
+        told = run_here("process", name, "--pulse-at", start)
+        assert told.returncode == 2
+        assert words in " ".join(told.stderr.split())

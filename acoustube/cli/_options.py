@@ -226,6 +226,26 @@ class Recording(Checked):
     samples: Annotated[int | None, WHOLE, Number(2, 1e12, "", "per cycle", whole=True)] = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Lead:
+    """Start of the send pulse in each cycle, where a recorder starts before it.
+
+    Attributes
+    ----------
+    pulse_at : float or "auto"
+        Time in ms from the first sample to the start of the send pulse; auto finds one that all
+        cycles share; by default time zero of the recording.
+    """
+
+    pulse_at: Literal["auto"] | float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the time."""
+        if self.pulse_at not in (None, "auto"):
+            Number(0, 1e6, "ms", "from the first sample").check("pulse-at", self.pulse_at)
+
+
 def checked_folder(out: Path | None, command: str) -> Path:
     """Return the folder to write, checked, by default named after the command."""
     return check_out(out if out is not None else fresh_folder(command))

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.writing import write_all
-from acoustube.cli._options import Output, Recording, check_files
+from acoustube.cli._options import Lead, Output, Recording, check_files
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,6 +33,7 @@ def calibrate(
     name: str | None = None,
     sigmas: float = 2.8,
     recording: Recording = Recording(),
+    lead: Lead = Lead(),
     figure: Path | None = None,
     output: Output = Output(),
 ) -> None:
@@ -68,7 +69,7 @@ def calibrate(
     from acoustube.signals.calibration_file import in_toml
 
     console = output.console()
-    closed, free = (_together(paths, recording) for paths in (blocked, untouched))
+    closed, free = (_together(paths, recording, lead) for paths in (blocked, untouched))
     _check_alike(closed, free, blocked[0])
     try:
         found = signals.calibrate(
@@ -122,17 +123,22 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path) -> None:
             )
 
 
-def _together(paths: Sequence[Path], options: Recording) -> xr.Dataset:
+def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Dataset:
     """Return the cycles of several recordings as one."""
     import xarray as xr
 
     from acoustube import recordings
+    from acoustube.runs.recordings import aligned
+    from acoustube.signals import Processing
 
     parts = []
-    for _, data in recordings.read_all(paths, **dataclasses.asdict(options)):
+    for path, data in recordings.read_all(paths, **dataclasses.asdict(options)):
         if isinstance(data, ConfigError):
             raise data
-        parts.append(data)
+        try:
+            parts.append(aligned(data, lead.pulse_at, Processing())[0])
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from error
     rates = {float(part.attrs["sampling_rate"]) for part in parts}
     lengths = {part.sizes["time"] for part in parts}
     if len(rates) > 1 or len(lengths) > 1:

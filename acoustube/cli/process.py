@@ -11,7 +11,7 @@ from acoustube.base.console import ConsoleReporter, failure
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
-from acoustube.cli._options import Output, Ranging, Recording, check_files
+from acoustube.cli._options import Lead, Output, Ranging, Recording, check_files
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,6 +28,7 @@ def process(
     *files: Path,
     ranging: Ranging = Ranging(),
     recording: Recording = Recording(),
+    lead: Lead = Lead(),
     out: Path | None = None,
     figure: Path | None = None,
     output: Output = Output(),
@@ -47,7 +48,14 @@ def process(
         raise ConfigError("process needs a file or a folder; name one or more")
     check_files(out=out, figure=figure)
     from acoustube import recordings
-    from acoustube.runs.recordings import COLUMNS, LABEL_COLUMNS, chosen, opened, process_recording
+    from acoustube.runs.recordings import (
+        COLUMNS,
+        LABEL_COLUMNS,
+        aligned,
+        chosen,
+        opened,
+        process_recording,
+    )
 
     known, settings = chosen(ranging.calibration, ranging.prominence)
     report = ConsoleReporter(output.console(stderr=out is None))
@@ -60,6 +68,7 @@ def process(
             try:
                 if isinstance(data, ConfigError):
                     raise data
+                data, begins = aligned(data, lead.pulse_at, settings)
                 found = process_recording(path, data, known, settings, report, check)
             except (ConfigError, ValueError) as error:
                 failures += 1
@@ -68,7 +77,7 @@ def process(
             writer.writerows([*header, *found.rows])  # as a whole, or not at all
             header = []
             n_cycles, n_found = n_cycles + len(found.rows), n_found + found.n_detected
-            _note_recording(path, data, found, report)
+            _note_recording(path, data, found, begins, report)
             if figure is not None and not pictures and found.first is not None:
                 pictures[figure] = _drawn(data, settings, *found.first, figure)
         if failures and not n_cycles:
@@ -92,13 +101,17 @@ def _print_failure(path: Path, error: Exception) -> None:
     failure(named, "not processed")
 
 
-def _note_recording(path: Path, data: xr.Dataset, found: Processed, report: Reporter) -> None:
-    """Report the limits of a recording."""
+def _note_recording(
+    path: Path, data: xr.Dataset, found: Processed, begins: float | None, report: Reporter
+) -> None:
+    """Report the limits of a recording, and the start of its send pulse in s, where given."""
     notes = str(data.attrs.get("warnings", "")).splitlines()
+    if begins is not None:
+        notes.append(f"the send pulse starts {1e3 * begins:.3f} ms after the first sample")
     if found.loudest > LOUD:
         notes.append(
-            f"an echo is {found.loudest:.3g} times as high as the send pulse: does each cycle "
-            "begin when the pulse leaves?"
+            f"an echo is {found.loudest:.3g} times as high as the send pulse; if the recorder "
+            "starts before that pulse, give --pulse-at MS, or --pulse-at auto"
         )
     for words in notes:
         report.note(f"{path}: {words}")

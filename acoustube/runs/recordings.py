@@ -145,6 +145,47 @@ class Processed(NamedTuple):
     first: tuple[int, Ranging] | None
 
 
+def aligned(
+    data: xr.Dataset, pulse_at: str | float | None, how: Processing
+) -> tuple[xr.Dataset, float | None]:
+    """Return a recording whose time is zero at the start of the send pulse, and its lead.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        From :func:`acoustube.recordings.read`.
+    pulse_at : float, "auto" or None
+        Time in ms from the first sample to the send pulse; "auto" finds a constant one; None
+        leaves the time as it is.
+    how : Processing
+
+    Returns
+    -------
+    data : xarray.Dataset
+    lead : float or None
+        In s, from the first sample.
+
+    Raises
+    ------
+    ValueError
+        If the pulse cannot be found, or lies outside the record.
+    """
+    if pulse_at is None:
+        return data, None
+    time = data["time"].values - data["time"].values[0]
+    lead = (
+        signals.find_lead(time, data["signal"].values, how)
+        if isinstance(pulse_at, str)
+        else pulse_at / MS
+    )
+    if not lead < time[-1]:
+        raise ConfigError(
+            "is after the last sample", setting="pulse-at", value=pulse_at,
+            advice=f"use less than {MS * time[-1]:.6g} ms",
+        )  # fmt: skip
+    return data.assign_coords(time=data["time"].copy(data=time - lead)), lead
+
+
 def process_recording(
     path: Path,
     data: xr.Dataset,

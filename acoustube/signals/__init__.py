@@ -5,7 +5,7 @@ Localization and Force Sensing" (the sleeve paper): :func:`locate` for recording
 :func:`process` for simulated signals (section II-D), which need no matched filter and have no
 offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
 
-Reading order: filters, peaks, processing, localise, tracker; calibration, calibration_file.
+Reading order: filters, peaks, processing, localise, lead, tracker; calibration, calibration_file.
 """
 
 from acoustube.base.moved import renamed
@@ -24,6 +24,7 @@ from acoustube.signals.filters import (
     remove_offset,
     template,
 )
+from acoustube.signals.lead import find_lead
 from acoustube.signals.localise import (
     Ranging,
     blind_time,
@@ -50,6 +51,7 @@ __all__ = [
     "distance",
     "envelope",
     "find_echoes",
+    "find_lead",
     "load",
     "locate",
     "low_pass",

@@ -251,7 +251,7 @@ def process(
     raw = envelope(pressure, rate, cutoff)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
     send_time, send_amplitude = send_pulse(time, raw, before=send_end)
-    clipped, edge = _plateaus(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
+    clipped, edge = plateaus(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
     send_time = np.where(clipped, edge + pulse_duration / 2, send_time) + send_shift
     faded = send_time + blind_time(pulse_duration, cutoff)
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
@@ -314,12 +314,30 @@ def gain_and_match(
     return samples if template is None else matched_filter(samples, template)
 
 
-def _plateaus(
+def plateaus(
     time: Array, envelope: Array, height: Array, *, before: float, least: float
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which send pulses have a plateau longer than `least`, in s, and their rise times in s.
+    """Return which send pulses have a plateau, as clipped ones do, and when they rise.
 
     A clipped send pulse has no distinct maximum, but a plateau whose maximum is arbitrary.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        In s.
+    envelope : array of shape (..., time)
+    height : array of shape (...)
+        Height of the send pulse.
+    before : float
+        Time in s after the send pulse.
+    least : float
+        Least duration of a plateau in s.
+
+    Returns
+    -------
+    flat : array of bool, shape (...)
+    rise : array of shape (...)
+        Time in s at which the envelope reaches half the height.
     """
     ahead = envelope[..., : int(np.searchsorted(time, before))]
     step, top = time[1] - time[0], np.asarray(height)[..., np.newaxis]

@@ -1,0 +1,72 @@
+"""Lead of a record: the time from its first sample to the start of the send pulse."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from acoustube.base.sampling import sampling_rate
+from acoustube.signals.filters import envelope, remove_offset
+from acoustube.signals.localise import plateaus
+from acoustube.signals.peaks import send_pulse
+from acoustube.signals.processing import Processing
+
+MOST_CYCLES = 500
+"""Cycles, evenly spread over a record, in which the send pulse is sought."""
+LEAST_AGREEMENT = 0.9
+"""Least share of cycles in which the send pulse starts at one time."""
+
+
+def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None = None) -> float:
+    """Return the time at which the send pulse starts in all cycles of a record.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        Sampling times in s, from any zero.
+    samples : array of shape (cycle, time)
+        Cycles in any unit, with their offset, recorded with a constant lead.
+    settings : Processing, optional
+
+    Returns
+    -------
+    float
+        In s, on the axis of `time`.
+
+    Raises
+    ------
+    ValueError
+        If the record begins within the pulse, or the cycles agree on no time.
+
+    Notes
+    -----
+    The envelope of a cycle first reaches half of its maximum in the send pulse, unless an echo is
+    more than twice as high. The pulse starts half its duration before its maximum; one that is
+    clipped has no distinct maximum, but starts where it rises. The median over the cycles is
+    returned. Distances are from the maximum in each cycle, and so need no exact lead.
+    """
+    settings = settings or Processing()
+    time, cycles = np.asarray(time, dtype=float), np.asarray(samples)
+    cycles = cycles[:: max(1, -(-len(cycles) // MOST_CYCLES))]
+    rate, duration = sampling_rate(time), settings.pulse_cycles / settings.frequency
+    if settings.offset_cutoff is not None:
+        cycles = remove_offset(cycles, rate, settings.offset_cutoff)
+    heights = envelope(cycles, rate, settings.cutoff)
+    half = heights >= heights.max(axis=-1, keepdims=True) / 2
+    rise = time[np.argmax(half, axis=-1)]
+    agree = np.abs(rise - np.median(rise)) < duration / 2
+    if np.mean(agree) < LEAST_AGREEMENT:
+        raise ValueError(
+            f"the highest part begins at one time in only {100 * np.mean(agree):.0f} % of the "
+            "cycles, so the send pulse cannot be found; give --pulse-at MS"
+        )
+    before = float(np.median(rise)) + duration + 1 / settings.cutoff
+    peak, height = send_pulse(time, heights[agree], before=before)
+    clipped, edge = plateaus(time, heights[agree], height, before=before, least=duration / 2)
+    lead = float(np.median(np.where(clipped, edge, peak - duration / 2)))
+    if lead < time[0] - duration / 4:
+        raise ValueError(
+            f"the send pulse starts {1e3 * (time[0] - lead):.3g} ms before the first sample; "
+            "record earlier"
+        )
+    return lead
