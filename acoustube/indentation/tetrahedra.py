@@ -34,18 +34,20 @@ References
 
 from __future__ import annotations
 
-import contextlib
 import itertools
+import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytetwild
 import trimesh
 
 from acoustube.base import moved
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.types import Array, Index
 from acoustube.base.units import PERCENT
 from acoustube.indentation.boundary_nodes import ENVELOPE, Plane, jacobians, quadratic
@@ -72,6 +74,12 @@ ATTEMPTS = 6
 twelve more than `MAX_OFF_SURFACE`."""
 VOLUME_TOLERANCE = 0.01
 """Largest relative error of the mesh's volume."""
+CHILD = """
+import numpy, pytetwild
+arguments = {name: a if a.ndim else a.item() for name, a in numpy.load("in.npz").items()}
+points, tetrahedra = pytetwild.tetrahedralize(**arguments)
+numpy.savez("out.npz", points=points, tetrahedra=tetrahedra)
+"""
 STOP_ENERGY = 15.0
 """Distortion energy (AMIPS) of the worst tetrahedron at which fTetWild stops (a regular one: 3)."""
 SIZE_STATIONS = 33
@@ -198,23 +206,42 @@ def _tetrahedralised(
     """
     box, cells = _column(piece.bounds, z)
     diagonal = float(np.linalg.norm(piece.extents))
-    # The library writes a file into the current folder.
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        points, tetrahedra = pytetwild.tetrahedralize(
-            # In wall thicknesses, so that lengths are near one.
-            piece.vertices / thickness,
-            piece.faces,
-            edge_length_fac=float(edge.max() / diagonal),
-            epsilon=ENVELOPE * thickness / diagonal,
-            stop_energy=STOP_ENERGY,
-            num_threads=1,
-            bg_vertices=box / thickness,
-            bg_tets=cells.astype(np.int32),
-            bg_values=np.repeat(edge, 4) / thickness,
-        )
+    points, tetrahedra = _in_child(
+        # In wall thicknesses, so that lengths are near one.
+        vertices=piece.vertices / thickness,
+        faces=piece.faces,
+        edge_length_fac=edge.max() / diagonal,
+        epsilon=ENVELOPE * thickness / diagonal,
+        stop_energy=STOP_ENERGY,
+        num_threads=1,
+        bg_vertices=box / thickness,
+        bg_tets=cells.astype(np.int32),
+        bg_values=np.repeat(edge, 4) / thickness,
+    )
     used, corners = np.unique(tetrahedra, return_inverse=True)
     points, corners = thickness * points[used], corners.reshape(-1, 4)
     return points, _positively_oriented(points, corners)
+
+
+def _in_child(**arguments: Any) -> tuple[Array, Index]:
+    """Return what pytetwild makes of its arguments, in a process of its own.
+
+    It keeps Python's lock, so that no interrupt would get through for minutes, writes a file into
+    the current folder, and may crash.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder) / "in.npz", **arguments)
+        command = [sys.executable, "-c", CHILD]
+        try:
+            subprocess.run(command, cwd=folder, capture_output=True, check=True)
+        except subprocess.CalledProcessError as error:
+            last = error.stderr.decode(errors="replace").strip().splitlines()[-1:]
+            raise SimulationError(
+                f"the wall could not be filled with tetrahedra ({''.join(last) or 'a crash'}); "
+                "check that the surface has no faces through each other"
+            ) from error
+        with np.load(Path(folder) / "out.npz") as made:
+            return made["points"], made["tetrahedra"]
 
 
 def _column(bounds: Array, z: Array) -> tuple[Array, Index]:
