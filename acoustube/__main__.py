@@ -22,14 +22,17 @@ def entry() -> NoReturn:
     _keep_streams()
     code: Any = 1
     try:
-        from acoustube.base.interrupts import end_in_time, watched_interrupts
+        from acoustube.base.interrupts import end_in_time, exit_code, watched_interrupts
         from acoustube.base.writing import discard
 
         with watched_interrupts(_leave):
             end_in_time(discard)
-            code = _run()
-    except KeyboardInterrupt:  # a second one, while the first was being dealt with
-        code = _said(signal.SIGINT)
+            try:
+                code = _run()
+            except KeyboardInterrupt:  # a second one, while the first was being dealt with
+                code = _said(exit_code())
+    except KeyboardInterrupt:
+        code = _said(128 + signal.SIGINT)
     except SystemExit as error:
         code = error.code
     # Python would wait for, or pull the ground from under, kernels that still run.
@@ -75,14 +78,14 @@ def _keep_streams() -> None:
 
 def _leave(number: int, _frame: object) -> None:
     """Leave before anything has begun, or when all is over."""
-    os._exit(_said(number))
+    os._exit(_said(128 + number))
 
 
-def _said(number: int) -> int:
+def _said(code: int) -> int:
     """Say that a signal has ended the command; return its exit code."""
     with suppress(OSError):
         os.write(2, b"acoustube: interrupted; no incomplete run is left\n")
-    return 128 + number
+    return code
 
 
 if __name__ == "__main__":
