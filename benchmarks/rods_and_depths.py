@@ -14,7 +14,7 @@ import numpy as np
 from acoustube import load_config, pressed
 from acoustube.lumen import lumen, measure
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.sound import listen, locate
+from acoustube.runs.sound import locate, tube_recordings
 
 RODS_MM, DEPTHS_MM = (10.0, 25.0, 35.0), (2.0, 4.0, 6.0)
 PAPER_CM = {10.0: (3.03, 1.22), 25.0: (2.95, 1.92), 35.0: (2.51, 1.64)}
@@ -32,7 +32,7 @@ def rows_of(rod_mm: float, resolution: int, support: str) -> list[list[float]]:
         section = measure(press, increment, np.zeros(1))
         row = [rod_mm, depth, press.contact_force[increment]]
         row += [1e3 * section.height[0], 1e6 * section.area[0]]
-        recordings, _ = listen(settings, lumen(press, position, increment))
+        recordings, _ = tube_recordings(settings, lumen(press, position, increment))
         for recording in recordings.values():
             ranging = locate(settings, recording)
             row += [

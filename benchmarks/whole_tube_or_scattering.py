@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from acoustube import load_config, pressed
 from acoustube.lumen import lumen, pressed_part
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.sound import listen, listen_by_parts
+from acoustube.runs.sound import scattered_recordings, tube_recordings
 
 
 def compare(resolution: int, losses: str) -> None:
@@ -25,9 +25,9 @@ def compare(resolution: int, losses: str) -> None:
     settings = settings_in_si(config)
     press, position = pressed(config, [settings.depth]), settings.position
     start = perf_counter()
-    whole, _ = listen(settings, lumen(press, position))
+    whole, _ = tube_recordings(settings, lumen(press, position))
     between = perf_counter()
-    parts, _ = listen_by_parts(settings, pressed_part(press))
+    parts, _ = scattered_recordings(settings, pressed_part(press))
     seconds = between - start, perf_counter() - between
     answer = 2 * (position - 0.03) / settings.air.sound_speed
     for end, recording in whole.items():

@@ -15,7 +15,7 @@ from acoustube.reports.figures import run as run_figure
 from acoustube.reports.scenes import tube as tube_scene
 from acoustube.runs.config.si import press_in_si, settings_in_si
 from acoustube.runs.simulate import simulate, stage, warnings_for
-from acoustube.runs.sound import listen
+from acoustube.runs.sound import tube_recordings
 
 OPTIONS = {"indenter": 25, "depth": 4, "position": 18, "resolution": 12, "temperature": 25}
 
@@ -147,7 +147,7 @@ def test_both_source_ends_share_one_time_axis_whatever_the_length():
     """At this length and grid the two steps, found alone, give different numbers of samples."""
     config = load_config(indenter_mm=10, resolution=9, length_cm=40.72)
     rings = round_rings(0.4072)
-    recordings, _ = listen(
+    recordings, _ = tube_recordings(
         settings_in_si(config), Lumen(rings=rings, outer_rings=rings, position=0.2)
     )
     release, absorbing = recordings.values()
@@ -158,7 +158,7 @@ def test_refusal_inside_a_stage_becomes_a_failure_of_that_stage():
     config = load_config(resolution=8)
     inside_out = round_rings(0.4)[:, ::-1]
     with pytest.raises(SimulationError, match=r"^waves: surface"), stage("waves", {}, print):
-        listen(
+        tube_recordings(
             settings_in_si(config), Lumen(rings=inside_out, outer_rings=inside_out, position=0.2)
         )
 

@@ -44,6 +44,9 @@ def test_former_names_are_forwarded_with_a_warning():
         ("signals", "suited", "without_aliased_template"),
         ("estimation", "described", "feature_table"),
         ("estimation", "Describing", "FeatureSettings"),
+        ("sleeve", "Following", "TrackingSettings"),
+        ("waves", "Placed", "PlacedScatterer"),
+        ("waves", "heard", "probe_pressure"),
     ):
         module = importlib.import_module(f"acoustube.{package}")
         with pytest.warns(DeprecationWarning, match=f"{former} is {name} now"):

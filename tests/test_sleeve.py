@@ -128,6 +128,8 @@ def test_coverage_of_a_cylinder_is_the_width_of_the_strip_over_the_pitch():
     assert found.skin_area == pytest.approx(2 * np.pi * 0.05 * 0.6, rel=1e-6)
     assert found.coverage == pytest.approx(2 * 5e-3 / spacing(tubes), rel=0.02)
     assert found.blind == 0
+    with pytest.warns(DeprecationWarning, match="detection_range"):
+        assert found.heard is found.detection_range
     assert found.detection_range == pytest.approx(np.array([[0.15, tube.tube_length]]))
 
 

@@ -1,6 +1,7 @@
 """The storeys of the package: commands, reports, runs, the stages in data order, the ground."""
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,25 @@ def test_module_imports_only_what_stands_below(path):
         assert not outer & PRINTING
     if here in STAGES:
         assert not outer & FILE_FORMATS or str(path.relative_to(PACKAGE)).startswith(LEAVES)
+
+
+def test_modules_import_each_other_in_no_circle():
+    """Not even in functions or for types alone."""
+    names = {
+        ".".join(("acoustube", *path.relative_to(PACKAGE).with_suffix("").parts)): path
+        for path in modules()
+        if path.name not in ("__init__.py", "__main__.py")
+    }
+    graph = {
+        name: {
+            known
+            for found in imports(ast.parse(path.read_text(encoding="utf-8")))
+            for known in (found, found.rpartition(".")[0])
+            if known in names
+        }
+        for name, path in names.items()
+    }
+    assert len(list(TopologicalSorter(graph).static_order())) == len(names)
 
 
 def test_signals_know_nothing_of_simulated_sound():

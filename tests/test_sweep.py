@@ -79,8 +79,8 @@ def test_cases_are_what_simulate_computes(finished):
             part, settings.air, (group.band.low, group.band.high),
             bore=7.9e-3, resolution=8, lossy=True,
         )  # fmt: skip
-        same = sound.joined(settings, [PlacedScatterer(matrix, settings.position)])
-        alone, _ = sound.listen_by_parts(settings, part)
+        same = sound.joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
+        alone, _ = sound.scattered_recordings(settings, part)
         for end in sound.SOURCE_ENDS:
             found = case["pressure"].sel(source_end=end).values
             assert np.abs(found - same[end].pressure[0]).max() < 1e-6

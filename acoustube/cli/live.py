@@ -80,7 +80,7 @@ def live(
         Duration in s; without it until the line ends or an interrupt.
     """
     if duration is not None:
-        Number(0, 1e9, "s", "how long to listen").check("duration", duration)
+        Number(0, 1e9, "s", "duration of the stream").check("duration", duration)
     if out is not None:
         check_new_file(out)
 

@@ -22,7 +22,13 @@ from acoustube.runs import results
 from acoustube.runs.config import Config, check_touched
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.presses import press_to
-from acoustube.runs.sound import BAND_EDGE, blind_time, listen, listen_by_parts, locate
+from acoustube.runs.sound import (
+    BAND_EDGE,
+    blind_time,
+    locate,
+    scattered_recordings,
+    tube_recordings,
+)
 from acoustube.waves import attenuation, cut_ons_in_band
 
 
@@ -69,9 +75,9 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         space = lumen(indentation, settings.position)
     with stage("waves", seconds, report) as progress:
         if settings.method == "full":
-            recordings, budget = listen(settings, space, progress)
+            recordings, budget = tube_recordings(settings, space, progress)
         else:
-            recordings, budget = listen_by_parts(settings, pressed_part(indentation), progress)
+            recordings, budget = scattered_recordings(settings, pressed_part(indentation), progress)
     with stage("signals", seconds, report):
         rangings = {end: locate(settings, recording) for end, recording in recordings.items()}
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from acoustube import signals
 from acoustube.air import Air
+from acoustube.base.moved import renamed
 from acoustube.base.report import ignore
 from acoustube.lumen import Lumen
 from acoustube.runs.config.si import SISettings
@@ -48,10 +49,10 @@ def blind_time(settings: SISettings) -> float:
     return signals.blind_time(settings.pulse.duration, settings.cutoff)
 
 
-def listen(
+def tube_recordings(
     settings: SISettings, space: Lumen, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[SourceEnd, Recording], Budget]:
-    """Send a pulse through a lumen and record it at the probe plane.
+    """Return the recordings at the probe of a pulse in a whole lumen, by FDTD.
 
     Parameters
     ----------
@@ -90,10 +91,10 @@ def listen(
     return recordings, _budget(settings, cells, time_step, recordings)
 
 
-def listen_by_parts(
+def scattered_recordings(
     settings: SISettings, part: Lumen, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[SourceEnd, Recording], Budget]:
-    """Return the recordings of :func:`listen` from the scattering of the pressed part.
+    """Return the recordings of :func:`tube_recordings` from the scattering of the pressed part.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def listen_by_parts(
         part, settings.air, band_of(settings.pulse), bore=settings.tube.inner_diameter,
         resolution=settings.resolution, lossy=settings.lossy, progress=progress,
     )  # fmt: skip
-    recordings = joined(settings, [PlacedScatterer(matrix, settings.position)])
+    recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
     return recordings, _budget(settings, cells, None, recordings)
 
 
@@ -172,7 +173,9 @@ def scattering_of(
     return matrix, cells
 
 
-def joined(settings: SISettings, presses: Sequence[PlacedScatterer]) -> dict[SourceEnd, Recording]:
+def joined_recordings(
+    settings: SISettings, presses: Sequence[PlacedScatterer]
+) -> dict[SourceEnd, Recording]:
     """Return the recordings at the probe of a tube, from presses of known scattering.
 
     Parameters
@@ -262,3 +265,13 @@ def locate(settings: SISettings, recording: Recording) -> signals.Ranging:
         prominence=settings.prominence,
         farthest=settings.tube.length,
     )
+
+
+__getattr__ = renamed(
+    __name__,
+    {
+        "listen": "tube_recordings",
+        "listen_by_parts": "scattered_recordings",
+        "joined": "joined_recordings",
+    },
+)

@@ -78,9 +78,9 @@ def _record_and_locate(settings: SISettings, pressed: Pressed, matrix: Scatterin
     """Return the recordings and rangings of a case."""
     if matrix is None and pressed.part is not None:
         whole = whole_tube(pressed.part, settings.position, settings.tube.length)
-        recordings, _ = sound.listen(settings, whole)
+        recordings, _ = sound.tube_recordings(settings, whole)
     else:
-        recordings = sound.joined(settings, placed(settings, matrix))
+        recordings = sound.joined_recordings(settings, placed(settings, matrix))
     rangings = {end: sound.locate(settings, found) for end, found in recordings.items()}
     return recordings, rangings
 
