@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import trimesh
 import xarray as xr
 from commands import run_here
 from hypothesis import given, settings
@@ -24,7 +25,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed, read_document
 from acoustube.base.netcdf import MARK, Seal, seal_of, write_dataset
-from acoustube.base.surfaces import read_lumen
+from acoustube.base.surfaces import load, read_lumen
 from acoustube.recordings.markers import read_markers
 from acoustube.runs.opening import ORDER, open_dataset
 from acoustube.signals.calibration import Calibration, Estimate
@@ -352,3 +353,41 @@ def test_foreign_and_odd_results_are_a_sentence(tmp_path, command, name, what):
     (line,) = told.stderr.splitlines()
     assert "; " in line
     assert len(line) < 800
+
+
+def cylinder(path, scale=1.0, offset=0.0):
+    """A lumen of 8 mm by 40 cm, scaled, and moved along x, in mm."""
+    surface = trimesh.creation.cylinder(4, 400, sections=16)
+    surface.apply_scale(scale)
+    surface.apply_translation([offset, 0, 0])
+    surface.export(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "stl"])
+def test_surfaces_of_kilometres_or_far_from_the_origin_are_refused(tmp_path, suffix):
+    for values in ({"scale": 1e6}, {"offset": 1e9}, {"scale": 1e30}):
+        path = cylinder(tmp_path / f"a.{suffix}", **values)
+        for command in ("scatter a --out s.nc", "indent --tube a --depth 1 --out o"):
+            told = run_here(*command.replace(" a ", f" {path} ").split())
+            assert told.returncode == 2
+            assert "from the origin, and its numbers lose their digits" in told.stderr
+            assert "move it to the origin" in told.stderr
+
+
+def test_lumen_that_needs_too_large_a_grid_is_refused(tmp_path):
+    for scale in ([1, 1, 200], [1e-3, 1e-3, 1]):
+        path = cylinder(tmp_path / "a.stl", scale)
+        told = run_here("scatter", path, "--out", "s.nc", "--resolution", 64)
+        assert told.returncode == 2
+        assert re.search(
+            r"a.stl takes a grid of \S+ cells, over 5e\+07; give a shorter", told.stderr
+        )
+
+
+def test_surface_reads_no_other_file(tmp_path):
+    """A material library that would never end."""
+    path = cylinder(tmp_path / "a.obj")
+    text = path.read_text()
+    path.write_text(f"mtllib ../../../../../../dev/zero\nmtllib /dev/zero\nusemtl x\n{text}")
+    assert load(path).is_watertight

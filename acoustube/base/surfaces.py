@@ -14,6 +14,8 @@ from acoustube.base.files import check_surface
 from acoustube.base.foreign import child
 from acoustube.base.foreign.limits import check_file, reading
 
+FARTHEST = 1e5
+"""Largest coordinate of a surface: of 100 m, single precision keeps hundredths of a millimetre."""
 SHORTEST = 1.0
 """Length in mm below which metres are suspected."""
 
@@ -24,7 +26,7 @@ def load(path: Path) -> trimesh.Trimesh:
     Raises
     ------
     ConfigError
-        If there are none, or the file cannot be read.
+        If there are none, they are too far from the origin, or the file cannot be read.
     """
     check_surface(path)
     check_file(path, "surface")
@@ -41,6 +43,12 @@ def load(path: Path) -> trimesh.Trimesh:
                 surface = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
     if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
         raise ConfigError(f"{path} holds no triangles; export it as one surface.")
+    farthest = float(np.abs(surface.vertices).max())
+    if not farthest <= FARTHEST:  # so that nan fails too
+        raise ConfigError(
+            f"{path} reaches {farthest:.3g} from the origin, and its numbers lose their digits "
+            f"beyond {FARTHEST:g}; give it in mm, and move it to the origin."
+        )
     surface.merge_vertices(merge_tex=True, merge_norm=True)
     return surface
 

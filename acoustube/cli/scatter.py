@@ -18,6 +18,7 @@ from acoustube.base.rules import Number
 from acoustube.base.units import KHZ, MM, UM, US
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output
 from acoustube.runs.config import CELLS_PER_WAVELENGTH
+from acoustube.runs.config.checks import MOST_CELLS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -179,6 +180,7 @@ def _scattering(
     # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
+    _check_cells(float(np.prod(np.ptp(surface.bounds, axis=0) / spacing)), lumen)
     with watched_interrupts() as check, report.progress(check) as show:
         progress = functools.partial(show, "scattering")
         cells = cut_cells(surface, spacing)
@@ -209,6 +211,15 @@ def _check_grid(band: Any, spacing: float, air: Air) -> None:
             f"band = {low:g} {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
             f"{MM * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
             "resolution or lower the band"
+        )
+
+
+def _check_cells(cells: float, path: Path) -> None:
+    """Check that the grid of a lumen is not too large."""
+    if cells > MOST_CELLS:
+        raise ConfigError(
+            f"{path} takes a grid of {cells:.3g} cells, over {MOST_CELLS:.0e}; give a shorter "
+            "lumen (straight tube is added by acoustube simulate), or lower resolution"
         )
 
 

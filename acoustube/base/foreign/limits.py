@@ -17,7 +17,7 @@ from pathlib import Path
 from acoustube.base.errors import ConfigError
 
 SIZES = {
-    "settings": 5_000_000, "table": 100_000_000, "markers": 50_000_000, "surface": 500_000_000,
+    "settings": 5_000_000, "table": 100_000_000, "markers": 50_000_000, "surface": 100_000_000,
     "model": 500_000_000, "recording": 1_000_000_000, "result": 4_000_000_000,
 }  # fmt: skip
 """Bytes of a file of each kind, as it is stored and once it is unpacked."""
