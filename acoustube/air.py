@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from math import exp, pi, sqrt
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
+from acoustube.base.checks import FREQUENCY, SPEED, TEMPERATURE, check_fields, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,13 +66,13 @@ class Air:
     relaxations: tuple[Relaxation, ...] = ()
 
     def __post_init__(self) -> None:
-        """Validate sound speed and density."""
-        for name in ("sound_speed", "density"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(
-                    f"{name} = {getattr(self, name)} must be positive; "
-                    "take air_at(temperature) for ordinary air"
-                )
+        """Validate all numbers."""
+        positive = Number(1e-12, 1e12, "(air_at gives ordinary air)")
+        check_fields(
+            self, sound_speed=SPEED, density=positive, viscosity=positive, prandtl=positive,
+            heat_capacity_ratio=Number(1, 100),
+            classical_absorption=Number(0, 1e12),
+        )  # fmt: skip
 
     @property
     def viscous_diffusivity(self) -> float:
@@ -106,6 +108,7 @@ class Relaxation(NamedTuple):
     strength: float
 
 
+@checked(temperature=TEMPERATURE)
 def sound_speed(temperature: float) -> float:
     """Return the speed of sound in dry air.
 
@@ -127,6 +130,11 @@ def sound_speed(temperature: float) -> float:
     return sqrt(HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT * _absolute(temperature))
 
 
+@checked(
+    temperature=TEMPERATURE,
+    humidity=Number(-1e6, 1e9, "%"),
+    pressure=Number(-1e12, 1e12, "Pa"),
+)
 def air_at(
     temperature: float, *, humidity: float = HUMIDITY, pressure: float = STANDARD_PRESSURE
 ) -> Air:
@@ -211,6 +219,7 @@ def _relaxations(kelvin: float, humidity: float, pressure: float) -> tuple[Relax
     )
 
 
+@checked(air=Air, frequency=FREQUENCY)
 def viscous_thickness(air: Air, frequency: float) -> float:
     """Return the thickness in m of the viscous boundary layer, sqrt(2 nu / omega)."""
     return sqrt(air.viscous_diffusivity / (pi * frequency))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
+from acoustube.base.checks import LENGTH, check_fields, checked
+from acoustube.base.rules import Number
 
-from acoustube.base.errors import ConfigError
 
-
+@checked(shore_a=Number(0, 100, "Shore A"))
 def shear_modulus_from_shore(shore_a: float) -> float:
     """Return the shear modulus of a silicone from its Shore A hardness.
 
@@ -67,18 +67,11 @@ class Tube:
     poisson_ratio: float = 0.49
 
     def __post_init__(self) -> None:
-        for name in ("inner_diameter", "wall_thickness", "length", "shear_modulus"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigError(
-                    "is not positive", setting=name, value=value,
-                    advice="use a positive number (SI)",
-                )  # fmt: skip
-        if not 0 <= self.poisson_ratio <= 0.4999:
-            raise ConfigError(
-                "is outside 0 to 0.4999", setting="poisson_ratio", value=self.poisson_ratio,
-                allowed=(0, 0.4999), advice="use 0.49 for silicone",
-            )  # fmt: skip
+        check_fields(
+            self, inner_diameter=LENGTH, wall_thickness=LENGTH, length=LENGTH,
+            shear_modulus=Number(1e-3, 1e15, "Pa"),
+            poisson_ratio=Number(0, 0.4999, "", "0.49 for silicone"),
+        )  # fmt: skip
 
     @property
     def outer_diameter(self) -> float:

@@ -149,7 +149,7 @@ def test_sampled_pulse_is_the_pulse_that_was_sampled():
     [
         ({"pressure": [1.0, 2.0]}, "shape"),
         ({"pressure": [0.0, 1.0, np.nan, 0.0]}, "finite"),
-        ({"rate": 0.0}, "rate = 0.0 Hz"),
+        ({"rate": 0.0}, "rate = 0 is out of range"),
     ],
 )
 def test_samples_that_are_no_pulse_are_refused(words, part):

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import re
+from math import log10
 from numbers import Real
 from typing import Any
+
+MOST_DIGITS = 40
+"""Digits of a whole number that are printed; of a larger one its magnitude is."""
 
 
 class ConfigError(ValueError):
@@ -60,9 +64,11 @@ class SimulationError(RuntimeError):
 
 
 def short(value: Any) -> str:
-    """Return a number with as few digits as are exact, 12 rather than 12.0; text unchanged."""
+    """Return a value in a few words: a number in the digits that are exact, 12 rather than 12.0."""
+    if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:  # more than Python may print
+        return f"{'-' if value < 0 else ''}1e{int(log10(abs(value)))}"
     if isinstance(value, int | str) or not isinstance(value, Real):
-        return str(value)
+        return _shortened(str(value), LONGEST_WORD)
     return repr(float(value)).removesuffix(".0")
 
 

@@ -29,8 +29,8 @@ class Number:
 
     low: float
     high: float
-    unit: str
-    meaning: str
+    unit: str = ""
+    meaning: str = ""
     whole: bool = False
 
     @property
@@ -51,7 +51,7 @@ class Number:
             raise self._error(name, repr(value), "is not a number")
         # Written so that nan fails too; Python compares an int of any size, float() would not.
         if not self.low <= value <= self.high:
-            raise self._error(name, value, "is out of range", f" ({self.meaning})")
+            raise self._error(name, value, "is out of range", self.meaning and f" ({self.meaning})")
         if not self.whole:
             return float(value)
         if value != int(value):
@@ -79,7 +79,7 @@ class Choice:
     """
 
     options: tuple[str, ...]
-    meaning: str
+    meaning: str = ""
 
     @property
     def allowed(self) -> str:
@@ -94,7 +94,7 @@ class Choice:
         ConfigError
             If it is not one of the options.
         """
-        if value not in self.options:
+        if not (isinstance(value, str) and value in self.options):
             raise ConfigError(
                 "is not a choice", setting=name, value=repr(value), allowed=self.options,
                 advice=f"use {self.allowed}",

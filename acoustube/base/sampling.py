@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acoustube.base.checks import TIMES, checked
 
+
+@checked(time=TIMES)
 def sampling_rate(time: ArrayLike) -> float:
     """Return the sampling rate of a time axis.
 

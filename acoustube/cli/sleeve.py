@@ -228,7 +228,10 @@ def _tubes_on_markers(
     from acoustube.sleeve import check_reach, fit_arm, read_markers, wound
 
     markers = read_markers(path, unit=shape.unit, columns=shape.columns)
-    arm = fit_arm(markers.first, markers.second, axis=shape.axis)
+    try:
+        arm = fit_arm(markers.first, markers.second, axis=shape.axis)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
     loops = winding.loops if winding.pitch is None else arm.length / winding.pitch
     tubes = wound(
         arm, loops, n_tubes=winding.tubes, phase=winding.phase, hand=winding.hand,

@@ -26,6 +26,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.air import air_at
+from acoustube.base.checks import LENGTH, check_fields
+from acoustube.base.rules import Choice
 from acoustube.base.types import Array
 from acoustube.signals import (
     Echoes,
@@ -100,6 +102,10 @@ class FeatureSettings:
     kind: str = "paper"
     processing: Processing = field(default_factory=Processing)
     radius: float = 3.95e-3
+
+    def __post_init__(self) -> None:
+        """Validate kind, processing and radius."""
+        check_fields(self, kind=Choice(("paper", "echo")), processing=Processing, radius=LENGTH)
 
 
 def feature_table(

@@ -11,7 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.base.checks import Reals, check_alike, checked
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
+
+ROW = Reals(ndim=1, missing=True, empty=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,7 @@ class Errors:
     covered_wide: float
 
 
+@checked(truth=ROW, estimate=ROW, half_width=ROW, wide=ROW)
 def errors(
     truth: ArrayLike,
     estimate: ArrayLike,
@@ -71,6 +76,9 @@ def errors(
     Tables I and II of the sleeve paper give median, RMSE and IQR of the absolute errors and, for
     forces, the median absolute relative error, over all cycles of a dataset.
     """
+    given = {"half_width": half_width, "wide": wide}
+    given = {name: array for name, array in given.items() if array is not None}
+    check_alike(truth=truth, estimate=estimate, **given)
     known, found = np.asarray(truth, float), np.asarray(estimate, float)
     used = np.isfinite(known) & np.isfinite(found)
     true, wrong = known[used], (found - known)[used]
@@ -100,6 +108,7 @@ def _covered(size: Array, half_width: ArrayLike | None, used: NDArray[np.bool_])
     return float(np.mean(size <= np.asarray(half_width, float)[used]))
 
 
+@checked(values=ROW, width=Number(1e-12, 1e12))
 def bins(values: ArrayLike, width: float) -> tuple[Array, NDArray[np.intp]]:
     """Return the non-empty bins of equal width, and the bin of each value.
 

@@ -10,7 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.base.checks import SEED, Reals, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 
 Index = NDArray[np.intp]
 
@@ -50,6 +52,11 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     return np.asarray(np.unique(np.stack(columns), axis=1, return_inverse=True)[1].ravel())
 
 
+@checked(
+    groups=Reals(ndim=1, kinds="iufbU"),
+    count=Number(-1e9, 1e9, "folds", whole=True),
+    seed=SEED,
+)
 def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     """Return folds of whole groups with about equal numbers of rows.
 
@@ -80,8 +87,8 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     _, member, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if not 2 <= count <= len(sizes):
         raise ConfigError(
-            f"{count} folds cannot be made of {len(sizes)} groups of cycles; use 2 to {len(sizes)} "
-            "folds, or record more"
+            f"count = {count} folds cannot be made of {len(sizes)} groups of cycles; use 2 to "
+            f"{len(sizes)} folds, or record more"
         )
     shuffled = np.random.default_rng(seed).permutation(len(sizes))
     fold = np.empty(len(sizes), np.intp)
@@ -95,6 +102,7 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     return np.asarray(fold[member])
 
 
+@checked(groups=Reals(ndim=1, kinds="iufbU"), share=Number(-1e9, 1e9), seed=SEED)
 def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, Index]:
     """Return the training rows and the test rows of a split of whole groups.
 

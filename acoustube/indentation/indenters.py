@@ -13,7 +13,9 @@ import numpy as np
 from jax.tree_util import Partial
 from scipy.optimize import brentq
 
+from acoustube.base.checks import LENGTH, PLACE, Optional, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.indentation import contact
 from acoustube.indentation.contact import Body
@@ -67,23 +69,11 @@ class Indenter:
     depth_fraction: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise ConfigError(f"shape = {self.shape!r} is unknown; use 'rod', 'punch' or 'sphere'.")
-        if not (np.isfinite(self.diameter) and self.diameter > 0):
-            raise ConfigError(f"diameter = {self.diameter} m is not a size; use a positive number.")
-        for name in ("x", "z"):
-            if not np.isfinite(getattr(self, name)):
-                raise ConfigError(
-                    f"{name} = {getattr(self, name)} m is not a coordinate; use a finite number."
-                )
-        if not abs(self.yaw) <= np.pi / 3:
-            raise ConfigError(
-                f"yaw = {self.yaw} rad is outside -1.047 to 1.047; a rod must lie across the tube."
-            )
-        if not 0 < self.depth_fraction <= 1:
-            raise ConfigError(
-                f"depth_fraction = {self.depth_fraction} must be above 0 and at most 1."
-            )
+        check_fields(
+            self, shape=Choice(SHAPES), diameter=LENGTH, x=PLACE, z=PLACE,
+            yaw=Number(-np.pi / 3, np.pi / 3, "rad", "a rod must lie across the tube"),
+            edge_radius=Optional(LENGTH), depth_fraction=Number(1e-6, 1),
+        )  # fmt: skip
         if not 0 < self.edge <= self.diameter / 2:
             raise ConfigError(
                 f"edge_radius = {self.edge_radius} m must be positive and at most the punch's "
@@ -148,12 +138,7 @@ class Layer:
     modulus: float
 
     def __post_init__(self) -> None:
-        for name, unit in (("thickness", "m"), ("modulus", "Pa")):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigError(
-                    f"{name} = {value} {unit} is not positive; use a positive number."
-                )
+        check_fields(self, thickness=LENGTH, modulus=Number(1e-3, 1e15, "Pa"))
 
 
 def ground_body(shear_modulus: Any, wall_thickness: Any, height: Any, layer: Layer | None) -> Body:

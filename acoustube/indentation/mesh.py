@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from acoustube.base.checks import check_fields
+from acoustube.base.rules import Number
 from acoustube.base.types import Array, Index
 from acoustube.indentation.reference_element import FACE, HEX20, Reference, lattice
 from acoustube.tube import Tube
@@ -40,6 +42,14 @@ class MeshSize:
     grading: float = 3.2
     fold: float = 0.55
     touch: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Validate all numbers."""
+        count, fraction = Number(1, 1000, "elements", whole=True), Number(0, 0.99)
+        check_fields(
+            self, through_wall=count, around=count, along=count, fold=fraction, touch=fraction,
+            grading=Number(0, 20),
+        )  # fmt: skip
 
 
 class Sweep(NamedTuple):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from acoustube.base.checks import Reals, checked
 from acoustube.base.types import Array, Index
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
@@ -85,6 +86,11 @@ def measure(
     return dataclasses.replace(found, z=np.asarray(z, float))
 
 
+@checked(
+    vertices=Reals(-1e6, 1e6, "m", ndim=2, last=3),
+    triangles=Reals(0, 2**53, ndim=2, last=3, kinds="iu"),
+    z=Reals(-1e6, 1e6, "m", ndim=1),
+)
 def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False) -> Profile:
     """Measure the sections of a tube-like surface by planes z = const.
 

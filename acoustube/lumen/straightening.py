@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.checks import PLACES, Reals, checked
 from acoustube.base.errors import SimulationError
 from acoustube.base.types import Array
 
@@ -14,6 +15,7 @@ MIN_SLOPE = 0.1
 """Lower bound of Newton's derivative: distance to the centre of curvature over the radius."""
 
 
+@checked(points=PLACES, line=Reals(-1e6, 1e6, "m", ndim=2, last=3))
 def straighten(points: Array, line: Array) -> Array:
     """Transform points to coordinates along and across a curve in the plane x = 0.
 
@@ -39,6 +41,8 @@ def straighten(points: Array, line: Array) -> Array:
         If the radius of curvature is not larger than the distance of the points from the curve.
     """
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    if not np.all(np.diff(arc) > 0):
+        raise ValueError("line has the same point twice in succession; give each once")
     # The chord is shorter than the arc by a relative (h kappa)^2 / 24, under 1e-5 here.
     curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]), (2, [0.0, 0.0])))
     tangent, turn = curve.derivative(), curve.derivative(2)

@@ -9,7 +9,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen.straightening import straighten
@@ -52,6 +54,10 @@ class Lumen:
         )
 
 
+@checked(
+    n_rings=Number(2, 1e6, "rings", whole=True),
+    n_around=Number(3, 1e6, "points", whole=True),
+)
 def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
     """Return the triangles of the closed surface through a stack of rings, with flat ends.
 

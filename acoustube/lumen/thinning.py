@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.checks import Reals, checked
+
 RINGS = 49
 """Number of rings kept; in the default tube the others are within 20 um of their interpolation."""
 AROUND = 120
 """Largest number of points kept per ring."""
 
 
+@checked(inner=Reals(-1e6, 1e6, "m", ndim=3, last=3), outer=Reals(-1e6, 1e6, "m", ndim=3, last=3))
 def decimate_rings(
     inner: NDArray[np.float64], outer: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

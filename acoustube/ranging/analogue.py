@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
+from acoustube.base.checks import DISTANCE, LENGTH, SEED, TEMPERATURE, Reals, Several, checked
 from acoustube.base.types import Array
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
 from acoustube.waves.modes import axial_wavenumber
@@ -37,6 +38,7 @@ PERIOD_IN_RECORDS = 2
 """Period of the computed time, which is cyclic, in lengths of the record."""
 
 
+@checked(frequency=Reals(0, 1e12, "Hz", ndim=1), position=DISTANCE)
 def blockage(frequency: Array, position: float) -> PlacedScatterer:
     """Return a rigid closure of the bore, as for a calibration.
 
@@ -130,6 +132,14 @@ def _add_reflectors(total: Complex, step: Complex, reflectors: Array) -> None:
         total += r
 
 
+@checked(
+    presses=Several(PlacedScatterer),
+    rangefinder=Rangefinder,
+    radius=LENGTH,
+    length=LENGTH,
+    temperature=TEMPERATURE,
+    tube_seed=SEED,
+)
 def response(
     presses: Sequence[PlacedScatterer],
     rangefinder: Rangefinder,

@@ -16,7 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from acoustube.base.checks import SEED, Several, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
@@ -109,6 +111,14 @@ def _reported_temperature(
     return np.round(exact / step) * step if step > 0 else exact
 
 
+@checked(
+    presses=Several(PlacedScatterer),
+    rangefinder=Rangefinder,
+    n_cycles=Number(-1e9, 1e9, whole=True),
+    first_cycle=Number(-1e9, 1e12, whole=True),
+    seed=SEED,
+    session_seed=SEED,
+)
 def record(
     presses: Sequence[PlacedScatterer],
     rangefinder: Rangefinder | None = None,

@@ -17,7 +17,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.base.checks import check_argument
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 
 FRAME_BYTES = 2000
 """Bytes of a frame before it is encoded."""
@@ -93,6 +95,7 @@ class Decoder:
     """
 
     def __init__(self, frame_bytes: int = FRAME_BYTES):
+        check_argument("frame_bytes", frame_bytes, Number(3, 1e9, "bytes", whole=True))
         self._cobs = _cobs()
         self._frame_bytes = frame_bytes
         self._longest = frame_bytes + frame_bytes // 254 + 1

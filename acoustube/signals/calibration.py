@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
 
+from acoustube.base.checks import CELSIUS, TIMES, Reals, checked
+from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
 from acoustube.signals.filters import TimeGain, normalise, remove_offset
@@ -103,6 +105,16 @@ def arctan_fall(distance: Array, c1: float, c2: float, c3: float, c4: float) -> 
     return np.asarray(c1 * np.arctan(c2 * (distance - c3)) + c4)
 
 
+@checked(
+    time=TIMES,
+    blocked=Reals(ndim=2),
+    true_distance=Reals(-1e6, 1e6, "m", ndim=1),
+    untouched=Reals(ndim=2),
+    settings=Processing,
+    temperature=CELSIUS,
+    untouched_temperature=CELSIUS,
+    sigmas=Number(1e-3, 1e6),
+)
 def calibrate(
     time: ArrayLike,
     blocked: ArrayLike,

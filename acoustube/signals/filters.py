@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
 
+from acoustube.base.checks import CYCLES, FREQUENCY, RATE, SAMPLES, Reals, checked
 from acoustube.base.types import Array
 
 FILTER_ORDER = 2
@@ -61,6 +62,7 @@ class TimeGain(NamedTuple):
         return np.asarray(self.c1 * np.tanh(self.c2 * (np.asarray(distance) - self.c3)) + self.c4)
 
 
+@checked(samples=SAMPLES, sampling_rate=RATE, cutoff=FREQUENCY)
 def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFSET_CUTOFF) -> Array:
     """Subtract the offset and its drift: a zero-phase high-pass.
 
@@ -87,6 +89,7 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
     return np.asarray(centred - _zero_phase_low_pass(centred, sampling_rate, cutoff))
 
 
+@checked(samples=SAMPLES, distance=Reals(-1e9, 1e9, "m", axes=1), gain=TimeGain)
 def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array:
     """Apply time-gain compensation: divide by the attenuation at each sample's distance.
 
@@ -109,7 +112,12 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
         If the attenuation model is not positive within the cycle.
     """
     level = gain.level(distance)
-    if not np.all(level > 0):
+    if np.shape(samples)[-1:] != level.shape[-1:]:
+        raise ValueError(
+            f"samples has shape {np.shape(samples)} and distance {np.shape(level)}; give a "
+            "distance for each sample"
+        )
+    if not np.all((level > 0) & (level < np.inf)):
         raise ValueError(
             f"the gain's level falls to {float(np.min(level)):.3g} within the cycle and must stay "
             "positive; calibrate over a longer range of distances"
@@ -117,6 +125,7 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
     return np.asarray(np.asarray(samples, dtype=float) / level)
 
 
+@checked(sampling_rate=RATE, frequency=FREQUENCY, cycles=CYCLES)
 def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CYCLES) -> Array:
     """Return the matched filter's template: a Hann-windowed sine of unit energy.
 
@@ -156,6 +165,7 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     return np.asarray(wave / np.linalg.norm(wave))
 
 
+@checked(samples=SAMPLES, template=Reals(ndim=1))
 def matched_filter(samples: ArrayLike, template: ArrayLike) -> Array:
     """Correlate cycles with a template, without delay.
 
@@ -186,11 +196,13 @@ def matched_filter(samples: ArrayLike, template: ArrayLike) -> Array:
     return np.asarray(signal.oaconvolve(samples, kernel, mode="same", axes=-1))
 
 
+@checked(pressure=SAMPLES)
 def rectify(pressure: ArrayLike) -> Array:
     """Return the absolute value of a signal."""
     return np.abs(np.asarray(pressure, dtype=float))
 
 
+@checked(samples=SAMPLES, sampling_rate=RATE, cutoff=FREQUENCY)
 def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> Array:
     """Apply a zero-phase Butterworth low-pass.
 
@@ -232,7 +244,8 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
     if samples.shape[-1] <= pad:
         raise ValueError(
             f"the record of {samples.shape[-1]} samples is too short for a low-pass at "
-            f"{cutoff:g} Hz; record more than {pad} samples"
+            f"cutoff = {cutoff:g} Hz and sampling_rate = {sampling_rate:g} Hz; record more than "
+            f"{pad}"
         )
     return _zero_phase_low_pass(samples, sampling_rate, cutoff)
 
@@ -249,6 +262,7 @@ def _zero_phase_low_pass(samples: Array, sampling_rate: float, cutoff: float) ->
     return np.asarray(signal.sosfiltfilt(sections, samples, padtype="even", padlen=pad))
 
 
+@checked(pressure=SAMPLES, sampling_rate=RATE, cutoff=FREQUENCY)
 def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> Array:
     """Return the envelope of a signal: rectified, low-pass filtered and scaled by pi/2.
 
@@ -276,6 +290,7 @@ def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) ->
     return np.pi / 2 * low_pass(rectify(pressure), sampling_rate, cutoff)
 
 
+@checked(samples=SAMPLES, amplitude=Reals(missing=True))
 def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     """Divide each signal by its amplitude.
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import ABSOLUTE_ZERO, sound_speed
+from acoustube.base import checks
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
 from acoustube.signals.filters import (
@@ -84,6 +85,13 @@ class Ranging:
     detected: NDArray[np.bool_]
 
 
+@checks.checked(
+    time=checks.TIMES,
+    samples=checks.Reals(axes=1, missing=True),
+    settings=Processing,
+    temperature=checks.CELSIUS,
+    temperature_deviation=checks.KELVIN,
+)
 def locate(
     time: ArrayLike,
     samples: ArrayLike,
@@ -125,6 +133,7 @@ def locate(
     )
 
 
+@checks.checked(temperature=checks.CELSIUS)
 def speed_of_sound(temperature: ArrayLike) -> Array:
     """Return the speed of sound in dry air in m/s at temperatures in degC.
 
@@ -140,6 +149,9 @@ def speed_of_sound(temperature: ArrayLike) -> Array:
     return np.asarray(reference * np.sqrt((celsius - ABSOLUTE_ZERO) / (20.0 - ABSOLUTE_ZERO)))
 
 
+@checks.checked(
+    time_of_flight=checks.Reals(-1e9, 1e9, "s", missing=True), temperature=checks.CELSIUS
+)
 def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
     """Return the distance of a reflector from its time of flight.
 
@@ -158,6 +170,7 @@ def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
     return speed_of_sound(temperature) * np.asarray(time_of_flight, dtype=float) / 2
 
 
+@checks.checked(pulse_duration=checks.DURATION, cutoff=checks.FREQUENCY)
 def blind_time(pulse_duration: float, cutoff: float) -> float:
     """Return the duration in s of the send pulse's envelope after its maximum.
 
@@ -166,6 +179,22 @@ def blind_time(pulse_duration: float, cutoff: float) -> float:
     return pulse_duration / 2 + 1 / cutoff
 
 
+@checks.checked(
+    time=checks.TIMES,
+    pressure=checks.Reals(axes=1, missing=True),
+    pulse_duration=checks.DURATION,
+    probe_position=checks.DISTANCE,
+    temperature=checks.CELSIUS,
+    temperature_deviation=checks.KELVIN,
+    offset_cutoff=checks.FREQUENCY,
+    gain=TimeGain,
+    template=checks.Reals(ndim=1),
+    cutoff=checks.FREQUENCY,
+    prominence=checks.PROMINENCE,
+    nearest=checks.Reals(-1e6, 1e6, "m"),
+    farthest=checks.Reals(-1e6, np.inf, "m"),
+    send_shift=checks.SECONDS,
+)
 def process(
     time: ArrayLike,
     pressure: ArrayLike,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from acoustube.base.checks import PROMINENCE, SAMPLES, SECONDS, TIMES, Reals, checked
 from acoustube.base.types import Array
 
 
@@ -31,6 +32,7 @@ class Echoes:
     prominences: Array
 
 
+@checked(time=TIMES, envelope=SAMPLES, before=SECONDS)
 def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Array, Array]:
     """Return time and amplitude of the send pulse: the envelope's maximum before a given time.
 
@@ -54,6 +56,7 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
         If the record has fewer than three samples before that time.
     """
     time, envelope = np.asarray(time, dtype=float), np.asarray(envelope, dtype=float)
+    _check_time(time, envelope)
     n_before = int(np.searchsorted(time, before))
     if n_before < 3:
         raise ValueError(
@@ -64,6 +67,13 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
     return _refine(time, envelope, index)
 
 
+@checked(
+    time=TIMES,
+    envelope=Reals(axes=1, missing=True),
+    start=Reals(-np.inf, np.inf, "s", missing=True),
+    stop=Reals(-np.inf, np.inf, "s", missing=True),
+    prominence=PROMINENCE,
+)
 def find_echoes(
     time: ArrayLike,
     envelope: ArrayLike,
@@ -92,6 +102,7 @@ def find_echoes(
         The peaks, times and amplitudes refined between the samples by a parabola.
     """
     time, envelope = np.asarray(time, dtype=float), np.asarray(envelope, dtype=float)
+    _check_time(time, envelope)
     cycles = envelope.reshape(-1, time.size)
     shape = envelope.shape[:-1]
     first = np.searchsorted(time, np.broadcast_to(start, shape), side="left").ravel()
@@ -105,6 +116,15 @@ def find_echoes(
     for row, rows in enumerate(found):
         padded[:, row, : rows.shape[1]] = rows
     return Echoes(*padded.reshape(3, *shape, most))
+
+
+def _check_time(time: Array, envelope: Array) -> None:
+    """Validate that the last axis of an envelope is the time."""
+    if envelope.shape[-1] != time.size:
+        raise ValueError(
+            f"envelope has shape {envelope.shape} and time {time.shape}; the last axis of envelope "
+            "must be the time"
+        )
 
 
 def _peaks(time: Array, cycle: Array, window: slice, prominence: float) -> Array:

@@ -9,8 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
+from acoustube.base.checks import (
+    CYCLES,
+    FREQUENCY,
+    LENGTH,
+    RATE,
+    Instance,
+    Optional,
+    check_fields,
+    checked,
+)
+from acoustube.base.rules import Number
 from acoustube.signals.filters import (
     OFFSET_CUTOFF,
     TEMPLATE_CYCLES,
@@ -62,18 +71,16 @@ class Processing:
     send_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise if a value is not finite, or not positive where it must be."""
-        positive = ("frequency", "pulse_cycles", "cutoff", "prominence", "farthest")
-        for name in (*positive, "offset_cutoff", "template_cycles", "nearest", "send_shift"):
-            value = getattr(self, name)
-            if value is None and name in ("offset_cutoff", "template_cycles"):
-                continue
-            if isinstance(value, str) or not np.isfinite(value):
-                raise ValueError(f"{name} = {value!r} is not a finite number; use one")
-            if not value > 0 and name not in ("nearest", "send_shift"):
-                raise ValueError(f"{name} = {value} must be positive; use more than 0")
+        """Raise if a value is out of range."""
+        check_fields(
+            self, frequency=FREQUENCY, pulse_cycles=CYCLES, cutoff=FREQUENCY,
+            prominence=Number(1e-12, 1e6), nearest=Number(-1e3, 1e6, "m"),
+            farthest=LENGTH, send_shift=Number(-1, 1, "s"), offset_cutoff=Optional(FREQUENCY),
+            template_cycles=Optional(CYCLES), gain=Optional(Instance((TimeGain,))),
+        )  # fmt: skip
 
 
+@checked(settings=Processing, sampling_rate=RATE)
 def without_aliased_template(settings: Processing, sampling_rate: float) -> Processing:
     """Return settings without matched filter where the carrier is aliased at a sampling rate.
 

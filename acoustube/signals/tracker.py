@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acoustube.base.checks import TIMES, Instance, Optional, check_argument
 from acoustube.signals.localise import Ranging, locate
 from acoustube.signals.processing import Processing
 
@@ -36,6 +37,8 @@ class Tracker:
     """
 
     def __init__(self, time: ArrayLike, settings: Processing | None = None):
+        check_argument("time", time, TIMES)
+        check_argument("settings", settings, Optional(Instance((Processing,))))
         self.time = np.asarray(time, dtype=float)
         self.settings = settings or Processing()
         self.n_cycles = self.n_detections = 0

@@ -23,7 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.sleeve.helix import Frame
@@ -97,6 +99,11 @@ class Arm:
     kept: tuple[Kept, Kept]
 
 
+@checked(
+    axis=Choice(("fitted", "z")),
+    first=Reals(-1e6, 1e6, "m", missing=True, empty=True),
+    second=Reals(-1e6, 1e6, "m", missing=True, empty=True),
+)
 def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm:
     """Fit an arm to two columns of markers.
 
@@ -138,13 +145,9 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
     if axis == "z":
         frame = Frame()
         found = tuple(_radius_line(points) for points in used)
-    elif axis == "fitted":
+    else:
         frame, line = _fit_axis(used, _common_direction(lines))
         found = (line, line)
-    else:
-        raise ConfigError(
-            "is not a choice", setting="axis", value=repr(axis), advice='use "fitted" or "z"',
-        )  # fmt: skip
     return _arm(first, second, used, frame, found)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.base.checks import GAPS, check_alike, checked
 from acoustube.base.types import Array
 
 SIDE_LOBE_RATIO = 0.12
@@ -22,6 +23,7 @@ MULTIPLE_REFLECTION_TOLERANCE = 0.04
 """Tolerance of the distance of a multiple reflection between two presses, in m."""
 
 
+@checked(places=GAPS, heights=GAPS)
 def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     """Remove the echoes of a cycle that are caused by another contact of the cycle.
 
@@ -50,6 +52,7 @@ def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     Sound that is trapped for longer than 1 ms cannot be distinguished from another press behind a
     harder one.
     """
+    check_alike(places=places, heights=heights)
     place, height = (np.asarray(values, float).ravel() for values in (places, heights))
     order = np.argsort(place)[: np.count_nonzero(np.isfinite(place))]  # nan goes to the end
     place, height = place[order], height[order]

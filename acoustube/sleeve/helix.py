@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from acoustube.base.checks import ANGLE, PLACE, Reals, Several, check_fields, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 
 TABLE_INTERVALS = 2000
@@ -99,6 +101,11 @@ class Helix:
     intervals: int = TABLE_INTERVALS
 
     def __post_init__(self) -> None:
+        check_fields(
+            self, radius=PLACE, taper=Number(-1e3, 1e3), length=PLACE,
+            loops=Number(-1e4, 1e4, "turns"), phase=ANGLE, lead=PLACE, frame=Frame,
+            intervals=Number(2, 1e6, whole=True),
+        )  # fmt: skip
         _check_positive("loops", self.loops, "a helix needs turns; use 0.25 or more")
         _check_positive("length", self.length, "give the extent along the arm in m")
         for name, z in (("start", 0.0), ("end", self.length)):
@@ -113,11 +120,7 @@ class Helix:
                 "must not be negative", setting="lead", value=self.lead, unit="m",
                 advice="0 stands for no lead",
             )  # fmt: skip
-        if self.hand not in HANDS:
-            raise ConfigError(
-                "is not a choice", setting="hand", value=repr(self.hand),
-                advice='use "right" or "left"',
-            )  # fmt: skip
+        Choice(tuple(HANDS)).check("hand", self.hand)
 
     @property
     def twist(self) -> float:
@@ -275,6 +278,7 @@ class Nearest:
     next_gap: Array
 
 
+@checked(tubes=Several(Helix, 1), places=Reals(-1e6, 1e6, "m", last=3, missing=True))
 def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     """Return the nearest tubes to positions, and the distances along these tubes.
 
@@ -300,10 +304,6 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     foot of the perpendicular onto the loop.
     """
     places = np.asarray(places, float)
-    if not tubes:
-        raise ConfigError("there is no tube; give one helix or more")
-    if places.ndim == 0 or places.shape[-1] != 3:
-        raise ConfigError(f"places of shape {places.shape} must be of shape (..., 3): x, y, z in m")
     feet = [_feet(tube, tube.frame.inwards(places)) for tube in tubes]
     gap = np.concatenate([gaps for _, gaps in feet], axis=-1)
     along = np.concatenate(

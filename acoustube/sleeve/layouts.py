@@ -13,7 +13,9 @@ from math import pi
 
 import numpy as np
 
+from acoustube.base.checks import ANGLE, DISTANCE, LENGTH, PLACE, Reals, Several, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.sleeve.arm_fit import Arm
@@ -87,6 +89,14 @@ class Layout:
         return self.detection_range
 
 
+@checked(
+    arm=Arm,
+    loops=Number(-1e6, 1e6),
+    n_tubes=Number(1, 100, "tubes", whole=True),
+    phase=ANGLE,
+    lead=DISTANCE,
+    length=LENGTH,
+)
 def wound(
     arm: Arm,
     loops: float,
@@ -139,6 +149,17 @@ def wound(
     ]
 
 
+@checked(
+    length=LENGTH,
+    girths=Reals(1e-3, 1e3, "m", ndim=1, last=2),
+    loops=Number(-1e6, 1e6),
+    pitch=PLACE,
+    n_tubes=Number(1, 100, "tubes", whole=True),
+    phase=ANGLE,
+    lead=DISTANCE,
+    outer_diameter=LENGTH,
+    reach=LENGTH,
+)
 def design(
     length: float,
     girths: tuple[float, float],
@@ -211,6 +232,7 @@ def design(
     return tubes
 
 
+@checked(tubes=Several(Helix, 1), reach=LENGTH)
 def check_reach(tubes: Sequence[Helix], reach: float) -> None:
     """Raise if a tube is longer than the sensor's reach.
 
@@ -229,6 +251,7 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
         )
 
 
+@checked(tubes=Several(Helix, 1), outer_diameter=LENGTH)
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     """Raise if tubes overlap.
 
@@ -244,6 +267,7 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
         )
 
 
+@checked(tubes=Several(Helix, 1))
 def spacing(tubes: Sequence[Helix]) -> float:
     """Return the distance across the tubes from one to the next in m, at the sleeve's middle."""
     tube = tubes[0]
@@ -252,6 +276,7 @@ def spacing(tubes: Sequence[Helix]) -> float:
     return tube.pitch / len(tubes) * around
 
 
+@checked(tubes=Several(Helix, 1), dead_zone=DISTANCE, reach=LENGTH, within=LENGTH, deviation=LENGTH)
 def layout(
     tubes: Sequence[Helix],
     *,

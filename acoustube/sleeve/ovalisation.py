@@ -8,7 +8,9 @@ Proceedings of the Royal Society A 116, 104-114. doi:10.1098/rspa.1927.0125
 
 from __future__ import annotations
 
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.tube import Tube
 from acoustube.waves.modes import bessel_zero
 
@@ -16,6 +18,7 @@ COLLAPSE = 2 / 9
 """Ovality at which a long thin tube kinks, by the same reference."""
 
 
+@checked(tube=Tube, curvature=Number(-1e6, 1e6, "1/m"))
 def ovality(tube: Tube, curvature: float) -> float:
     """Return the relative decrease of the bore's radius in the plane of a bend.
 

@@ -22,7 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
+from acoustube.base.checks import LENGTH, Instance, Optional, check_argument, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 
 
@@ -60,12 +62,11 @@ class TrackingSettings:
     misses: int = 8
 
     def __post_init__(self) -> None:
-        for name in ("deviation", "acceleration", "speed", "gate", "hits", "misses"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(
-                    "is not positive", setting=name, value=getattr(self, name),
-                    advice="use a positive number (SI)",
-                )  # fmt: skip
+        positive, count = Number(1e-9, 1e6), Number(1, 1e9, "cycles", whole=True)
+        check_fields(
+            self, deviation=positive, acceleration=positive, speed=positive, gate=positive,
+            hits=count, misses=count,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,8 @@ class ContactTracker:
     """
 
     def __init__(self, settings: TrackingSettings | None = None, *, length: float | None = None):
+        check_argument("settings", settings, Optional(Instance((TrackingSettings,))))
+        check_argument("length", length, Optional(LENGTH))
         self.settings = settings or TrackingSettings()
         self.length = length
         self._time: float | None = None

@@ -44,7 +44,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from acoustube.air import Air
+from acoustube.base.checks import FREQUENCIES, LENGTH, PLACE, Several, check_fields, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
 from acoustube.waves.modes.bore_couplings import BoreModes, bore_modes
@@ -91,13 +93,21 @@ class Bent:
     ovality: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0 < self.length < np.inf and 0 <= self.curvature < np.inf):
-            raise ConfigError(
-                f"must be positive and curvature = {self.curvature} 1/m zero or positive",
-                setting="length", value=self.length, unit="m", advice="give finite numbers",
-            )  # fmt: skip
+        check_fields(
+            self, length=LENGTH, curvature=Number(0, 1e6, "1/m"),
+            torsion=Number(-1e6, 1e6, "1/m"), ovality=Number(-1, 1),
+        )  # fmt: skip
 
 
+@checked(
+    air=Air,
+    frequency=FREQUENCIES,
+    radius=PLACE,
+    bend_radius=Number(-1e6, 1e6, "m"),
+    angle=Number(-1e6, 1e6, "rad"),
+    torsion=Number(-1e6, 1e6, "1/m"),
+    highest=Number(1, 50),
+)
 def bend(
     air: Air,
     frequency: ArrayLike,
@@ -158,6 +168,13 @@ def bend(
     )
 
 
+@checked(
+    air=Air,
+    frequency=FREQUENCIES,
+    parts=Several(Bent, 1),
+    radius=PLACE,
+    highest=Number(1, 50),
+)
 def joined_bends(
     air: Air,
     frequency: ArrayLike,
@@ -259,7 +276,8 @@ def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> N
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
         raise ConfigError(
-            f"is too low for {frequency[-1]:g} Hz", setting="highest", value=highest,
+            f"is too low for frequency = {frequency[-1]:g} Hz and radius = {radius:g} m",
+            setting="highest", value=highest,
             advice="use "
             f"{2 * pi * frequency[-1] * radius / air.sound_speed / 0.8:.3g} or more",
         )  # fmt: skip

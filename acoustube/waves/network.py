@@ -26,13 +26,23 @@ from scipy.fft import next_fast_len
 from scipy.signal import CZT
 
 from acoustube.air import Air
+from acoustube.base.checks import (
+    DISTANCE,
+    LENGTH,
+    PLACE,
+    REFLECTION,
+    WAVES,
+    Several,
+    checked,
+)
+from acoustube.base.rules import Number
 from acoustube.waves import network_checks as checks
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer, Scattering
-from acoustube.waves.scheme.pulse import check_duration
+from acoustube.waves.scheme.pulse import check_pulse
 
 Signal = Callable[[Array], ArrayLike]
 Reflection = complex | NDArray[Any]
@@ -43,6 +53,17 @@ WRAPAROUND_ATTENUATION = 1e4
 """Attenuation of time-domain wrap-around by the exponential window."""
 
 
+@checked(
+    presses=Several(PlacedScatterer),
+    air=Air,
+    radius=PLACE,
+    length=LENGTH,
+    duration=Number(1e-9, 1e4, "s"),
+    time_step=Number(-1, 1, "s"),
+    probes=Several(DISTANCE, 1),
+    source_reflection=REFLECTION,
+    far_reflection=REFLECTION,
+)
 def probe_pressure(
     presses: Sequence[PlacedScatterer],
     air: Air,
@@ -96,7 +117,7 @@ def probe_pressure(
     """
     if not time_step > 0:
         raise ValueError(f"time_step = {time_step} s must be positive")
-    check_duration(pulse, duration)
+    check_pulse(pulse, duration)
     n = int(np.ceil(duration / time_step)) + 1
     n_cycle = next_fast_len(CYCLE * n, real=True)
     time = np.arange(n_cycle) * time_step
@@ -114,6 +135,16 @@ def probe_pressure(
     return time[:n], pressure[:, :n]
 
 
+@checked(
+    presses=Several(PlacedScatterer),
+    air=Air,
+    frequency=WAVES,
+    radius=PLACE,
+    length=LENGTH,
+    probes=Several(DISTANCE, 1),
+    source_reflection=REFLECTION,
+    far_reflection=REFLECTION,
+)
 def transfer(
     presses: Sequence[PlacedScatterer],
     air: Air,

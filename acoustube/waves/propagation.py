@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acoustube.air import Air
+from acoustube.base.checks import LENGTH, checked
+from acoustube.base.rules import Number
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.modes.probes import Probe, height_of, launching, with_probes
 from acoustube.waves.scheme.leapfrog import CHUNK, Array, Progress, march
 from acoustube.waves.scheme.problem import FarEnd, Setup, SourceEnd, prepare
-from acoustube.waves.scheme.pulse import check_duration
+from acoustube.waves.scheme.pulse import check_pulse
 
 Signal = Callable[[Array], ArrayLike]
 
@@ -47,6 +49,7 @@ class Recording:
     shape: tuple[int, int, int]
 
 
+@checked(inner_diameter=LENGTH, resolution=Number(1, 1e6, "cells"), probe=LENGTH)
 def grid_spacing(
     inner_diameter: float, resolution: int, probe: float = 0.02
 ) -> tuple[float, float, float]:
@@ -75,7 +78,8 @@ def grid_spacing(
     across = inner_diameter / resolution
     if probe < across:
         raise ValueError(
-            f"probe = {probe} m lies within the first cell layer; use at least {across:.3g} m"
+            f"probe = {probe} m lies within the first cell layer; use at least {across:.3g} m, "
+            f"inner_diameter / resolution"
         )
     # A little tolerance, so that a probe a whole number of cells away keeps that number.
     return across, across, probe / ceil(probe / across - 1e-9)
@@ -136,7 +140,7 @@ def propagate(
     The volume-weighted mean over a layer of a straight section is the projection on the plane
     mode: every other discrete mode is orthogonal to it.
     """
-    check_duration(pulse, duration)
+    check_pulse(pulse, duration)
     if source_mode != "00" and source_end != "absorbing":
         raise ValueError(
             f'source_mode = "{source_mode}" needs source_end = "absorbing", not "{source_end}"'

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tests.fuzz.corpus import recording
+from tests.fuzz.functions import functions
 from tests.fuzz.harness import Case, Maker
 from tests.fuzz.oddities import (
     as_json,
@@ -328,5 +329,5 @@ def _value(chance: Random) -> str:
 
 CATEGORIES: dict[str, Maker] = {
     "settings": settings, "words": words, "recordings": recordings, "surfaces": surfaces,
-    "markers": markers, "models": models, "results": results,
+    "markers": markers, "models": models, "results": results, "functions": functions,
 }  # fmt: skip

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from acoustube.base.errors import SimulationError
+from tests.fuzz.functions import specs
 
 HEAVY = (
     "acoustube.runs.presses:press_to", "acoustube.runs.simulate:press_to",
@@ -49,4 +50,5 @@ def install() -> None:
         loaded = import_module(module)
         getattr(loaded, name)  # raises where it has moved, rather than leave it to run for minutes
         setattr(loaded, name, stub)
+    specs()  # whose arguments take a second to make
     gc.freeze()  # or each process would copy all of it to count references

@@ -14,7 +14,9 @@ import numpy as np
 import xarray as xr
 
 from acoustube import ranging
+from acoustube.base.checks import SEED, Instance, Optional, check_fields
 from acoustube.base.netcdf import variable
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import configured
@@ -59,6 +61,14 @@ class Recipe:
     n_sessions: int = 1
     seed: int = 0
     rangefinder: Rangefinder | None = None
+
+    def __post_init__(self) -> None:
+        """Validate counts, seed and rangefinder."""
+        count = Number(1, 1e6, whole=True)
+        check_fields(
+            self, n_cycles=count, n_tubes=count, n_sessions=count, seed=SEED,
+            rangefinder=Optional(Instance((Rangefinder,))),
+        )  # fmt: skip
 
     @property
     def per_case(self) -> int:

@@ -99,7 +99,7 @@ def _range(name: str, word: str) -> list[float]:
 def _number(name: str, word: str, part: str) -> Fraction:
     """Return a number exactly, within the range of a float."""
     try:
-        if re.search(r"e[+-]?\d{4}", part, re.IGNORECASE):  # as a fraction it may fill the memory
+        if re.search(r"e[+-]?[\d_]{4}", part, re.IGNORECASE):  # may fill the memory
             raise OverflowError
         number = Fraction(part.strip())
         float(number)

@@ -11,6 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import jnp_zeros, jve
 
 from acoustube.air import Air
+from acoustube.base.checks import FREQUENCY, LENGTH, SPEED, WAVES, Reals, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+
+MOST_WAVES = 1000
+"""Largest circumference of a bore in wavelengths for which modes are counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,11 +45,18 @@ def bessel_zero(m: int, n: int) -> float:
     return float(jnp_zeros(m, n)[-1])
 
 
+@checked(
+    m=Number(-1000, 1000, whole=True),
+    n=Number(-1000, 1000, whole=True),
+    radius=LENGTH,
+    sound_speed=SPEED,
+)
 def cut_on_frequency(m: int, n: int, radius: float, sound_speed: float) -> float:
     """Return the cut-on frequency j'mn c / (2 pi R) in Hz, for a radius R in m and c in m/s."""
     return bessel_zero(m, n) * sound_speed / (2.0 * pi * radius)
 
 
+@checked(frequency=FREQUENCY, radius=LENGTH, sound_speed=SPEED)
 def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mode]:
     """Return the modes that propagate at a frequency.
 
@@ -62,6 +75,11 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
         In the order of their cut-ons, the plane mode first. A mode with m > 0 is a degenerate pair.
     """
     highest = 2.0 * pi * frequency * radius / sound_speed
+    if highest > MOST_WAVES:
+        raise ConfigError(
+            f"frequency = {frequency:g} Hz in a bore of radius = {radius:g} m has too many modes; "
+            f"use at most {MOST_WAVES * frequency / highest:.3g} Hz"
+        )
     modes = [Mode(m=0, n=0, cut_on=0.0)]
     # j'm1 > m bounds the search in m, and zeros of one order are more than pi/2 apart.
     for m in range(int(highest) + 1):
@@ -74,6 +92,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
     return sorted(modes, key=lambda mode: mode.cut_on)
 
 
+@checked(band=Reals(0, 1e12, "Hz", last=2), radius=LENGTH, sound_speed=SPEED)
 def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float) -> list[Mode]:
     """Return the modes whose cut-on lies in a band: a small error decides whether they propagate.
 
@@ -93,6 +112,13 @@ def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float
     return [m for m in modes_below(highest, radius, sound_speed) if m.cut_on >= lowest > 0.0]
 
 
+@checked(
+    m=Number(-1000, 1000, whole=True),
+    n=Number(-1000, 1000, whole=True),
+    frequency=WAVES,
+    radius=LENGTH,
+    air=Air,
+)
 def axial_wavenumber(
     m: int, n: int, frequency: ArrayLike, radius: float, air: Air, *, lossy: bool = True
 ) -> NDArray[np.complex128]:
@@ -175,6 +201,7 @@ def _root(square: NDArray[Any]) -> NDArray[np.complex128]:
     return np.where(root.imag > 0, -root, root)
 
 
+@checked(frequency=FREQUENCY)
 def attenuation(m: int, n: int, frequency: float, radius: float, air: Air) -> float:
     """Return a mode's attenuation in Np/m; see :func:`axial_wavenumber`.
 

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.checks import CYCLES, FREQUENCY, RATE, Reals, check_fields
+from acoustube.base.errors import ConfigError
+
 
 @dataclass(frozen=True, kw_only=True)
 class Pulse:
@@ -33,9 +36,7 @@ class Pulse:
 
     def __post_init__(self) -> None:
         """Validate frequency and cycles."""
-        for name in ("frequency", "cycles"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)} must be positive")
+        check_fields(self, frequency=FREQUENCY, cycles=CYCLES)
 
     @property
     def duration(self) -> float:
@@ -97,14 +98,12 @@ class SampledPulse:
 
     def __post_init__(self) -> None:
         """Validate samples and rate."""
-        samples = np.asarray(self.pressure, dtype=float)
-        if samples.ndim != 1 or samples.size < 4 or not np.all(np.isfinite(samples)):
+        check_fields(self, pressure=Reals(ndim=1), rate=RATE)
+        if np.size(self.pressure) < 4:
             raise ValueError(
-                f"pressure of shape {samples.shape} is not a pulse; give four or more finite "
+                f"pressure of shape {np.shape(self.pressure)} is not a pulse; give four or more "
                 "samples"
             )
-        if not 0.0 < self.rate < np.inf:
-            raise ValueError(f"rate = {self.rate} Hz must be positive and finite")
 
     @property
     def duration(self) -> float:
@@ -116,6 +115,20 @@ class SampledPulse:
         samples = np.asarray(self.pressure, dtype=float)
         spline = CubicSpline(np.arange(samples.size) / self.rate, samples, extrapolate=False)
         return np.nan_to_num(spline(np.asarray(time, dtype=float)))
+
+
+def check_pulse(pulse: object, duration: float) -> None:
+    """Validate that a pulse is a function of time, not longer than the run.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not callable(pulse):
+        raise ConfigError(
+            "is no function of time", setting="pulse", value=pulse, advice="use Pulse"
+        )
+    check_duration(pulse, duration)
 
 
 def check_duration(pulse: object, duration: float) -> None:

@@ -1,0 +1,336 @@
+"""Checks of the arguments of public functions, before anything is computed."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Number as AnyNumber
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+LARGEST = 1e100
+"""Largest magnitude of a sample: squares and sums of such numbers are finite."""
+
+
+class Rule(Protocol):
+    """Rule that an argument obeys."""
+
+    def check(self, name: str, value: Any) -> Any:
+        """Raise ConfigError unless the value obeys the rule."""
+
+
+@dataclass(frozen=True)
+class Reals:
+    """Real numbers in an array, within bounds.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds, both included.
+    unit : str
+        Unit of the values and of the bounds.
+    ndim : int, optional
+        Number of axes.
+    axes : int
+        Least number of axes.
+    last : int, optional
+        Length of the last axis, as 3 of coordinates.
+    missing : bool
+        Whether nan and inf are allowed, as missing values.
+    empty : bool
+        Whether there may be no values at all.
+    kinds : str
+        Kinds of the array's type, as NumPy has them: ``iu`` of whole numbers, ``U`` of words.
+    """
+
+    low: float = -LARGEST
+    high: float = LARGEST
+    unit: str = ""
+    ndim: int | None = None
+    axes: int = 0
+    last: int | None = None
+    missing: bool = False
+    empty: bool = False
+    kinds: str = "iufb"
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the values are real numbers within the bounds, of the right shape.
+
+        Raises
+        ------
+        ConfigError
+        """
+        import numpy as np  # the command line imports this module before it needs arrays
+
+        try:
+            array = np.asarray(value)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise self._error(name, value, "is not an array") from error
+        if array.dtype.kind not in self.kinds:
+            kind = "real" if "f" in self.kinds else "whole"
+            raise self._error(name, value, f"is of type {array.dtype} and not of {kind} numbers")
+        if array.ndim < self.axes or array.ndim != (array.ndim if self.ndim is None else self.ndim):
+            axes = f"{self.axes} or more axes" if self.ndim is None else f"{self.ndim} axes"
+            raise self._error(name, value, f"has shape {array.shape} and not {axes}")
+        if self.last is not None and (array.ndim == 0 or array.shape[-1] != self.last):
+            raise self._error(name, value, f"has shape {array.shape} and not (..., {self.last})")
+        if array.size == 0:
+            if self.empty:
+                return
+            raise self._error(name, value, f"is empty, of shape {array.shape}")
+        if self.missing:
+            array = array[np.isfinite(array)]
+        if array.dtype.kind == "U":
+            return
+        # Written so that nan fails too.
+        if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
+            raise self._error(name, value, "is out of range or not finite")
+
+    def _error(self, name: str, value: Any, reason: str) -> ConfigError:
+        bounds = f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+        return ConfigError(
+            reason, setting=name, value=_in_words(value),
+            allowed=(self.low, self.high), advice=f"use numbers from {bounds}",
+        )  # fmt: skip
+
+
+def _in_words(value: Any) -> Any:
+    """Return an array, or a list, as its first values; anything else unchanged."""
+    if isinstance(value, str | bytes | dict) or not getattr(
+        value, "ndim", hasattr(value, "__len__")
+    ):
+        return value
+    first = ", ".join(str(one) for one in value[:3])
+    return f"[{first}{', ...' if len(value) > 3 else ''}]"
+
+
+@dataclass(frozen=True)
+class Complex:
+    """Finite complex numbers, in an array or alone.
+
+    Parameters
+    ----------
+    least, most : float
+        Smallest and largest magnitude.
+    """
+
+    least: float
+    most: float
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the values are finite numbers of a magnitude within the bounds.
+
+        Raises
+        ------
+        ConfigError
+        """
+        import numpy as np
+
+        array = np.asarray(value) if isinstance(value, AnyNumber | np.ndarray) else np.empty(0)
+        size = np.abs(array) if array.dtype.kind in "iufc" else np.empty(0)
+        if not (size.size and size.min() >= self.least and size.max() <= self.most):
+            raise ConfigError(
+                "is no finite number", setting=name, value=_in_words(value),
+                advice=f"use numbers of magnitude {self.least:g} to {self.most:g}",
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Instance:
+    """An object of some classes.
+
+    Parameters
+    ----------
+    kinds : tuple of type
+    """
+
+    kinds: tuple[type, ...]
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the value is of one of the classes.
+
+        Raises
+        ------
+        ConfigError
+        """
+        if not isinstance(value, self.kinds):
+            words = " or ".join(f"a {kind.__name__}" for kind in self.kinds)
+            raise ConfigError(
+                f"is a {type(value).__name__}", setting=name, value=value, advice=f"give {words}"
+            )
+
+
+@dataclass(frozen=True)
+class Optional:
+    """A rule, or None.
+
+    Parameters
+    ----------
+    rule : rule
+    """
+
+    rule: Any
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the value is None or obeys the rule.
+
+        Raises
+        ------
+        ConfigError
+        """
+        if value is not None:
+            check_argument(name, value, self.rule)
+
+
+@dataclass(frozen=True)
+class Several:
+    """A sequence of values, each of which obeys a rule.
+
+    Parameters
+    ----------
+    each : rule
+    least : int
+        Least number of values.
+    """
+
+    each: Any
+    least: int = 0
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the value is a sequence of values that obey the rule.
+
+        Raises
+        ------
+        ConfigError
+        """
+        if isinstance(value, str | bytes | dict) or not hasattr(value, "__len__"):
+            raise ConfigError("is not a sequence", setting=name, value=value, advice="give a list")
+        if len(value) < self.least:
+            raise ConfigError(
+                f"is too short, of {len(value)}", setting=name, value=value,
+                advice=f"give {self.least} or more",
+            )  # fmt: skip
+        for one in value:
+            check_argument(f"each of {name}", one, self.each)
+
+
+def check_argument(name: str, value: Any, rule: Any) -> Any:
+    """Return the value of an argument, if it obeys a rule: a whole number as an int.
+
+    Parameters
+    ----------
+    name : str
+    value : Any
+    rule : rule or type
+        A class stands for its instances.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if isinstance(rule, type):
+        rule = Instance((rule,))
+    if isinstance(rule, Number) and getattr(value, "ndim", None) == 0:
+        value = value.item()  # NumPy's numbers, and arrays of one
+    found = rule.check(name, value)
+    return found if isinstance(rule, Number) and rule.whole else value
+
+
+def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """Return a decorator that checks arguments by rules before the function is called.
+
+    Parameters
+    ----------
+    **rules
+        By the names of the arguments: a :class:`~acoustube.base.rules.Number`, :class:`Reals`, a
+        class. An argument that is left out, or is its default, is not checked.
+    """
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        signature = inspect.signature(function)
+        defaults = {n: p.default for n, p in signature.parameters.items()}
+        unknown = rules.keys() - defaults.keys()
+        if unknown:
+            raise TypeError(f"{function.__name__} has no arguments {unknown}")
+
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> T:
+            given = signature.bind(*args, **kwargs)
+            for name, value in given.arguments.items():
+                if name in rules and value is not defaults[name]:
+                    given.arguments[name] = check_argument(name, value, rules[name])
+            return function(*given.args, **given.kwargs)
+
+        return call
+
+    return decorate
+
+
+def check_fields(instance: Any, **rules: Any) -> None:
+    """Raise unless the fields of a dataclass obey rules; defaults are not checked.
+
+    Parameters
+    ----------
+    instance : object
+    **rules
+        As of :func:`checked`.
+
+    Raises
+    ------
+    ConfigError
+    """
+    for name, rule in rules.items():
+        value = getattr(instance, name)
+        if value is not getattr(type(instance), name, inspect.Parameter.empty):
+            object.__setattr__(instance, name, check_argument(name, value, rule))
+
+
+def check_alike(**arrays: Any) -> None:
+    """Raise unless arrays have the same shape.
+
+    Parameters
+    ----------
+    **arrays
+        By their names.
+
+    Raises
+    ------
+    ConfigError
+    """
+    import numpy as np
+
+    shapes = {name: np.shape(array) for name, array in arrays.items()}
+    if len(set(shapes.values())) > 1:
+        words = " and ".join(f"{name} has shape {shape}" for name, shape in shapes.items())
+        raise ConfigError(f"{words}; give arrays of one shape")
+
+
+SAMPLES = Reals(axes=1)
+TIMES = Reals(-1e9, 1e9, "s", ndim=1)
+CELSIUS = Reals(-273.15, 1e4, "degC, over absolute zero")
+PLACES = Reals(-1e6, 1e6, "m", last=3)
+RATE = Number(1e-3, 1e12, "Hz")
+FREQUENCY = Number(1e-3, 1e12, "Hz")
+LENGTH = Number(1e-9, 1e6, "m")
+PLACE = Number(-1e6, 1e6, "m")
+DISTANCE = Number(0, 1e6, "m")
+SPEED = Number(1, 1e5, "m/s")
+TEMPERATURE = Number(-273.15, 1e4, "degC, over absolute zero")
+KELVIN = Number(0, 1e4, "K")
+SECONDS = Number(-1e6, 1e6, "s")
+DURATION = Number(1e-12, 1e6, "s")
+FREQUENCIES = Reals(0, 1e12, "Hz")
+PROMINENCE = Number(0, LARGEST)
+GAPS = Reals(missing=True, empty=True)
+REFLECTION = Complex(0, 1e3)
+WAVES = Complex(1e-6, 1e12)
+CYCLES = Number(0.1, 1e4, "cycles")
+ANGLE = Number(-1e6, 1e6, "rad")
+SEED = Number(0, 2**63 - 1, whole=True)

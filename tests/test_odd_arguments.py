@@ -1,0 +1,62 @@
+"""Public functions refuse what makes no sense: in a ValueError that names the argument.
+
+The functions and their good arguments are those of the fuzzer, which draws odder ones at random.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.fuzz.functions import specs, trial
+
+NUMBERS = st.one_of(
+    st.floats(),
+    st.complex_numbers(),
+    st.sampled_from([0, -1, 1e308, -1e308, 1e-320, 10**400, np.nan, np.inf, -np.inf]),
+)
+KINDS = st.sampled_from(
+    [None, "", "x", "nan", b"x", [], {}, (), [None], [[1.0], [1.0, 2.0]], object(), True, 10**400]
+)
+ODD = st.one_of(NUMBERS, KINDS, st.lists(NUMBERS, max_size=4))
+
+
+def arrays_like(good):
+    """Arrays with another type, shape or content than a good one."""
+    plain = np.asarray(good, float)
+    odd = [
+        plain[..., :0], plain[..., :1], plain[np.newaxis], plain.T, plain * 1e308, plain * np.nan,
+        plain * np.inf, plain + 1j, plain.astype(str), plain.astype(object), plain.ravel()[0],
+        plain.astype("M8[s]"), -plain,
+    ]  # fmt: skip
+    return st.sampled_from(odd)
+
+
+def odd_for(good):
+    return st.one_of(ODD, arrays_like(good)) if isinstance(good, np.ndarray) else ODD
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", specs())
+@settings(max_examples=40, deadline=None, derandomize=True, database=None,
+          suppress_health_check=list(HealthCheck))  # fmt: skip
+@given(data=st.data())
+def test_odd_argument_is_named_or_the_answer_is_finite(name, data):
+    spec = specs()[name]
+    argument = data.draw(st.sampled_from(sorted(spec.good)))
+    value = data.draw(odd_for(spec.good[argument]))
+    assert trial(spec, {argument: value}) == ""
+
+
+@pytest.mark.parametrize("name", specs())
+def test_good_arguments_are_taken(name):
+    spec = specs()[name]
+    assert spec.function(**spec.good) is not None or name in {
+        "sleeve.check_reach",
+        "sleeve.check_room",
+    }
