@@ -5,7 +5,7 @@ Localization and Force Sensing" (the sleeve paper): :func:`locate` for recording
 :func:`process` for simulated signals (section II-D), which need no matched filter and have no
 offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
 
-Reading order: filters, peaks, processing, localise, lead, tracker; calibration, calibration_file.
+Reading order: filters, peaks, processing, time_of_flight, localise, lead, tracker; calibration, calibration_file.
 """
 
 from acoustube.base.moved import renamed
@@ -25,16 +25,10 @@ from acoustube.signals.filters import (
     template,
 )
 from acoustube.signals.lead import find_lead
-from acoustube.signals.localise import (
-    Ranging,
-    blind_time,
-    distance,
-    locate,
-    process,
-    speed_of_sound,
-)
+from acoustube.signals.localise import Ranging, locate, process
 from acoustube.signals.peaks import Echoes, find_echoes, send_pulse
 from acoustube.signals.processing import Processing, without_aliased_template
+from acoustube.signals.time_of_flight import blind_time, distance, speed_of_sound
 from acoustube.signals.tracker import Tracker
 
 __all__ = [

@@ -18,15 +18,9 @@ from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
 from acoustube.signals.filters import TimeGain, normalise, remove_offset
-from acoustube.signals.localise import (
-    Ranging,
-    gain_and_match,
-    locate,
-    nominal_distance,
-    process,
-    speed_of_sound,
-)
+from acoustube.signals.localise import Ranging, gain_and_match, locate, process
 from acoustube.signals.processing import Processing, process_arguments, without_aliased_template
+from acoustube.signals.time_of_flight import nominal_distance, speed_of_sound
 
 MIN_DISTANCES = 6
 """Least number of different distances: four parameters of the gain, and two degrees of freedom."""

@@ -178,8 +178,10 @@ def reading(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
-    except ConfigError:
-        raise
+    except ConfigError as error:
+        if error.setting is None:  # of an argument otherwise, which the file has
+            raise
+        raise ConfigError(f"{path} {failure} ({error}); {advice}") from error
     # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
     except errors as error:
         raise ConfigError(f"{path} {failure} ({reason(error)}); {advice}") from error
