@@ -5,7 +5,8 @@ Localization and Force Sensing" (the sleeve paper): :func:`locate` for recording
 :func:`process` for simulated signals (section II-D), which need no matched filter and have no
 offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
 
-Reading order: filters, peaks, processing, time_of_flight, localise, lead, tracker; calibration, calibration_file.
+Reading order: filters, peaks, processing, time_of_flight, localise, lead, tracker; calibration,
+calibration_file.
 """
 
 from acoustube.base.moved import renamed
