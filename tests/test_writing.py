@@ -254,3 +254,52 @@ def test_full_standard_output_is_named():
         )  # fmt: skip
     assert result.returncode == 1
     assert result.stderr == "acoustube: standard output: no space left on the device; make room\n"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="needs POSIX signals")
+def test_commands_that_are_ended_at_random_moments_leave_whole_outputs_or_none(
+    tmp_path, monkeypatch
+):
+    """A few of what ``python -m tests.fuzz.kills`` does by the hundred."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1])
+    from tests.fuzz.corpus import recording
+    from tests.fuzz.kills import Bench
+
+    np.savez("good.npz", **recording())
+    (tmp_path / "bench").mkdir()
+    bench = Bench(tmp_path / "bench", tmp_path)
+    for how, share in zip(("KILL", "TERM"), np.random.default_rng().random(2), strict=True):
+        delay = share * bench.expected("process")[0]
+        wrong = bench.trial("process", how, delay, again=how == "KILL")
+        assert wrong == [], f"{how} after {delay} s"
+
+
+def test_full_disk_does_not_cost_a_scattering_matrix(monkeypatch):
+    """The repeated command finds it in the cache, and says so before."""
+    import trimesh
+
+    from acoustube.ranging import blockage
+    from acoustube.waves import scattering
+
+    found = blockage(np.array([10e3, 15e3]), 0.0).scattering
+    monkeypatch.setattr(scattering, "scatter", lambda *_given, **_settings: found)
+    lumen = trimesh.creation.cylinder(radius=4, height=16, sections=8)
+    lumen.export("lumen.stl")
+    words = ("scatter", "lumen.stl", "--resolution", "8", "--band", "10", "15", "--step", "5")
+
+    def full(*_arguments):
+        raise OSError(errno.ENOSPC, "full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(writing, "_to_disk", full)
+        refused = run_here(*words, "--out", "s.nc")
+    assert refused.returncode == 1
+    assert re.fullmatch(
+        r"acoustube: s.nc: no space left on the device; 0.0\d MB are needed; make room and repeat "
+        r"the command; its presses and scattering matrices are in the cache\n",
+        refused.stderr,
+    )
+    monkeypatch.setattr(scattering, "scatter", None)
+    assert run_here(*words, "--out", "s.nc").returncode == 0
+    assert names() == ["lumen.stl", "s.nc"]

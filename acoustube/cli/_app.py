@@ -144,16 +144,13 @@ def _advice_on_setting(option: str, command: str) -> str:
 
 
 def _kept() -> str:
-    """Return what became of computed results where there was no room for a file, and what to do."""
-    again = "make room and repeat the command"
-    kept = cache.has_kept()
+    """Return what to do where there was no room for a file, and what became of cached results."""
+    again, kept = "make room and repeat the command", cache.has_kept()
     if kept is None:
         return again
-    return (
-        f"{again}, which finds in the cache what was computed"
-        if kept
-        else (f"{again}, which computes all again, since the cache could not be written either")
-    )
+    if kept:
+        return f"{again}; its presses and scattering matrices are in the cache"
+    return f"{again}; the cache could not be written either, so that all is computed again"
 
 
 def _about_file(error: OSError) -> str:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from acoustube.base import cache
 from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name, check_new_file, check_surface
@@ -169,6 +171,7 @@ def _scattering(
 
     from acoustube.air import air_at
     from acoustube.base.surfaces import read_lumen
+    from acoustube.runs.scattering_file import keep, recall
     from acoustube.waves.grid.cells import cut_cells
     from acoustube.waves.scattering import scatter as scattering
 
@@ -186,11 +189,29 @@ def _scattering(
         cells = cut_cells(surface, spacing)
         _check_width(cells, lumen)
         progress(0.0)
-        found = scattering(
-            cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
-            progress=progress,
-        )  # fmt: skip
+        name = _name(surface, start, frequency, medium, resolution)
+        found = recall(name)
+        if found is None:
+            found = scattering(
+                cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
+                progress=progress,
+            )  # fmt: skip
+            keep(name, found, f"sound of {lumen.name}")  # a full disk does not cost it
     return found, _notes(cells, found, air)
+
+
+def _name(surface: Any, start: float, frequency: Any, medium: Medium, resolution: int) -> str:
+    """Return the name of the scattering matrix in the cache."""
+    shape = sha256(surface.vertices.tobytes() + surface.faces.tobytes()).hexdigest()
+    return cache.key(
+        "scattering",
+        {
+            "surface": [shape, start],
+            "frequency": frequency.tolist(),
+            "medium": asdict(medium),
+            "resolution": resolution,
+        },
+    )
 
 
 def _end_size(surface: Any) -> float:

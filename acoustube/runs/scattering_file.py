@@ -6,12 +6,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
+from acoustube.base import cache
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
-from acoustube.base.netcdf import flag, variable
+from acoustube.base.netcdf import flag, to_netcdf, variable
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering
 
@@ -57,6 +59,30 @@ def to_dataset(found: Scattering) -> xr.Dataset:
         "time_step": found.time_step,
     }
     return xr.Dataset(variables, coordinates, origin)
+
+
+def keep(name: str, found: Scattering, label: str) -> None:
+    """Write a scattering matrix to the cache.
+
+    Parameters
+    ----------
+    name : str
+        From :func:`acoustube.base.cache.key`.
+    found : Scattering
+    label : str
+        Description for the list of the cache.
+    """
+    content = np.frombuffer(to_netcdf(to_dataset(found)), np.uint8)
+    cache.store(name, {"netcdf": content}, label)
+
+
+def recall(name: str) -> Scattering | None:
+    """Return a scattering matrix from the cache; None where it has none of that name."""
+    known = cache.recall(name)
+    if known is None:
+        return None
+    with xr.open_dataset(known["netcdf"].tobytes(), engine="h5netcdf") as data:
+        return from_dataset(data.load())
 
 
 def read(path: str | Path) -> Scattering:

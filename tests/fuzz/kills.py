@@ -33,7 +33,9 @@ ENDS = {"KILL": (signal.SIGKILL,), "INT": (signal.SIGINT,), "TERM": (signal.SIGT
 IN_TIME, PATIENCE = 5.0, 120.0
 """Seconds to end in after a signal, and to wait for a command."""
 BEFORE_PYTHON = 1.0
-"""Processor time in s, generous, in which Python starts, and says nothing of its own."""
+"""Seconds in which Python starts, before the command can say a word; on a busy machine."""
+REPORTED = 50
+"""Trials between two lines of progress."""
 NOISE = ("Traceback", "Exception ignored", "Error:", "free()", "Warning")
 SMALL = ("--indenter", "25", "--depth", "0.6")
 TIMES = ("elapsed_time",)
@@ -97,13 +99,15 @@ class Bench:
     ----------
     place : Path
         Empty folder.
+    corpus : Path, optional
+        Good files; made, or taken from an earlier run, if not given.
     """
 
-    def __init__(self, place: Path) -> None:
-        self.place, self.corpus = place, _corpus()
+    def __init__(self, place: Path, corpus: Path | None = None) -> None:
+        self.place, self.corpus = place, corpus or _corpus()
         self.cache = place / "cache"
         self.environment = os.environ | {"ACOUSTUBE_CACHE": str(self.cache), "MPLBACKEND": "agg"}
-        self.environment |= {"PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+        self.environment |= {"COLUMNS": "80"}
         self.known: dict[str, tuple[float, dict[str, Any]]] = {}
         os.environ["ACOUSTUBE_CACHE"] = str(self.cache)
         _make(place / "made")
@@ -274,18 +278,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.kills", description=__doc__)
     parser.add_argument("--seed", type=int, default=secrets.randbits(32), help="drawn if not given")
     parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--seconds", type=float, help="time after which no trial begins")
     parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--command", action="append", choices=COMMANDS, help="all if not given")
     parser.add_argument("--again", type=float, default=0.3, help="share that is repeated")
     given = parser.parse_args()
     print(f"seed {given.seed}", flush=True)
     place, tally, found = Path(tempfile.mkdtemp(prefix="acoustube-kills-")), Counter[str](), 0
+    end = time.monotonic() + (given.seconds or float("inf"))
     try:
         bench = Bench(place)
         for number in range(given.first, given.first + given.count):
+            if time.monotonic() > end:
+                break
             name, how, delay, again = _drawn(bench, Random(f"{given.seed} {number}"), given)
             wrong = bench.trial(name, how, delay, again=again)
             tally[how] += 1
+            if tally.total() % REPORTED == 0:
+                print(f"{tally.total()} kills, {found} found", flush=True)
             if wrong:
                 found += 1
                 print(f"\n{number}: {name}, {how} after {delay:.2f} s: {'; '.join(wrong)}")

@@ -17,13 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from acoustube.air import air_at
 from acoustube.base import cache
-from acoustube.base.netcdf import to_netcdf
 from acoustube.indentation import Indentation, PressError
 from acoustube.lumen import Lumen, inner_wall, measure, pressed_part
 from acoustube.runs import presses as press_runs
-from acoustube.runs import sound
+from acoustube.runs import scattering_file, sound
 from acoustube.runs.config.si import SIPress, SISettings
-from acoustube.runs.scattering_file import from_dataset, to_dataset
 from acoustube.runs.walls import walls
 from acoustube.waves import Scattering
 
@@ -188,7 +186,7 @@ def scattering(
     label : str
         Description for the list of the cache.
     """
-    known = _cached(name)
+    known = scattering_file.recall(name)
     if known is not None:
         return Done(known, True)
     air = air_at(band.temperature, humidity=settings.humidity, pressure=settings.pressure)
@@ -197,14 +195,5 @@ def scattering(
             part, air, (band.low, band.high), bore=settings.tube.inner_diameter,
             resolution=settings.resolution, lossy=settings.lossy,
         )  # fmt: skip
-    content = np.frombuffer(to_netcdf(to_dataset(found)), np.uint8)
-    cache.store(name, {"netcdf": content}, label)
+    scattering_file.keep(name, found, label)
     return Done(found, False)
-
-
-def _cached(name: str) -> Scattering | None:
-    known = cache.recall(name)
-    if known is None:
-        return None
-    with xr.open_dataset(known["netcdf"].tobytes(), engine="h5netcdf") as data:
-        return from_dataset(data.load())
