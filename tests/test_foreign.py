@@ -391,3 +391,14 @@ def test_surface_reads_no_other_file(tmp_path):
     text = path.read_text()
     path.write_text(f"mtllib ../../../../../../dev/zero\nmtllib /dev/zero\nusemtl x\n{text}")
     assert load(path).is_watertight
+
+
+def test_nothing_is_printed_before_the_sentence(tmp_path, capfd):
+    """By a library that logs the traceback of the error that it handles."""
+    text = (
+        "solid a\nfacet normal 0 0 x\nouter loop\n" + 3 * "vertex 0 1 y\n" + "endloop\nendfacet\n"
+    )
+    (tmp_path / "a.stl").write_text(text + "endsolid\n")
+    with pytest.raises(ConfigError, match=r"a\.stl"):
+        load(tmp_path / "a.stl")
+    assert capfd.readouterr() == ("", "")

@@ -7,6 +7,7 @@ the nesting, which Python's stack bounds.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import stat
 import warnings
@@ -174,9 +175,11 @@ def reading(
     ------
     ConfigError
     """
+    silent = logging.root.manager.disable
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            logging.disable(logging.CRITICAL)  # some libraries log the tracebacks that they handle
             yield
     except ConfigError as error:
         if error.setting is None:  # of an argument otherwise, which the file has
@@ -185,6 +188,8 @@ def reading(
     # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
     except errors as error:
         raise ConfigError(f"{path} {failure} ({reason(error)}); {advice}") from error
+    finally:
+        logging.disable(silent)
 
 
 def reason(error: Exception) -> str:
