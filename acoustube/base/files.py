@@ -176,7 +176,8 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
         except DiskFullError as error:
             shown = Path(str(error.path).replace(str(partial), str(path)))
             needed = remnants.size(partial) + error.needed
-            raise DiskFullError(shown, error.reason, needed) from error
+            rest = "the files after it need more"
+            raise DiskFullError(shown, error.reason, needed, rest) from error
         finally:
             if partial.exists():
                 remnants.remove(partial)

@@ -54,7 +54,11 @@ def register(path: Path) -> Path | None:
         folder.mkdir(parents=True, exist_ok=True)
         record = folder / path.name.lstrip(".")
         words = f"{os.getpid()} {platform.node()}\n".encode() + os.fsencode(path.absolute())
-        record.write_bytes(words)
+        try:
+            record.write_bytes(words)
+        except OSError:
+            record.unlink(missing_ok=True)
+            raise
         return record
     return None
 
