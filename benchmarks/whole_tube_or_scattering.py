@@ -27,7 +27,7 @@ def compare(resolution: int, losses: str) -> None:
     start = perf_counter()
     whole, _ = tube_recordings(settings, lumen(press, position))
     between = perf_counter()
-    parts, _ = scattered_recordings(settings, pressed_part(press))
+    parts, _, _ = scattered_recordings(settings, pressed_part(press))
     seconds = between - start, perf_counter() - between
     answer = 2 * (position - 0.03) / settings.air.sound_speed
     for end, recording in whole.items():

@@ -75,12 +75,12 @@ def test_cases_are_what_simulate_computes(finished):
         row = press.rows_at([float(case["depth"])])[0]
         part = pressed_part(press, row)
         (group,) = load_paths([Case("a", config)])[0].groups
-        matrix, _ = sound.scattering_of(
-            part, settings.air, (group.band.low, group.band.high),
+        matrix, _, _ = sound.scattering_of(
+            part, settings.air, (group.band.low, group.band.high), method="scattering",
             bore=7.9e-3, resolution=8, lossy=True,
         )  # fmt: skip
         same = sound.joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
-        alone, _ = sound.scattered_recordings(settings, part)
+        alone, _, _ = sound.scattered_recordings(settings, part)
         for end in sound.SOURCE_ENDS:
             found = case["pressure"].sel(source_end=end).values
             assert np.abs(found - same[end].pressure[0]).max() < 1e-6
@@ -394,6 +394,7 @@ def test_scattering_is_cached_under_all_that_it_depends_on():
     others = [
         name(depths=(2e-3,)), name(depth=1e-3), name(band=band._replace(high=51e3)),
         varied("waves", losses="off"), varied("waves", resolution=20),
+        varied("waves", method="spectral"),
         varied("waves", humidity_percent=40.0), varied("tube", wall_mm=1.7),
         varied("indentation", support="free"),
     ]  # fmt: skip

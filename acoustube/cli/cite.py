@@ -133,7 +133,7 @@ def _of_settings(settings: dict[str, Any]) -> set[str]:
         # Both source ends are computed, one of them absorbing.
         found |= {"air", "absorber", "grid"}
         found |= {"losses"} if waves["losses"] == "on" else set()
-        found |= {"scattering", "cascade"} if waves["method"] == "scattering" else set()
+        found |= {"scattering", "cascade"} if waves["method"] != "full" else set()
     return found
 
 

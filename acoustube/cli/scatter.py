@@ -173,6 +173,7 @@ def _scattering(
     from acoustube.base.surfaces import read_lumen
     from acoustube.runs.scattering_file import keep, recall
     from acoustube.waves.grid.cells import cut_cells
+    from acoustube.waves.scattering import Scattering
     from acoustube.waves.scattering import scatter as scattering
 
     state = medium.in_si()
@@ -191,7 +192,7 @@ def _scattering(
         progress(0.0)
         name = _name(surface, start, frequency, medium, resolution)
         found = recall(name)
-        if found is None:
+        if not isinstance(found, Scattering):
             found = scattering(
                 cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
                 progress=progress,

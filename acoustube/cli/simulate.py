@@ -37,7 +37,7 @@ class Sound:
     resolution: Annotated[int | None, setting("resolution")] = None
     source_end: Annotated[Literal["release", "absorbing"] | None, setting("source_end")] = None
     losses: Annotated[Literal["off", "on"] | None, setting("losses")] = None
-    method: Annotated[Literal["full", "scattering"] | None, setting("method")] = None
+    method: Annotated[Literal["full", "scattering", "spectral"] | None, setting("method")] = None
 
 
 def simulate(
@@ -156,12 +156,26 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
             _estimate(dataset.sel(source_end=end), prominence),
             style=style,
         )
+    if "spectral_distance" in dataset:
+        table.add_row("spectral solver", _compared(dataset.sel(source_end=chosen)))
     times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
     console.print(table)
     console.print(f"accuracy: {dataset.attrs['accuracy']}", soft_wrap=True)
     for words in dataset.attrs["warnings"].splitlines():
         note(console, words)
+
+
+def _compared(case: xr.Dataset) -> str:
+    """Return how far the echo of the spectral solver is from that of the run, in words."""
+    if not math.isfinite(float(case["spectral_distance"] - case["estimated_distance"])):
+        return "no echo in one of the two, see the variables spectral_*"
+    apart = float(case["spectral_distance"] - case["estimated_distance"])
+    ratio = float(case["spectral_amplitude"] / case["echo_amplitude"])
+    return (
+        f"echo {MM * apart:+.3f} mm from this one, {PERCENT * (ratio - 1):+.2f} % in height "
+        f"(estimated error of its coefficients {float(case['spectral_error']):.0e})"
+    )
 
 
 def _estimate(case: xr.Dataset, prominence: float) -> str:

@@ -12,6 +12,7 @@ FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
 STEPS_PER_LAYER = 2 * 3.9  # time steps per axial layer, for both source ends
 SCATTERING_STEPS = 8 * 8000.0  # of eight runs of 12 ms, per cell in a mm
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
+SPECTRAL_SECONDS = 1.5
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.0)}, 1.0
 """Seconds of a press, fixed and per mm of depth, by the number of symmetry planes; memory in GB."""
 TETRAHEDRA = 4.0
@@ -31,7 +32,14 @@ def simulation_cost(settings: SISettings) -> tuple[float, float]:
     if settings.method == "scattering":
         steps = SCATTERING_STEPS * layers
     seconds = cells * steps * SECONDS_PER_CELL_STEP * (LOSSY if settings.lossy else 1)
+    if settings.method == "spectral":
+        return FIXED_SECONDS + spectral_seconds(settings), FIXED_GIGABYTES
     return FIXED_SECONDS + seconds, FIXED_GIGABYTES + cells * GIGABYTES_PER_CELL
+
+
+def spectral_seconds(settings: SISettings) -> float:
+    """Return the expected time in s of a scattering matrix by the spectral solver."""
+    return SPECTRAL_SECONDS * (LOSSY if settings.lossy else 1)
 
 
 def cells_of(settings: SISettings) -> float:

@@ -19,8 +19,10 @@ from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.runs.config import Config, Mechanics
 from acoustube.runs.config.si import SISettings
+from acoustube.runs.sound import SpectralCheck
 from acoustube.signals import Ranging
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
+from acoustube.waves.budget import SpectralBudget
 
 EVEN_POINTS = 401
 """Evenly spaced points of the profile along the tube, in addition to the mesh's rings."""
@@ -31,6 +33,7 @@ MEASURED_PART = 0.95
 The end of a tube that tilts off the floor is slanted.
 """
 DEPTH = "indentation depth from first contact"
+SPECTRAL_ERROR = "estimated error of the scattering coefficients at 95 % of the frequencies"
 
 
 def dataset(
@@ -41,7 +44,8 @@ def dataset(
     recordings: Mapping[SourceEnd, Recording],
     rangings: Mapping[SourceEnd, Ranging],
     *,
-    budget: Budget,
+    budget: Budget | SpectralBudget,
+    check: SpectralCheck | None,
     seconds: Mapping[str, float],
     warnings: Sequence[str],
     device: str,
@@ -57,8 +61,10 @@ def dataset(
     lumen : Lumen
     recordings, rangings : mapping of str
         The recorded and the processed signal for each choice of the source end.
-    budget : Budget
+    budget : Budget or SpectralBudget
         Known errors of the recordings.
+    check : SpectralCheck or None
+        The echo by the spectral solver, if it was computed.
     seconds : mapping of str to float
         Computing time of each stage.
     warnings : sequence of str
@@ -78,6 +84,7 @@ def dataset(
         | _recorded(recordings, settings.pulse)
         | _ranged(rangings, settings.source_end)
         | _trusted(budget)
+        | _checked(check)
         | {
             "true_distance": variable("", lumen.position, "m", "distance of the press"),
             "sound_speed": variable("", settings.air.sound_speed, "m/s", "speed of sound"),
@@ -302,7 +309,19 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[s
     }
 
 
-def _trusted(budget: Budget) -> dict[str, Variable]:
+def _checked(check: SpectralCheck | None) -> dict[str, Variable]:
+    if check is None:
+        return {}
+    place = "distance of the highest echo, spectral solver"
+    height = "height of that echo, relative to the send pulse"
+    return {
+        "spectral_distance": variable("source_end", check.distance, "m", place),
+        "spectral_amplitude": variable("source_end", check.amplitude, "1", height),
+        "spectral_error": variable("", check.error, "1", SPECTRAL_ERROR),
+    }
+
+
+def _trusted(budget: Budget | SpectralBudget) -> dict[str, Variable]:
     """Return the known errors of the sound."""
     table = {
         "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
@@ -313,12 +332,13 @@ def _trusted(budget: Budget) -> dict[str, Variable]:
             "dB",
             "reflection of an absorbing end for a mode 1 % above cut-on",
         ),
+        "spectral_error": ("1", SPECTRAL_ERROR),
         "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
     }
     return {
         name: variable("", getattr(budget, name), units, text)
         for name, (units, text) in table.items()
-        if getattr(budget, name) is not None
+        if getattr(budget, name, None) is not None
     }
 
 

@@ -16,9 +16,17 @@ from acoustube.base.foreign.results import open_result
 from acoustube.base.netcdf import flag, to_netcdf, variable
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering
+from acoustube.waves.spectral import SpectralScattering
+
+StoredScattering = Scattering | SpectralScattering
+"""Scattering matrices that runs compute and store."""
+SOLVERS = "time domain", "spectral"
+"""Values of the attribute ``solver``; files of earlier versions are of the first."""
+SIZES = "tolerance", "degree", "n_elements", "n_shifts", "n_fields"
+"""Attributes of a matrix of the spectral solver."""
 
 
-def to_dataset(found: Scattering) -> xr.Dataset:
+def to_dataset(found: StoredScattering) -> xr.Dataset:
     """Return a scattering matrix with its coordinates and its origin as a dataset.
 
     Returns
@@ -32,9 +40,8 @@ def to_dataset(found: Scattering) -> xr.Dataset:
     variables = {
         "s_real": variable(dims, s.real, "1", f"real part of the {what}"),
         "s_imag": variable(dims, s.imag, "1", f"imaginary part of the {what}"),
-        "settled": flag(dims, found.settled, "whether the ringing was over"),
         "propagates": flag("frequency mode_in", found.propagates, "whether the mode propagates"),
-        "cut_on": variable("mode_in", found.cut_ons, "Hz", "cut-on frequency on the grid"),
+        "cut_on": variable("mode_in", found.cut_ons, "Hz", "cut-on frequency, on the grid if any"),
     }
     coordinates: dict[str, Any] = {
         "frequency": variable("frequency", found.frequency, "Hz", "frequency")
@@ -53,22 +60,31 @@ def to_dataset(found: Scattering) -> xr.Dataset:
         "reference_z_1": 0.0,
         "reference_z_2": 0.0,
         "extent": found.extent,
-        "cell_size": found.spacing,
-        "grid_shape": found.shape,
-        "steps": found.steps,
-        "time_step": found.time_step,
     }
+    if isinstance(found, SpectralScattering):
+        text = "estimated largest error of the coefficients"
+        variables["error"] = variable("frequency", found.error, "1", text)
+        origin |= {"solver": SOLVERS[1]} | {name: getattr(found, name) for name in SIZES}
+    else:
+        variables["settled"] = flag(dims, found.settled, "whether the ringing was over")
+        origin |= {
+            "solver": SOLVERS[0],
+            "cell_size": found.spacing,
+            "grid_shape": found.shape,
+            "steps": found.steps,
+            "time_step": found.time_step,
+        }
     return xr.Dataset(variables, coordinates, origin)
 
 
-def keep(name: str, found: Scattering, label: str) -> None:
+def keep(name: str, found: StoredScattering, label: str) -> None:
     """Write a scattering matrix to the cache.
 
     Parameters
     ----------
     name : str
         From :func:`acoustube.base.cache.key`.
-    found : Scattering
+    found : Scattering or SpectralScattering
     label : str
         Description for the list of the cache.
     """
@@ -76,7 +92,7 @@ def keep(name: str, found: Scattering, label: str) -> None:
     cache.store(name, {"netcdf": content}, label)
 
 
-def recall(name: str) -> Scattering | None:
+def recall(name: str) -> StoredScattering | None:
     """Return a scattering matrix from the cache; None where it has none of that name."""
     known = cache.recall(name)
     if known is None:
@@ -85,12 +101,12 @@ def recall(name: str) -> Scattering | None:
         return from_dataset(data.load())
 
 
-def read(path: str | Path) -> Scattering:
+def read(path: str | Path) -> StoredScattering:
     """Read a scattering matrix that ``acoustube scatter`` wrote.
 
     Returns
     -------
-    Scattering
+    Scattering or SpectralScattering
         Its reference planes at z = 0 of the surface that was given.
 
     Raises
@@ -107,7 +123,7 @@ def read(path: str | Path) -> Scattering:
     raise AssertionError  # unreachable: the block returns or raises
 
 
-def from_dataset(data: xr.Dataset) -> Scattering:
+def from_dataset(data: xr.Dataset) -> StoredScattering:
     """Return the scattering matrix in a dataset of :func:`to_dataset`.
 
     Raises
@@ -115,19 +131,27 @@ def from_dataset(data: xr.Dataset) -> Scattering:
     KeyError, ValueError, TypeError
         If it is another dataset.
     """
-    s = data["s_real"].values + 1j * data["s_imag"].values
+    low, high = (float(z) for z in data.attrs["extent"])
+    common: dict[str, Any] = {
+        "frequency": data["frequency"].values,
+        "modes": tuple(str(name) for name in data["mode_in"].values),
+        "s": data["s_real"].values + 1j * data["s_imag"].values,
+        "propagates": data["propagates"].values.astype(bool),
+        "cut_ons": data["cut_on"].values,
+        "sound_speed": float(data.attrs["sound_speed"]),
+        "extent": (low, high),
+    }
+    if data.attrs.get("solver", SOLVERS[0]) == SOLVERS[1]:
+        sizes: dict[str, Any] = {name: int(data.attrs[name]) for name in SIZES[1:]}
+        return SpectralScattering(
+            **common, **sizes, derivative=None, error=data["error"].values,
+            tolerance=float(data.attrs["tolerance"]),
+        )  # fmt: skip
     nx, ny, nz = (int(n) for n in data.attrs["grid_shape"])
     dx, dy, dz = (float(h) for h in data.attrs["cell_size"])
-    low, high = (float(z) for z in data.attrs["extent"])
     return Scattering(
-        frequency=data["frequency"].values,
-        modes=tuple(str(name) for name in data["mode_in"].values),
-        s=s,
-        propagates=data["propagates"].values.astype(bool),
-        cut_ons=data["cut_on"].values,
+        **common,
         settled=data["settled"].values.astype(bool),
-        sound_speed=float(data.attrs["sound_speed"]),
-        extent=(low, high),
         spacing=(dx, dy, dz),
         shape=(nx, ny, nz),
         steps=int(data.attrs["steps"]),

@@ -27,9 +27,11 @@ from acoustube.runs.sound import (
     blind_time,
     locate,
     scattered_recordings,
+    spectral_check,
     tube_recordings,
 )
-from acoustube.waves import attenuation, cut_ons_in_band
+from acoustube.waves import Budget, attenuation, cut_ons_in_band
+from acoustube.waves.budget import SpectralBudget
 
 
 def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
@@ -73,13 +75,23 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         indentation = press_to(settings, [settings.depth], progress, notes.append)
     with stage("lumen", seconds, report):
         space = lumen(indentation, settings.position)
+    budget: Budget | SpectralBudget
     with stage("waves", seconds, report) as progress:
         if settings.method == "full":
             recordings, budget = tube_recordings(settings, space, progress)
         else:
-            recordings, budget = scattered_recordings(settings, pressed_part(indentation), progress)
+            part = pressed_part(indentation)
+            recordings, budget, unsuitable = scattered_recordings(settings, part, progress)
+            notes += [unsuitable] if unsuitable else []
     with stage("signals", seconds, report):
         rangings = {end: locate(settings, recording) for end, recording in recordings.items()}
+    check = None
+    if settings.method == "full":
+        with stage("check", seconds, report):
+            try:
+                check = spectral_check(settings, pressed_part(indentation))
+            except ValueError as error:
+                notes.append(f"The spectral solver did not check this run: {error}")
 
     return results.dataset(
         config,
@@ -90,6 +102,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         rangings,
         seconds=seconds,
         budget=budget,
+        check=check,
         warnings=[*notes, *warnings_for(settings), *_narrow(settings, indentation)],
         device=jax.devices()[0].device_kind,
     )

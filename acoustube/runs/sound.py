@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube import signals
 from acoustube.air import Air
+from acoustube.base.errors import ConfigError
 from acoustube.base.moved import renamed
 from acoustube.base.report import ignore
 from acoustube.lumen import Lumen
 from acoustube.runs.config.si import SISettings
+from acoustube.runs.scattering_file import StoredScattering
 from acoustube.waves import (
     Budget,
     CutCells,
@@ -27,6 +31,8 @@ from acoustube.waves import (
     propagate,
     scatter,
 )
+from acoustube.waves.budget import ERROR_QUANTILE, SpectralBudget, spectral_budget
+from acoustube.waves.spectral import SpectralScattering, scatter_spectral, wall_of
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
@@ -40,6 +46,10 @@ LOWEST_CARRIERS = 0.1
 """Lowest computed frequency of a short pulse, whose band reaches to zero, in carriers."""
 FREQUENCY_STEP = 100.0
 """Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
+LOSSLESS_REFINEMENT = 4
+"""Factor by which the frequencies of the spectral solver are denser without losses."""
+LARGEST_SPECTRAL_ERROR = 0.02
+"""Largest estimate of the spectral solver's error, at most frequencies, that is accepted."""
 TIME_STEP = 1e-6
 """Time step in s of recordings that are joined from scattering and straight tube."""
 
@@ -93,7 +103,7 @@ def tube_recordings(
 
 def scattered_recordings(
     settings: SISettings, part: Lumen, progress: Callable[[float], None] | None = None
-) -> tuple[dict[SourceEnd, Recording], Budget]:
+) -> tuple[dict[SourceEnd, Recording], Budget | SpectralBudget, str]:
     """Return the recordings of :func:`tube_recordings` from the scattering of the pressed part.
 
     Parameters
@@ -108,15 +118,20 @@ def scattered_recordings(
     -------
     recordings : dict of Recording
         For each choice of the source end.
-    budget : Budget
+    budget : Budget or SpectralBudget
         Known errors of the recordings.
+    note : str
+        Why the spectral solver was not used although it was asked for; empty otherwise.
     """
-    matrix, cells = scattering_of(
-        part, settings.air, band_of(settings.pulse), bore=settings.tube.inner_diameter,
-        resolution=settings.resolution, lossy=settings.lossy, progress=progress,
+    matrix, cells, note = scattering_of(
+        part, settings.air, band_of(settings.pulse), method=settings.method,
+        bore=settings.tube.inner_diameter, resolution=settings.resolution, lossy=settings.lossy,
+        progress=progress,
     )  # fmt: skip
     recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
-    return recordings, _budget(settings, cells, None, recordings)
+    if isinstance(matrix, SpectralScattering):
+        return recordings, spectral_budget(matrix, recordings[settings.source_end].pressure), note
+    return recordings, _budget(settings, cast(CutCells, cells), None, recordings), note
 
 
 def scattering_of(
@@ -124,11 +139,12 @@ def scattering_of(
     air: Air,
     band: tuple[float, float],
     *,
+    method: str,
     bore: float,
     resolution: int,
     lossy: bool,
     progress: Callable[[float], None] | None = None,
-) -> tuple[Scattering, CutCells]:
+) -> tuple[StoredScattering, CutCells | None, str]:
     """Return the scattering matrix of a press, referred to its own position.
 
     Parameters
@@ -138,6 +154,8 @@ def scattering_of(
     air : Air
     band : tuple of float
         Lowest and highest frequency in Hz.
+    method : {"scattering", "spectral"}
+        Time-domain or spectral; a lumen that is unsuitable for the latter takes the former.
     bore : float
         Inner diameter in m.
     resolution : int
@@ -149,28 +167,107 @@ def scattering_of(
 
     Returns
     -------
-    scattering : Scattering
+    scattering : Scattering or SpectralScattering
         In steps of `FREQUENCY_STEP`.
-    cells : CutCells
-        The lumen on its grid.
+    cells : CutCells or None
+        The lumen on its grid, where there is one.
+    note : str
+        Why the spectral solver was not used although it was asked for; empty otherwise.
     """
+    note = ""
+    if method == "spectral":
+        try:
+            return spectral_scattering_of(part, air, band, lossy=lossy), None, ""
+        except ConfigError as reason:
+            note = f"The time-domain method computed the scattering, not the spectral one: {reason}"
     across, length = bore / resolution, 2 * part.position
     # A whole number of layers, so that the grid of a symmetric press is symmetric too.
     spacing = across, across, length / np.ceil(length / across)
-    lowest, highest = band
-    count = int(np.ceil((highest - lowest) / FREQUENCY_STEP))
     cells = cut_cells(part.surface, spacing)
     matrix = scatter(
         cells,
         air,
-        lowest + FREQUENCY_STEP * np.arange(count + 1),
+        _frequencies(band, FREQUENCY_STEP),
         reference=(part.position, part.position),
         lossy=lossy,
         symmetric=part.symmetric,
         symmetric_only=part.symmetric,
         progress=progress,
     )
-    return matrix, cells
+    return matrix, cells, note
+
+
+def spectral_scattering_of(
+    part: Lumen, air: Air, band: tuple[float, float], *, lossy: bool
+) -> SpectralScattering:
+    """Return the scattering matrix of a press by the spectral solver, as :func:`scattering_of`.
+
+    Raises
+    ------
+    ConfigError
+        If the lumen is unsuitable for the spectral solver, or its error estimate is too large.
+    """
+    # Without losses a trapped mode rings for longer than the period of the usual step.
+    step = FREQUENCY_STEP if lossy else FREQUENCY_STEP / LOSSLESS_REFINEMENT
+    try:
+        found = scatter_spectral(
+            wall_of(part), air, _frequencies(band, step), lossy=lossy, symmetric_only=part.symmetric
+        )
+    except np.linalg.LinAlgError as cause:
+        raise ConfigError(
+            "the sections of the lumen overlap themselves; use method = scattering"
+        ) from cause
+    error = float(np.quantile(found.error, ERROR_QUANTILE))
+    if not error <= LARGEST_SPECTRAL_ERROR:
+        raise ConfigError(
+            f"the spectral solver's error estimate is {error:.1g}, more than "
+            f"{LARGEST_SPECTRAL_ERROR:g}; use method = scattering"
+        )
+    return found
+
+
+def _frequencies(band: tuple[float, float], step: float) -> NDArray[np.float64]:
+    """Return even frequencies in Hz over a band."""
+    lowest, highest = band
+    return np.asarray(lowest + step * np.arange(int(np.ceil((highest - lowest) / step)) + 1))
+
+
+class SpectralCheck(NamedTuple):
+    """The echo of a press from its spectral scattering matrix, for each source end.
+
+    Attributes
+    ----------
+    distance : tuple of float
+        Of the highest echo in m; nan without one.
+    amplitude : tuple of float
+        Its height, relative to the send pulse.
+    error : float
+        Estimated error of the scattering coefficients at 95 % of the frequencies.
+    """
+
+    distance: tuple[float, ...]
+    amplitude: tuple[float, ...]
+    error: float
+
+
+def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
+    """Return the echo of a pressed part from the spectral solver.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`spectral_scattering_of`.
+    """
+    band = band_of(settings.pulse)
+    matrix = spectral_scattering_of(part, settings.air, band, lossy=settings.lossy)
+    recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
+    found = [locate(settings, recordings[end]) for end in SOURCE_ENDS]
+    error = float(np.quantile(matrix.error, ERROR_QUANTILE))
+    return SpectralCheck(
+        tuple(float(ranging.distance) for ranging in found),
+        tuple(float(ranging.amplitude) for ranging in found),
+        error,
+    )
 
 
 def joined_recordings(

@@ -13,6 +13,7 @@ from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.section import section_cut_ons
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.scheme.pml import REFLECTION
+from acoustube.waves.spectral.result import SpectralScattering
 
 PLANE_WAVE_REFLECTION = -60.0
 """Upper bound in dB of an absorbing end's reflection of the plane wave; without losses -86 dB."""
@@ -23,6 +24,8 @@ LOSSY_REFLECTION = -14.0
 """
 CUT_ON_RATIO = 1.01
 """Frequency over cut-on of the mode for which the absorber's reflection is stated."""
+ERROR_QUANTILE = 0.95
+"""Share of the frequencies for which the spectral solver's error is stated."""
 TAIL_FRACTION = 0.05
 """Fraction of a recording, at its end, in which the residual ringing is measured."""
 
@@ -73,6 +76,43 @@ class Budget:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class SpectralBudget:
+    """Known errors of a run by the spectral solver.
+
+    Attributes
+    ----------
+    spectral_error : float
+        Estimated error of the coefficients of the scattering matrix at 95 % of the frequencies.
+    largest_spectral_error : float
+        At all frequencies.
+    ringing : float
+        As of :class:`Budget`.
+    """
+
+    spectral_error: float
+    largest_spectral_error: float
+    ringing: float
+
+    def in_words(self, _path: float) -> str:
+        """Return the error budget as a sentence."""
+        return (
+            "scattering coefficients by the spectral solver, with an estimated error of "
+            f"{self.spectral_error:.1g} at 95 % of the frequencies and of "
+            f"{self.largest_spectral_error:.1g} at all; the highest pressure at the end of the "
+            f"recording is {self.ringing:.0f} dB of that of all"
+        )
+
+
+def spectral_budget(found: SpectralScattering, pressure: Array) -> SpectralBudget:
+    """Return the error budget of a recording (time last) joined from a scattering matrix."""
+    return SpectralBudget(
+        spectral_error=float(np.quantile(found.error, ERROR_QUANTILE)),
+        largest_spectral_error=float(found.error.max()),
+        ringing=_ringing(pressure),
+    )
+
+
 def error_budget(
     cells: CutCells,
     air: Air,
@@ -112,8 +152,6 @@ def error_budget(
     exact = cut_on_frequency(1, 1, radius, air.sound_speed)
     lowest = section_cut_ons(cells, 1, air.sound_speed, 2)[1]
     spacing = cells.spacing[2]
-    tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
-    level = max(float(np.abs(tail).max() / np.abs(pressure).max()), 1e-12)
     return Budget(
         cells_per_wavelength=air.sound_speed / (highest * max(cells.spacing)),
         delay_bias=0.0
@@ -126,8 +164,14 @@ def error_budget(
         else LOSSY_REFLECTION
         if lossy
         else absorber_reflection(),
-        ringing=20 * log10(level),
+        ringing=_ringing(pressure),
     )
+
+
+def _ringing(pressure: Array) -> float:
+    """Return the highest pressure at the end of a recording in dB of the highest of all."""
+    tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
+    return 20 * log10(max(float(np.abs(tail).max() / np.abs(pressure).max()), 1e-12))
 
 
 def absorber_reflection() -> float:

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import log, pi
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +46,7 @@ from acoustube.waves.scheme.pulse import check_pulse
 
 Signal = Callable[[Array], ArrayLike]
 Reflection = complex | NDArray[Any]
+AnyScattering = TypeVar("AnyScattering", bound=ModalScattering)
 
 CYCLE = 4
 """Period of the discrete Fourier transform, in durations of the recording."""
@@ -342,19 +343,19 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
     )
 
 
-def at_sound_speed(scattering: Scattering, sound_speed: float) -> Scattering:
+def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScattering:
     """Return the scattering of the same lumen in air of another speed of sound.
 
     Parameters
     ----------
-    scattering : Scattering
+    scattering : ModalScattering
     sound_speed : float
         In m/s.
 
     Returns
     -------
-    Scattering
-        At other frequencies: those of the same wavelengths.
+    ModalScattering
+        Of the same kind, at other frequencies: those of the same wavelengths.
 
     Notes
     -----
@@ -363,10 +364,13 @@ def at_sound_speed(scattering: Scattering, sound_speed: float) -> Scattering:
     a press, some 0.5 dB, by 4 %.
     """
     ratio = sound_speed / scattering.sound_speed
+    grid: dict[str, Any] = {}
+    if isinstance(scattering, Scattering):
+        grid["time_step"] = scattering.time_step / ratio
     return replace(
         scattering,
         frequency=scattering.frequency * ratio,
         cut_ons=scattering.cut_ons * ratio,
         sound_speed=sound_speed,
-        time_step=scattering.time_step / ratio,
+        **grid,
     )

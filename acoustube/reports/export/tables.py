@@ -18,7 +18,7 @@ TABLES = {
 EXPANDED = ("source_end",)
 """Short dimensions, each entry of which becomes a column."""
 LEFT_OUT = ("configuration",)
-COEFFICIENTS = ["s_real", "s_imag", "settled"]
+COEFFICIENTS = ["s_real", "s_imag", "settled", "error"]
 """Dimensions of a scattering matrix's coefficients, each of which has a row."""
 
 
@@ -44,7 +44,8 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
         known += [_described(stem, name, variable) for name, variable in columns.items()]
         written.append(f"{stem}.csv with {len(table)} rows")
     if "s_real" in data:
-        table = data[COEFFICIENTS].to_dataframe().reset_index()
+        kept = [name for name in COEFFICIENTS if name in data]
+        table = data[kept].to_dataframe().reset_index()
         write(folder / "scattering.csv", table.to_csv(index=False))
         known += [_described("scattering", name, data[name]) for name in table.columns]
         written.append(f"scattering.csv with {len(table)} rows")

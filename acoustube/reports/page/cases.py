@@ -36,6 +36,7 @@ from acoustube.runs.opening import PATTERNS
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import select, store
 from acoustube.waves.network import at_sound_speed
+from acoustube.waves.spectral import SpectralScattering
 
 ADVICE = "repeat the command acoustube sweep to recompute it"
 """What to do about a damaged file."""
@@ -239,7 +240,9 @@ def _spectrum(matrix: xr.Dataset, settings: SISettings) -> Spectrum:
     return Spectrum(
         frequency=np.asarray(found.frequency, float),
         reflection=np.abs(found.s[:, 0, plane, 0, plane]),
-        settled=found.settled[:, 0, plane, 0, plane],
+        settled=found.error <= found.tolerance
+        if isinstance(found, SpectralScattering)
+        else found.settled[:, 0, plane, 0, plane],
         cut_ons={name: float(cut_on) for name, cut_on in higher if cut_on > 0},
         carrier=settings.pulse.frequency,
     )

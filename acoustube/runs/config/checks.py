@@ -129,10 +129,10 @@ def grid_cells(
         In one unit, whichever it is.
     resolution : int
         Cells across the bore.
-    method : {"full", "scattering"}
+    method : {"full", "scattering", "spectral"}
     """
     length = tube_length
-    if method == "scattering":
+    if method != "full":
         length = 2 * (pressed_reach(outer_diameter, indenter_diameter) + 4 * outer_diameter)
     return resolution**3 * length / bore
 
@@ -140,7 +140,7 @@ def grid_cells(
 def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings) -> None:
     """Raise if the grid is too coarse for the sound, or too large."""
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
-    if waves.method == "scattering":  # it follows the pulse's whole band
+    if waves.method != "full":  # it follows the pulse's whole band
         highest *= 1 + BAND_WIDTH / waves.cycles
     wavelength_mm = sound_speed(waves.temperature_c) / highest
     coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)

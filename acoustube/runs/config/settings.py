@@ -130,12 +130,12 @@ class WaveSettings(Section):
     losses: Literal["off", "on"] = setting(
         "off", Choice(("off", "on"), "losses at the wall and in the air")
     )
-    method: Literal["full", "scattering"] = setting(
+    method: Literal["full", "scattering", "spectral"] = setting(
         "full",
         Choice(
-            ("full", "scattering"),
-            "solver: FDTD of the whole tube, or scattering matrix of the press joined to straight "
-            "tube",
+            ("full", "scattering", "spectral"),
+            "solver: FDTD of the whole tube, or scattering matrix of the press, by FDTD or by the "
+            "spectral solver, joined to straight tube",
         ),
     )
     resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))

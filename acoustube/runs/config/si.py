@@ -80,7 +80,7 @@ class SISettings(SIPress):
         Of the air at rest, in Pa.
     lossy : bool
         Whether the wall and the air take energy from the sound.
-    method : {"full", "scattering"}
+    method : {"full", "scattering", "spectral"}
         March the whole tube, or the pressed part only.
     resolution : int
         Grid cells across the bore.
@@ -100,7 +100,7 @@ class SISettings(SIPress):
     humidity: float
     pressure: float
     lossy: bool
-    method: Literal["full", "scattering"]
+    method: Literal["full", "scattering", "spectral"]
     resolution: int
     source_end: SourceEnd
     probe: float

@@ -18,9 +18,10 @@ from acoustube.runs import sound
 from acoustube.runs.config import Config
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.results import DEPTH
+from acoustube.runs.scattering_file import StoredScattering
 from acoustube.runs.sweep.tasks import Done, Pressed, one_thread
 from acoustube.signals import Ranging
-from acoustube.waves import PlacedScatterer, Recording, Scattering, SourceEnd
+from acoustube.waves import PlacedScatterer, Recording, SourceEnd
 from acoustube.waves.network import at_sound_speed
 
 
@@ -40,7 +41,7 @@ class CaseResults(NamedTuple):
 
 
 def simulate_cases(
-    cases: Mapping[str, Config], pressed: Pressed, matrix: Scattering | None
+    cases: Mapping[str, Config], pressed: Pressed, matrix: StoredScattering | None
 ) -> Done[CaseResults]:
     """Send pulses through tubes with the same press, and locate the presses by their echoes.
 
@@ -64,7 +65,7 @@ def simulate_cases(
     return Done(CaseResults(gathered, failed), False)
 
 
-def placed(settings: SISettings, matrix: Scattering | None) -> list[PlacedScatterer]:
+def placed(settings: SISettings, matrix: StoredScattering | None) -> list[PlacedScatterer]:
     """Return the press of a case at its place, in its air; none for an untouched tube."""
     if matrix is None:
         return []
@@ -74,7 +75,9 @@ def placed(settings: SISettings, matrix: Scattering | None) -> list[PlacedScatte
 Row = tuple[dict[SourceEnd, Recording], dict[SourceEnd, Ranging]]
 
 
-def _record_and_locate(settings: SISettings, pressed: Pressed, matrix: Scattering | None) -> Row:
+def _record_and_locate(
+    settings: SISettings, pressed: Pressed, matrix: StoredScattering | None
+) -> Row:
     """Return the recordings and rangings of a case."""
     if matrix is None and pressed.part is not None:
         whole = whole_tube(pressed.part, settings.position, settings.tube.length)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from acoustube.base import cache
 from acoustube.runs import presses as press_runs
-from acoustube.runs.costs import cells_of, press_seconds
+from acoustube.runs.costs import cells_of, press_seconds, spectral_seconds
 from acoustube.runs.sweep import tasks as sweep_tasks
 from acoustube.runs.sweep.graph import Case, Group, LoadPath
 from acoustube.waves.modes import modes_below
@@ -34,6 +34,8 @@ def matrix_cost(group: Group) -> float:
     if group.band is None:
         return 0.0
     settings = group.settings
+    if settings.method == "spectral":
+        return spectral_seconds(settings)
     cell = settings.tube.inner_diameter / settings.resolution
     steps = RINGING * SOUND_SPEED / (COURANT_NUMBER * cell)
     runs = len(modes_below(group.band.high, settings.radius, SOUND_SPEED))

@@ -21,11 +21,10 @@ from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import SISettings, settings_in_si
-from acoustube.runs.scattering_file import from_dataset
+from acoustube.runs.scattering_file import StoredScattering, from_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.plan import digest, tube_name
-from acoustube.waves import Scattering
 
 LONGEST_SESSION = 72_000
 """Number of cycles in an hour, over which a session's cases are spread."""
@@ -132,7 +131,7 @@ def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
 
 
 @lru_cache(maxsize=64)
-def _opened(path: Path) -> tuple[xr.Dataset, Scattering | None]:
+def _opened(path: Path) -> tuple[xr.Dataset, StoredScattering | None]:
     """Return cases and scattering of a sweep's file; cached, as cases are requested one by one."""
     data, matrix = store.read(path)
     return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from acoustube.runs import presses as press_runs
-from acoustube.runs.scattering_file import to_dataset
+from acoustube.runs.scattering_file import StoredScattering, to_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep import tasks as sweep_tasks
 from acoustube.runs.sweep.case_results import CaseResults, simulate_cases
@@ -16,7 +16,6 @@ from acoustube.runs.sweep.costs import case_cost, matrix_cost, path_cost
 from acoustube.runs.sweep.graph import Case, Group, LoadPath
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.workers import Task
-from acoustube.waves import Scattering
 
 CASES_PER_TASK = 100
 
@@ -77,7 +76,7 @@ class Runner:
             return self._simulate(group, pressed, None)
         cost = matrix_cost(group)
 
-        def then(done: sweep_tasks.Done[Scattering]) -> list[Task]:
+        def then(done: sweep_tasks.Done[StoredScattering]) -> list[Task]:
             self._count("scattering", done.reused, cost)
             light = dataclasses.replace(pressed, part=None)
             return self._simulate(group, light, done.result)
@@ -94,7 +93,7 @@ class Runner:
         return [Task("scattering", sweep_tasks.scattering, arguments, then, failed, cost)]
 
     def _simulate(
-        self, group: Group, pressed: sweep_tasks.Pressed, matrix: Scattering | None
+        self, group: Group, pressed: sweep_tasks.Pressed, matrix: StoredScattering | None
     ) -> list[Task]:
         return [
             self._simulate_some(group.cases[i : i + CASES_PER_TASK], pressed, matrix)
@@ -102,7 +101,7 @@ class Runner:
         ]
 
     def _simulate_some(
-        self, cases: Sequence[Case], pressed: sweep_tasks.Pressed, matrix: Scattering | None
+        self, cases: Sequence[Case], pressed: sweep_tasks.Pressed, matrix: StoredScattering | None
     ) -> Task:
         cost = case_cost(cases)
         configs = {case.name: case.config for case in cases}

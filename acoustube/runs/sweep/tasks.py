@@ -22,8 +22,8 @@ from acoustube.lumen import Lumen, inner_wall, measure, pressed_part
 from acoustube.runs import presses as press_runs
 from acoustube.runs import scattering_file, sound
 from acoustube.runs.config.si import SIPress, SISettings
+from acoustube.runs.scattering_file import StoredScattering
 from acoustube.runs.walls import walls
-from acoustube.waves import Scattering
 
 Result = TypeVar("Result")
 
@@ -154,6 +154,7 @@ def scattering_key(settings: SISettings, depths: Sequence[float], depth: float, 
             "air": [settings.humidity, settings.pressure],
             "lossy": settings.lossy,
             "resolution": settings.resolution,
+            "method": settings.method,
         },
     )
 
@@ -172,7 +173,7 @@ def one_thread() -> Iterator[None]:
 
 def scattering(
     settings: SISettings, name: str, band: Band, part: Lumen, label: str
-) -> Done[Scattering]:
+) -> Done[StoredScattering]:
     """Compute the scattering of a pressed part, or read it from the cache.
 
     Parameters
@@ -191,8 +192,9 @@ def scattering(
         return Done(known, True)
     air = air_at(band.temperature, humidity=settings.humidity, pressure=settings.pressure)
     with one_thread():
-        found, _ = sound.scattering_of(
-            part, air, (band.low, band.high), bore=settings.tube.inner_diameter,
+        found, _, _ = sound.scattering_of(
+            part, air, (band.low, band.high), method=settings.method,
+            bore=settings.tube.inner_diameter,
             resolution=settings.resolution, lossy=settings.lossy,
         )  # fmt: skip
     scattering_file.keep(name, found, label)
