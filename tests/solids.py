@@ -20,7 +20,7 @@ class OpenLumen:
     def energy_and_forces(self, position):
         return 0.0, np.zeros_like(position)
 
-    def tangent(self, position):  # noqa: ARG002
+    def tangent(self, position, *, convex=False):  # noqa: ARG002
         return None
 
     def collision_free_fraction(self, start, end):  # noqa: ARG002

@@ -21,7 +21,6 @@ from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.self_contact import SelfContact
 
 _wall = jax.jit(element.energies_and_forces)
-_wall_tangents = jax.jit(element.tangents)
 _touch = jax.jit(contact.energies_and_forces)
 _touch_tangents = jax.jit(contact.tangents)
 _force = jax.jit(contact.force)
@@ -152,8 +151,18 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
     return State(displacement, energy, gradient, float(np.linalg.norm(gradient)))
 
 
-def stiffness(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> sparse.csc_array:
-    """Assemble the tangent stiffness; arguments as of :func:`evaluate`.
+def stiffness(
+    model: Model, displacement: Array, bodies: tuple[Body, ...], *, convex: bool = False
+) -> sparse.csc_array:
+    """Assemble the tangent stiffness.
+
+    Parameters
+    ----------
+    model, displacement, bodies
+        As for :func:`evaluate`.
+    convex : bool
+        Leave out what makes it indefinite first: the geometric stiffness of the pressure in the
+        wall, and the negative eigenvalues of the self-contact barrier.
 
     Returns
     -------
@@ -161,12 +170,13 @@ def stiffness(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> sp
         Its lower triangle, in N/m.
     """
     mesh, position = model.mesh, model.mesh.points + displacement
+    share = 0.0 if convex else 1.0
     matrices = [
-        _wall_tangents(displacement[mesh.elements], model.rule, model.material),
+        element.tangents(displacement[mesh.elements], model.rule, model.material, share),
         _touch_tangents(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies),
     ]
     lower = model.pattern.assemble(matrices) + model.wrinkle_tangent
-    barrier = model.lumen.tangent(position)
+    barrier = model.lumen.tangent(position, convex=convex)
     return lower if barrier is None else lower + model.pattern.restrict(barrier)
 
 

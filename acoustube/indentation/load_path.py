@@ -2,7 +2,10 @@
 
 The increments of depth are doubled where Newton's method converges in few iterations and halved
 where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, cut short
-before the lumen's walls would cross.
+before the lumen's walls would cross. With a guide (:mod:`acoustube.indentation.guide`) an increment
+reaches from one of the depths asked for to the next, and starts from the guide's state, moved by
+what the last state on the own mesh differed from it, or from the extrapolation, whichever has the
+lower energy.
 
 References
 ----------
@@ -20,7 +23,14 @@ import numpy as np
 
 from acoustube.base.types import Array, Progress
 from acoustube.base.units import MM
-from acoustube.indentation.assembly import EquilibriumResults, Model, equilibrium_results
+from acoustube.indentation.assembly import (
+    EquilibriumResults,
+    Model,
+    equilibrium_results,
+    evaluate,
+)
+from acoustube.indentation.contact import Body
+from acoustube.indentation.guide import Guide
 from acoustube.indentation.newton import NewtonResult, minimise
 from acoustube.indentation.result import Indentation, PressError, bodies_at
 
@@ -45,7 +55,14 @@ class _Increment(NamedTuple):
 
 
 def load_path(
-    untouched: Indentation, model: Model, targets: Array, progress: Progress | None
+    untouched: Indentation,
+    model: Model,
+    targets: Array,
+    progress: Progress | None = None,
+    *,
+    guide: Guide | None = None,
+    tolerance: float = FORCE_TOLERANCE,
+    largest: float = LARGEST_INCREMENT,
 ) -> Indentation:
     """Follow the load path from first contact to the last target depth.
 
@@ -58,6 +75,12 @@ def load_path(
         Rising depths in m, each of which an increment meets exactly.
     progress : callable, optional
         Called after every increment with the fraction of the expected increments that is done.
+    guide : Guide, optional
+        Load path on a coarser mesh; up to its reach only the targets are met.
+    tolerance : float
+        Norm of the residual forces at convergence, in shear moduli times squared bore diameters.
+    largest : float
+        Largest increment without a guide, in bore diameters.
 
     Returns
     -------
@@ -70,15 +93,20 @@ def load_path(
         If an increment as short as `SMALLEST_INCREMENT` does not converge.
     """
     tube, bore = untouched.tube, untouched.tube.inner_diameter
-    tolerance = FORCE_TOLERANCE * tube.shear_modulus * bore**2
+    allowed = tolerance * tube.shear_modulus * bore**2
     start = NewtonResult(untouched.displacement[0], True, 0, 0.0)
     done = [_Increment(0.0, start, _results_at_first_touch(model, untouched))]
-    increment = FIRST_INCREMENT * bore
+    largest, increment = largest * bore, FIRST_INCREMENT * bore
+    if guide is not None:
+        increment = np.inf
+        targets = np.unique(np.append(targets, min(guide.reach, targets[-1])))
     while done[-1].depth < targets[-1]:
+        if guide is not None and done[-1].depth >= guide.reach:
+            guide, increment = None, min(increment, largest)
         depth = _next_depth(targets, done[-1].depth, increment)
         bodies = bodies_at(untouched, depth)
-        guess = _extrapolated(model, done[-EXTRAPOLATED_STATES:], depth)
-        solution = minimise(model, guess, bodies, tolerance)
+        guess = _start(model, done[-EXTRAPOLATED_STATES:], depth, bodies, guide)
+        solution = minimise(model, guess, bodies, allowed)
         if not solution.converged:
             increment = (depth - done[-1].depth) / 2
             if increment < SMALLEST_INCREMENT * bore:
@@ -87,10 +115,11 @@ def load_path(
         results = equilibrium_results(model, solution.displacement, bodies)
         done.append(_Increment(depth, solution, results))
         if solution.iterations <= EASY_ITERATIONS:
-            increment = min(2 * increment, LARGEST_INCREMENT * bore)
+            increment = 2 * increment if guide is not None else min(2 * increment, largest)
         if progress:
             left = float(targets[-1]) - depth
-            progress(_fraction_done(len(done), left, increment, LARGEST_INCREMENT * bore))
+            fraction = _fraction_done(len(done), left, increment, largest)
+            progress(depth / targets[-1] if guide is not None else fraction)
     return _gathered(untouched, done)
 
 
@@ -106,15 +135,38 @@ def _next_depth(targets: Array, reached: float, increment: float) -> float:
     return target if reached + 1.05 * increment >= target else reached + increment
 
 
-def _extrapolated(model: Model, last: Sequence[_Increment], depth: float) -> Array:
-    """Return the Lagrange extrapolation of the last states to a depth, short of any collision."""
+def _start(
+    model: Model,
+    last: Sequence[_Increment],
+    depth: float,
+    bodies: tuple[Body, ...],
+    guide: Guide | None,
+) -> Array:
+    """Return the start of an increment: the guess of the lowest energy, short of any collision."""
+    here, points = last[-1].solution.displacement, model.mesh.points
+    # Of a low order as well: a high one overshoots where the contact grows unforeseen.
+    guesses = [_extrapolated(last[-n:], depth) for n in range(2, len(last) + 1)]
+    if guide is not None:
+        change = guide.displacement(depth) - guide.displacement(last[-1].depth)
+        guesses.append(here + change * model.free)
+    best, least = here, np.inf
+    for ahead in guesses:
+        guess = ahead
+        if model.lumen.crosses_itself(points + ahead):
+            clear = model.lumen.collision_free_fraction(points + here, points + ahead)
+            guess = here + clear * (ahead - here)
+        energy = evaluate(model, guess, bodies).energy
+        if energy < least:
+            best, least = guess, energy
+    return best
+
+
+def _extrapolated(last: Sequence[_Increment], depth: float) -> Array:
+    """Return the Lagrange extrapolation of the last states to a depth."""
     x = np.array([done.depth for done in last])
     weights = [np.prod((depth - np.delete(x, i)) / (x[i] - np.delete(x, i))) for i in range(len(x))]
     states = np.stack([done.solution.displacement for done in last])
-    here, ahead = states[-1], np.tensordot(weights, states, axes=1)
-    points = model.mesh.points
-    free = model.lumen.collision_free_fraction(points + here, points + ahead)
-    return here + free * (ahead - here)
+    return np.tensordot(weights, states, axes=1)
 
 
 def _fraction_done(n_done: int, left: float, increment: float, largest: float) -> float:

@@ -17,18 +17,30 @@ from acoustube.base.limits import pressed_reach
 from acoustube.base.types import Array, Progress
 from acoustube.indentation import wrinkle_penalty
 from acoustube.indentation.assembly import Model, build_model
+from acoustube.indentation.guide import Guide, coarse_mesh, guide
 from acoustube.indentation.indenters import SUPPORTS, Indenter, Layer, Support, touch_height
 from acoustube.indentation.load_path import load_path
 from acoustube.indentation.material import Material, neo_hookean
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
-from acoustube.indentation.result import RESULTS, Indentation
-from acoustube.indentation.self_contact import self_contact, triangulated
+from acoustube.indentation.result import RESULTS, Indentation, PressError
+from acoustube.indentation.self_contact import SUBDIVISIONS, self_contact, triangulated
 from acoustube.tube import Tube
 
 BARRIER_DISTANCE = 2.5e-3
 """Activation distance d_hat of the self-contact barrier (IPC), in bore diameters.
 
 0.02 mm in the default tube; see :mod:`acoustube.indentation.self_contact`."""
+
+# The path on a coarse mesh, which guides the one on the mesh asked for:
+GUIDE_INCREMENT = 1 / 8
+"""Its largest increment, in bore diameters."""
+GUIDE_TOLERANCE = 1e-3
+"""Norm of its residual forces, in shear moduli times squared bore diameters."""
+GUIDE_SUBDIVISIONS = 2
+"""Triangle edges of its inner wall along the edge of an element's face."""
+
+GUIDE_SHARE = 0.25
+"""Its part of the whole computing time, for the progress."""
 
 
 def indent(
@@ -109,7 +121,36 @@ def indent(
             barrier_distance=barrier_distance or BARRIER_DISTANCE * tube.inner_diameter,
         )
         _check_clearance(untouched, targets[-1])
-        return load_path(untouched, press_model(untouched), targets, progress)
+        model, first = press_model(untouched), _part(progress, 0.0, GUIDE_SHARE)
+        coarse = _guide(untouched, targets[-1], first)
+        if coarse is not None:
+            progress = _part(progress, GUIDE_SHARE, 1.0)
+        return load_path(untouched, model, targets, progress, guide=coarse)
+
+
+def _guide(untouched: Indentation, depth: float, progress: Progress | None) -> Guide | None:
+    """Return the load path on a coarse mesh, or None where a coarse mesh is of no use."""
+    mesh = coarse_mesh(untouched.mesh, untouched.tube, untouched.indenters)
+    if mesh is None:
+        return None
+    coarse = dataclasses.replace(
+        untouched, mesh=mesh, displacement=np.zeros((1, *mesh.points.shape))
+    )
+    model, targets = press_model(coarse, GUIDE_SUBDIVISIONS), np.array([depth])
+    try:
+        coarse = load_path(
+            coarse, model, targets, progress, tolerance=GUIDE_TOLERANCE, largest=GUIDE_INCREMENT
+        )
+    except PressError as error:
+        coarse = error.indentation
+    return guide(coarse, untouched.mesh) if len(coarse.depth) > 1 else None
+
+
+def _part(progress: Progress | None, start: float, end: float) -> Progress | None:
+    """Return the progress of a part of the work, which goes from `start` to `end` of the whole."""
+    if progress is None:
+        return None
+    return lambda fraction: progress(start + (end - start) * fraction)
 
 
 def restored(
@@ -207,16 +248,18 @@ def neo_hookean_wall(tube: Tube) -> Material:
     )
 
 
-def press_model(indentation: Indentation) -> Model:
+def press_model(indentation: Indentation, subdivisions: int = SUBDIVISIONS) -> Model:
     """Return the discretised tube of an indentation, the same at all increments.
 
     Parameters
     ----------
     indentation : Indentation
+    subdivisions : int
+        Triangle edges of the inner wall along the edge of an element's face.
     """
     mesh, tube = indentation.mesh, indentation.tube
     fixed = _fixed(mesh, indentation.support)
-    lumen = self_contact(mesh, tube.shear_modulus, indentation.barrier_distance)
+    lumen = self_contact(mesh, tube.shear_modulus, indentation.barrier_distance, subdivisions)
     smooth_folds = wrinkle_penalty.stiffness(mesh, tube.shear_modulus)
     return build_model(mesh, indentation.material, fixed, lumen, smooth_folds)
 

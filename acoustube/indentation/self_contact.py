@@ -19,7 +19,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -42,6 +42,8 @@ REST_STEP = 1e-6
 """Central-difference step of the undeformed vertices, in the collision library's unit."""
 STEP_SAFETY_FACTOR = 0.9
 """Fraction of the step to the first collision that is taken."""
+CLEARANCE = 3.0
+"""Distance up to which pairs of triangles are sought ahead of contact, in activation distances."""
 FACING_ANGLE = np.pi / 6
 """Largest angle in rad from the vertical of the normals of walls that face each other."""
 
@@ -67,16 +69,51 @@ class SelfContact:
     mesh: Any
     barrier: Any
     length: float
+    _last: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def _vertices(self, position: Array) -> Array:
         return np.asfortranarray((self.sampling @ position) / self.length)
 
     def _collisions(self, vertices: Array) -> Any:
-        collisions = ipctk.NormalCollisions()
-        collisions.use_area_weighting = True
-        collisions.collision_set_type = ipctk.NormalCollisions.CollisionSetType.IMPROVED_MAX_APPROX
-        collisions.build(self.mesh, vertices, self.barrier.dhat)
-        return collisions
+        """Return the pairs of triangles within the activation distance; the last are kept."""
+        if self._clear(vertices):
+            return ipctk.NormalCollisions()
+        known, pairs = self._last.get("pairs", (None, None))
+        if known is None or not np.array_equal(known, vertices):
+            pairs = self._pairs(vertices, self.barrier.dhat)
+            self._last["pairs"] = vertices, pairs
+        return pairs
+
+    def _clear(self, *states: Array) -> bool:
+        """Return whether no triangles are within the activation distance; false if not known.
+
+        Neither at the given states of the vertices nor on the straight way from one to another. If
+        no distance is below d at a centre state, none is below d_hat while no vertex is farther
+        than (d - d_hat) / 2 from there. A centre without such a margin is kept for small motions.
+        """
+        d_hat = self.barrier.dhat
+
+        def moved(centre: Array) -> float:
+            away = [np.sum((state - centre) ** 2, axis=1).max(initial=0.0) for state in states]
+            return float(np.sqrt(max(away)))
+
+        centre, margin = self._last.get("clear", (None, 0.0))
+        if centre is None or moved(centre) > (margin if margin > 0 else d_hat / 4):
+            centre = states[0]
+            pairs = self._pairs(centre, CLEARANCE * d_hat)
+            least = CLEARANCE * d_hat
+            if not pairs.empty():  # the library returns the square
+                least = float(np.sqrt(pairs.compute_minimum_distance(self.mesh, centre)))
+            margin = 0.999 * (least - d_hat) / 2
+            self._last["clear"] = centre, margin
+        return margin > 0 and moved(centre) <= margin
+
+    def _pairs(self, vertices: Array, distance: float) -> Any:
+        pairs = ipctk.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.collision_set_type = ipctk.NormalCollisions.CollisionSetType.IMPROVED_MAX_APPROX
+        pairs.build(self.mesh, vertices, distance)
+        return pairs
 
     def energy_and_forces(self, position: Array) -> tuple[float, Array]:
         """Return the barrier energy in J and its gradient in N.
@@ -99,13 +136,15 @@ class SelfContact:
         gradient = self.barrier.gradient(collisions, self.mesh, vertices) * self.length**2
         return energy, self.sampling.T @ gradient.reshape(-1, 3)
 
-    def tangent(self, position: Array) -> Any:
+    def tangent(self, position: Array, *, convex: bool = False) -> Any:
         """Return the stiffness of the barrier in N/m.
 
         Parameters
         ----------
         position : array of shape (n_nodes, 3)
             Deformed nodes in m.
+        convex : bool
+            Without the negative eigenvalues of each pair of triangles.
 
         Returns
         -------
@@ -116,7 +155,8 @@ class SelfContact:
         collisions = self._collisions(vertices)
         if collisions.empty():
             return None
-        hessian = self.barrier.hessian(collisions, self.mesh, vertices) * self.length
+        kept = ipctk.PSDProjectionMethod.CLAMP if convex else ipctk.PSDProjectionMethod.NONE
+        hessian = self.barrier.hessian(collisions, self.mesh, vertices, kept) * self.length
         to_nodes = self._to_nodes()
         return (to_nodes.T @ hessian @ to_nodes).tocsc()
 
@@ -203,11 +243,26 @@ class SelfContact:
             Nodes before and after the step, in m.
         """
         before, after = self._vertices(start), self._vertices(end)
+        if self._clear(before, after):
+            return 1.0
         free = ipctk.compute_collision_free_stepsize(self.mesh, before, after)
         return 1.0 if free >= 1 else STEP_SAFETY_FACTOR * float(free)
 
+    def crosses_itself(self, position: Array) -> bool:
+        """Return whether triangles of the wall intersect.
 
-def self_contact(mesh: Mesh, shear_modulus: float, distance: float) -> SelfContact:
+        Parameters
+        ----------
+        position : array of shape (n_nodes, 3)
+            Deformed nodes in m.
+        """
+        vertices = self._vertices(position)
+        return not self._clear(vertices) and bool(ipctk.has_intersections(self.mesh, vertices))
+
+
+def self_contact(
+    mesh: Mesh, shear_modulus: float, distance: float, parts: int = SUBDIVISIONS
+) -> SelfContact:
     """Build the self-contact barrier of a mesh's inner wall.
 
     Parameters
@@ -217,8 +272,10 @@ def self_contact(mesh: Mesh, shear_modulus: float, distance: float) -> SelfConta
         Of the wall, in Pa.
     distance : float
         Activation distance d_hat of the barrier, in m.
+    parts : int
+        Triangle edges along the edge of an element's face.
     """
-    sampling, faces = triangulated(mesh)
+    sampling, faces = triangulated(mesh, parts=parts)
     length = LIBRARY_UNIT * distance
     collision_mesh = _collision_mesh(sampling @ mesh.points / length, faces)
     stiffness = BARRIER_STIFFNESS * shear_modulus
