@@ -118,8 +118,10 @@ def load_path(
             increment = 2 * increment if guide is not None else min(2 * increment, largest)
         if progress:
             left = float(targets[-1]) - depth
-            fraction = _fraction_done(len(done), left, increment, largest)
-            progress(depth / targets[-1] if guide is not None else fraction)
+            if guide is None:
+                progress(_fraction_done(len(done), left, increment, largest))
+            else:
+                progress(depth / float(targets[-1]))
     return _gathered(untouched, done)
 
 

@@ -34,6 +34,8 @@ RESIDUAL_DECREASE = 0.5
 
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
+REUSED_TOLERANCE = 1e-2
+"""Part of the tolerance that the residual must reach by a step with a factor used before."""
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
@@ -88,36 +90,38 @@ def minimise(
     Where the tangent is indefinite, the step is that of a positive definite matrix near it. The
     last step before convergence is always that of the tangent itself, and this positive definite:
     the result is a stable equilibrium, not a saddle point of the energy. A factor is used again
-    while it lowers the residual tenfold (the chord method).
+    while it lowers the residual tenfold (the chord method); its steps end in less than the
+    tolerance, of which a step of the state's own tangent keeps well clear by itself.
     """
     state = evaluate(model, start, bodies)
     order = linear_solver.section_order(model.mesh.points, model.free)
-    solve, stable = None, False
+    solve, stable, own = None, False, False
     for iteration in range(MAX_ITERATIONS + 1):
-        found = state.norm <= tolerance
-        if not np.isfinite(state.norm) or (found and stable):
-            reason = "" if found else "an element is inverted (J <= 0)"
+        near = state.norm <= tolerance
+        if not np.isfinite(state.norm):
+            reason = "an element is inverted (J <= 0)"
+            break
+        if stable and state.norm <= tolerance * (1.0 if own else REUSED_TOLERANCE):
+            reason = ""
             break
         if iteration == MAX_ITERATIONS:
             reason = f"Newton's method did not converge in {MAX_ITERATIONS} iterations"
             break
-        if found or solve is None:
+        own = solve is None or (near and not stable)
+        if own:
             try:
                 solve, stable = _factorised(model, state.displacement, bodies, order)
             except LinAlgError:
-                reason = BUCKLING
-                break
-            renewed = True
-        if found:
+                stable = False
+        if solve is None or (near and (iteration == 0 or not stable)):
             reason = "" if stable else BUCKLING
             break
         step = np.zeros_like(start)
         step[model.free] = -solve(state.gradient)
         lower = _line_search(model, state, step, bodies)
-        if lower is None and renewed:
-            reason = "the line search found no decrease of the energy"
+        if lower is None and own:
+            reason = "" if near else "the line search found no decrease of the energy"
             break
-        renewed = False
         if lower is None or not stable or lower.norm > REUSE_DECREASE * state.norm:
             solve = None
         state = state if lower is None else lower
