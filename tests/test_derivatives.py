@@ -74,8 +74,9 @@ def settled(indentation, increment, design):
 def test_derivatives_are_those_of_central_differences(shape, support, depth_mm):
     """Steps of 1e-5, which move a wall by less than the width of a contact's onset: 1e-4 is asked.
 
-    Of the fourth order: at 7.9 mm the force bends by 3e-4 within such a step. At 7.9 and 8.1 mm the lumen is closed and its walls press on each other. The area
-    does not depend on the modulus at all, by dimensional analysis: there 1e-4 of area per modulus.
+    Of the fourth order: at 7.9 mm the force bends by 3e-4 within such a step. At 7.9 and 8.1 mm the
+    lumen is closed and its walls press on each other. The area does not depend on the modulus at
+    all, by dimensional analysis: there 1e-4 of area per modulus.
     """
     indentation = closed(shape, support)
     (increment,) = np.flatnonzero(indentation.depth == 1e-3 * depth_mm)
