@@ -200,5 +200,5 @@ def reason(error: Exception) -> str:
         return "it needs more memory than there is"
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]}" if error.args else "something is missing"
-    words = getattr(error, "strerror", None) or " ".join(str(error).split())
+    words = getattr(error, "strerror", None) or " ".join(str(error).split()).removeprefix("Error: ")
     return str(words) or type(error).__name__
