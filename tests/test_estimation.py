@@ -347,6 +347,10 @@ def narrow_weights(arrays):
         ("network", header_with(targets=["taste"]), "network does not estimate taste"),
         ("network", header_with(settings={"cheese": 1}), "cheese"),
         ("network", lambda arrays: arrays.pop("quantiles"), "quantiles"),
+        ("network", header_with(origin={}), "it has no cycles"),
+        ("network", header_with(sampling_rate=1e308), "sampling_rate = 1e\\+308 is out of range"),
+        ("network", header_with(radius="wide"), "could not convert"),
+        ("network", lambda arrays: arrays.update(scale=np.float64(1)), "tuple index out of range"),
     ],
 )
 def test_a_damaged_model_is_refused(name, change, words, models):

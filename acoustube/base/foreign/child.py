@@ -159,6 +159,7 @@ def _answer(child: _Child, request: dict[str, Any], path: Path, kind: str) -> En
         else:
             values = np.empty(shape, dtype)
             _receive(child, memoryview(values.reshape(-1).view(np.uint8)))
+        values = values.T if head["label"].get("turned") else values
         found.append((head["label"], values if values.ndim else values.item()))
 
 

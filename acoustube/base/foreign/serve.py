@@ -67,13 +67,22 @@ def _answer(answers: int, request: dict[str, Any]) -> None:
             if isinstance(value, readers.Stored):
                 _send(answers, {"label": label, **value._asdict()})
                 continue
-            array = np.asarray(value, order="C")
+            array = np.asarray(value)
+            turned = array.flags.f_contiguous and not array.flags.c_contiguous
+            array = np.ascontiguousarray(array.T) if turned else np.asarray(array, order="C")
             total += array.nbytes
             if total > request["bytes"]:
                 raise readers.Exceeded(
                     f"unpacks to over {request['bytes'] / 1e6:.4g} MB, the limit"
                 )
-            _send(answers, {"label": label, "dtype": array.dtype.str, "shape": array.shape})
+            _send(
+                answers,
+                {
+                    "label": label | {"turned": turned},
+                    "dtype": array.dtype.str,
+                    "shape": array.shape,
+                },
+            )
             _write(answers, memoryview(array.reshape(-1).view(np.uint8).data))
         _send(answers, {"end": True})
     except readers.Exceeded as error:
