@@ -281,7 +281,9 @@ CALIBRATION = Calibration(
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("template_cycles", "1e308"), ("frequency", "1e-9"), ("frequency", "1e-320"),
+        ("template_cycles", "1e308"), ("offset_cutoff", "1e-320"), ("farthest", "1e300"),
+        ("pulse_cycles", "1e300"), ("nearest", "-1e300"), ("frequency", "1e-9"),
+        ("frequency", "1e-320"),
         ("cutoff", "inf"), ("gain", "[1, 2]"), ("gain", '"steep"'), ("send_shift", "nan"),
         ("prominence", "[]"), ("sampling_rate", "nan"), ("sampling_rate", "1e-320"),
         ("c1", "1.0"), ("true_distance", '["far"]'), ("frequency", "1" * 500),
