@@ -34,7 +34,7 @@ app = App(
     version=__version__,
     help="Simulate soft acoustic-waveguide touch sensors: silicone tubes that carry ultrasound, in "
     "which a press echoes.",
-    default_parameter=Parameter(negative=()),
+    default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
     # An interrupt must reach `main`, which says what became of the run.
     suppress_keyboard_interrupt=False,
 )
