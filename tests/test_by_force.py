@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from acoustube.base.errors import SimulationError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.indentation import Indenter, Layer, MeshSize, indent
 from acoustube.runs.by_force import by_force
 from acoustube.tube import Tube
@@ -80,3 +80,11 @@ def test_force_that_falls_is_refused(on_a_floor):
     force[-2] *= 0.8
     with pytest.raises(SimulationError, match="the depth is not unique"):
         by_force(dataclasses.replace(on_a_floor, press_force=force), 0.5)
+
+
+def test_depths_too_far_apart_are_refused(on_a_floor):
+    """A press guided by a coarse mesh has the rows asked for only."""
+    rows = [0, len(on_a_floor.depth) - 1]
+    results = {name: values[rows] for name, values in on_a_floor.results.items()}
+    with pytest.raises(ConfigError, match=r"depths 3 mm apart.*at most 0\.658 mm apart"):
+        by_force(dataclasses.replace(on_a_floor, **results), 0.5)

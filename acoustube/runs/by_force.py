@@ -23,6 +23,9 @@ from acoustube.lumen import inner_wall, measure
 FORCE_DROP_TOLERANCE = 1e-3
 """Fall of the force between increments, relative to its maximum, that counts as solver error."""
 
+LARGEST_SPACING = 1 / 12
+"""Largest distance of the depths that are interpolated between, in bore diameters."""
+
 
 @dataclass(frozen=True, eq=False)
 class ByForce:
@@ -62,7 +65,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     Raises
     ------
     ConfigError
-        If a force is negative, or more than at the path's end.
+        If a force is negative, or more than at the path's end, or depths are too far apart.
     SimulationError
         If the force falls along the path, so that the depth is not unique.
 
@@ -71,6 +74,13 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     Between increments by monotonic cubics (PCHIP), which are monotone in the force.
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
+    spacing = LARGEST_SPACING * indentation.tube.inner_diameter
+    widest = float(np.diff(indentation.depth).max())
+    if widest > spacing:
+        raise ConfigError(
+            f"The press has depths {MM * widest:.3g} mm apart, too far to interpolate between; "
+            f"press to depths at most {MM * spacing:.3g} mm apart."
+        )
     fall = np.maximum.accumulate(path) - path
     if np.any(fall > FORCE_DROP_TOLERANCE * path.max()):
         row = int(np.argmax(fall))
