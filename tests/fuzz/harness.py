@@ -32,7 +32,7 @@ BATCH = 50
 """Cases of a process."""
 TRIES = 5
 """Times that a case is made until all of its mutations are possible."""
-LONGEST = 1500
+LONGEST = 3100
 """Characters of the longest sentence."""
 NOISE = re.compile(
     r"Traceback|Exception ignored|Warning:|\[Errno|Error:|HDF5-DIAG|dumped|^\w+:\d+:"
