@@ -13,7 +13,7 @@ STEPS_PER_LAYER = 2 * 3.9  # time steps per axial layer, for both source ends
 SCATTERING_STEPS = 8 * 8000.0  # of eight runs of 12 ms, per cell in a mm
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
 SPECTRAL_SECONDS = 1.5
-PRESS_SECONDS, PRESS_GIGABYTES = {2: (10.0, 7.0), 1: (15.0, 15.0), 0: (30.0, 60.0)}, 1.0
+PRESS_SECONDS, PRESS_GIGABYTES = {2: (5.0, 2.5), 1: (10.0, 6.0), 0: (30.0, 20.0)}, 1.0
 """Seconds of a press, fixed and per mm of depth, by the number of symmetry planes; memory in GB."""
 TETRAHEDRA = 4.0
 """Ratio of the times of presses of an imported wall and of a round tube."""
