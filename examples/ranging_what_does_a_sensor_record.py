@@ -29,7 +29,9 @@ from acoustube.waves import PlacedScatterer
 TRUE_DISTANCE, LENGTH, BORE = 0.4, 1.2, 7.9e-3
 config = acoustube.load_config(indenter_mm=10, depth_mm=5, mesh="coarse")
 part = pressed_part(pressed(config, [5e-3]))
-matrix, _ = scattering_of(part, air_at(20.0), (27e3, 57e3), bore=BORE, resolution=11, lossy=True)
+matrix, *_ = scattering_of(
+    part, air_at(20.0), (27e3, 57e3), method="scattering", bore=BORE, resolution=11, lossy=True
+)
 press = PlacedScatterer(matrix, TRUE_DISTANCE)
 
 # %%

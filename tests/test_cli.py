@@ -197,7 +197,7 @@ def test_help_and_refusals_import_nothing_heavy(words):
         (["--indenter", "10", "--indenter", "25"], ["--indenter", "multiple"]),
         (["25"], ["25"]),
         (["--config", "none.toml"], ["none.toml", "No such file"]),
-        (["--config", "."], ["Is a directory"]),
+        (["--config", "."], [". is a folder, not a file"]),
         (["--out", "."], ["name a new folder"]),
         (["--out", "/"], ["not empty"]),
         (["--out", "/proc/acoustube"], ["/proc/acoustube cannot be written"]),

@@ -25,7 +25,9 @@ part = pressed_part(press, press.rows_at(depths)[4])
 # The scattering of a press of 5 mm, on a coarse grid
 # ---------------------------------------------------
 # Without losses the powers of all that is reflected and passed on add up to one.
-matrix, _ = scattering_of(part, air_at(20.0), (20e3, 55e3), bore=7.9e-3, resolution=12, lossy=False)
+matrix, *_ = scattering_of(
+    part, air_at(20.0), (20e3, 55e3), method="scattering", bore=7.9e-3, resolution=12, lossy=False
+)
 settled = matrix.settled[:, :, :, 0, 0].all(axis=(1, 2))
 reflected = np.abs(matrix.s[:, 0, :, 0, 0]) ** 2
 passed_on = np.abs(matrix.s[:, 1, :, 0, 0]) ** 2

@@ -112,7 +112,7 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
         ]
     if not rows:
         raise ConfigError(
-            "the sweep has no walls: no case is pressed, or it was written by an earlier version; "
+            f"{files[0].parent}: no walls: no case is pressed, or an earlier version wrote the sweep; "
             "sweep into a new folder, which stores the presses"
         )
     write(folder / "lumens.csv", pd.DataFrame(rows).to_csv(index=False))
