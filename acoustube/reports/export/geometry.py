@@ -112,8 +112,8 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
         ]
     if not rows:
         raise ConfigError(
-            f"{files[0].parent}: no walls: no case is pressed, or an earlier version wrote the sweep; "
-            "sweep into a new folder, which stores the presses"
+            f"{files[0].parent}: no walls: no case is pressed, or an earlier version "
+            "wrote the sweep; sweep into a new folder, which stores the presses"
         )
     write(folder / "lumens.csv", pd.DataFrame(rows).to_csv(index=False))
     write(folder / "README.txt", TEXT.format(what=f"{SWEPT} {STRAIGHTENED}"))
