@@ -67,7 +67,7 @@ class Air:
 
     def __post_init__(self) -> None:
         """Validate all numbers."""
-        positive = Number(1e-12, 1e12, "(air_at gives ordinary air)")
+        positive = Number(1e-20, 1e12, "(air_at gives ordinary air)")
         check_fields(
             self, sound_speed=SPEED, density=positive, viscosity=positive, prandtl=positive,
             heat_capacity_ratio=Number(1, 100),

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from acoustube.base.checks import LENGTH, check_fields, checked
+import numpy as np
+
+from acoustube.base.checks import LENGTH, Reals, check_fields, checked
 from acoustube.base.rules import Number
 
 
-@checked(shore_a=Number(0, 100, "Shore A"))
+@checked(shore_a=Reals(0, 100, "Shore A"))
 def shear_modulus_from_shore(shore_a: float) -> float:
     """Return the shear modulus of a silicone from its Shore A hardness.
 
     Parameters
     ----------
     shore_a : float
-        Hardness on the Shore A scale.
+        Hardness on the Shore A scale, or an array of such.
 
     Returns
     -------
@@ -35,7 +37,8 @@ def shear_modulus_from_shore(shore_a: float) -> float:
     .. [2] H. J. Qi, K. Joyce, M. C. Boyce, "Durometer hardness and the stress-strain behavior of
        elastomeric materials", Rubber Chem. Technol. 76, 419-435 (2003). doi:10.5254/1.3547752
     """
-    return 1e6 * 10 ** (0.0235 * shore_a - 0.64) / 3
+    hardness = shore_a if isinstance(shore_a, float | int) else np.asarray(shore_a)
+    return 1e6 * 10 ** (0.0235 * hardness - 0.64) / 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from solids import HEXAHEDRA_AT_4_MM
 
 from acoustube.base.errors import ConfigError
@@ -410,20 +411,19 @@ def test_impossible_depths_are_refused(depth):
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
+    "values",
     [
-        ({"diameter": 0.0}, "diameter = 0.0 m is not a size"),
-        ({"diameter": np.nan}, "diameter = nan m is not a size"),
-        ({"shape": "cone"}, "shape = 'cone' is unknown; use 'rod', 'punch' or 'sphere'"),
-        ({"x": np.inf}, "x = inf m is not a coordinate"),
-        ({"yaw": 1.5}, "yaw = 1.5 rad is outside"),
-        ({"depth_fraction": 0.0}, "depth_fraction = 0.0 must be"),
-        ({"shape": "punch", "edge_radius": 0.02}, "edge_radius = 0.02 m must be"),
+        {"diameter": 0.0},
+        {"diameter": np.nan},
+        {"shape": "cone"},
+        {"x": np.inf},
+        {"yaw": 1.5},
+        {"depth_fraction": 0.0},
+        {"edge_radius": 0.02, "shape": "punch"},
     ],
 )
-def test_impossible_presses_are_refused(values, message):
-    with pytest.raises(ConfigError, match=message):
-        Indenter(**values)
+def test_impossible_indenters_are_refused(values):
+    refused(lambda: Indenter(**values), setting=next(iter(values)))
 
 
 @pytest.mark.parametrize(

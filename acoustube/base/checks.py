@@ -45,7 +45,7 @@ class Reals:
     missing : bool
         Whether nan and inf are allowed, as missing values.
     empty : bool
-        Whether there may be no values at all.
+        Whether there may be no values at all; that there are no rows of some values is allowed.
     kinds : str
         Kinds of the array's type, as NumPy has them: ``iu`` of whole numbers, ``U`` of words.
     """
@@ -82,7 +82,7 @@ class Reals:
         if self.last is not None and (array.ndim == 0 or array.shape[-1] != self.last):
             raise self._error(name, value, f"has shape {array.shape} and not (..., {self.last})")
         if array.size == 0:
-            if self.empty:
+            if self.empty or (array.ndim > 1 and array.shape[-1]):
                 return
             raise self._error(name, value, f"is empty, of shape {array.shape}")
         if self.missing:
@@ -315,7 +315,7 @@ def check_alike(**arrays: Any) -> None:
 SAMPLES = Reals(axes=1)
 TIMES = Reals(-1e9, 1e9, "s", ndim=1)
 CELSIUS = Reals(-273.15, 1e4, "degC, over absolute zero")
-PLACES = Reals(-1e6, 1e6, "m", last=3)
+PLACES = Reals(-1e6, 1e6, "m", last=3, empty=True)
 RATE = Number(1e-3, 1e12, "Hz")
 FREQUENCY = Number(1e-3, 1e12, "Hz")
 LENGTH = Number(1e-9, 1e6, "m")

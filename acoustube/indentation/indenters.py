@@ -74,11 +74,11 @@ class Indenter:
             yaw=Number(-np.pi / 3, np.pi / 3, "rad", "a rod must lie across the tube"),
             edge_radius=Optional(LENGTH), depth_fraction=Number(1e-6, 1),
         )  # fmt: skip
-        if not 0 < self.edge <= self.diameter / 2:
+        if self.edge > self.diameter / 2:
             raise ConfigError(
-                f"edge_radius = {self.edge_radius} m must be positive and at most the punch's "
-                f"radius, {self.diameter / 2} m."
-            )
+                "is larger than the punch's radius", setting="edge_radius", value=self.edge_radius,
+                unit="m", advice=f"use at most {self.diameter / 2} m",
+            )  # fmt: skip
 
     @property
     def edge(self) -> float:

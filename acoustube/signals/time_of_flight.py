@@ -27,7 +27,8 @@ def speed_of_sound(temperature: ArrayLike) -> Array:
 
 
 @checks.checked(
-    time_of_flight=checks.Reals(-1e9, 1e9, "s", missing=True), temperature=checks.CELSIUS
+    time_of_flight=checks.Reals(-1e9, 1e9, "s", missing=True, empty=True),
+    temperature=checks.CELSIUS,
 )
 def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
     """Return the distance of a reflector from its time of flight.

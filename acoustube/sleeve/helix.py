@@ -278,7 +278,7 @@ class Nearest:
     next_gap: Array
 
 
-@checked(tubes=Several(Helix, 1), places=Reals(-1e6, 1e6, "m", last=3, missing=True))
+@checked(tubes=Several(Helix, 1), places=Reals(-1e6, 1e6, "m", last=3, missing=True, empty=True))
 def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     """Return the nearest tubes to positions, and the distances along these tubes.
 
