@@ -66,7 +66,7 @@ def settled(indentation, increment, design):
     ("shape", "support", "depth_mm"),
     [
         pytest.param("rod", "free", 4.0, marks=pytest.mark.long),
-        ("rod", "free", 7.9),
+        pytest.param("rod", "free", 7.9, marks=pytest.mark.long),
         ("rod", "held", 8.1),
         ("sphere", "held", 4.0),
     ],

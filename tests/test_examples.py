@@ -43,7 +43,7 @@ def test_press_closes_the_lumen_by_its_depth_and_sounds_from_under_the_rod(run_e
     assert abs(variables["distance"] - variables["truth"]) < 5e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_d_bore_holds_what_its_wall_leaves_and_closes_sooner_than_a_round_one(run_example):
     """The wall's volume, by the divergence theorem over the STL file, leaves the bore's area.
 
@@ -60,7 +60,7 @@ def test_d_bore_holds_what_its_wall_leaves_and_closes_sooner_than_a_round_one(ru
     assert variables["presses"]["round"].contact_force[-1] == pytest.approx(0.977, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_echo_rises_with_depth_below_the_first_cut_on_and_not_at_the_carrier(run_example):
     """At 10 kHz the plane wave is alone, and Webster's equation tells what comes back.
 

@@ -93,6 +93,7 @@ def test_shallow_press_agrees_with_calculix(depth_mm):
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("calculix")  # one press for all depths
 @pytest.mark.parametrize(
     ("depth_mm", "force_tolerance", "width_tolerance"),
     [

@@ -283,7 +283,7 @@ def test_stream_without_zero_is_cut_off_and_counted_once():
     assert counts(decoder) == (1, 1, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memory_is_flat_over_thousands_of_frames():
     """A record of 3000 cycles would be 6 MB of samples, 48 MB of envelopes."""
     decoder, tracker = Decoder(), Tracker(TIME, HOW)
