@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -266,6 +267,11 @@ def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
             isinstance(value, list) and all(isinstance(case, dict) for case in value)
         ):
             raise ConfigError(f"{path}: case must be a list of sections, written [[sweep.case]]")
+    for name in chain(sweep.get("over", ()), *sweep.get("case", ())):
+        try:
+            section_of(name)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
     return sweep
 
 

@@ -36,6 +36,8 @@ SCATTERING = "scattering"
 """Group of a file with the scattering matrix of its press."""
 WALLS = "walls"
 """Group of a file with the walls of its pressed tube; earlier files have none."""
+OPENING: dict[str, Any] = {"engine": "h5netcdf", "phony_dims": "access"}
+"""Arguments of xarray.open_dataset; a damaged file may have axes without a name."""
 ABANDONED = 3600.0
 """Age in s at which a partial file counts as left behind by a killed run."""
 
@@ -136,11 +138,11 @@ def intact(path: Path) -> xr.Dataset | None:
 
 def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the cases of a file of results, and the scattering matrix that they share."""
-    with xr.open_dataset(path, engine="h5netcdf") as file:
+    with xr.open_dataset(path, **OPENING) as file:
         data = file.load()
     matrix = None
     if data.attrs["scattering"] == "yes":
-        with xr.open_dataset(path, engine="h5netcdf", group=SCATTERING) as file:
+        with xr.open_dataset(path, **OPENING, group=SCATTERING) as file:
             matrix = file.load()
     return data, matrix
 
@@ -152,7 +154,7 @@ def walls(path: Path) -> xr.Dataset | None:
     with h5py.File(path) as content:
         if WALLS not in content:
             return None
-    with xr.open_dataset(path, engine="h5netcdf", group=WALLS) as file:
+    with xr.open_dataset(path, **OPENING, group=WALLS) as file:
         return file.load()
 
 

@@ -34,7 +34,7 @@ from acoustube.waves.spectral.sound import Air
 NARROW_SECTION = 60.0
 """Heights of a section, in viscous layers, under which the gaps are measured point by point."""
 MANY_LAYERS = 15.0
-"""Half widths in |D| from which the functions of the width are taken asymptotically."""
+"""Half widths in ``|D|`` from which the functions of the width are taken asymptotically."""
 SAMPLES = 10
 """Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
