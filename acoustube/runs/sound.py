@@ -12,7 +12,7 @@ from acoustube import signals
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError
 from acoustube.base.moved import renamed
-from acoustube.base.report import ignore
+from acoustube.base.report import part_of
 from acoustube.lumen import Lumen
 from acoustube.runs.config.si import SISettings
 from acoustube.runs.scattering_file import StoredScattering
@@ -31,7 +31,7 @@ from acoustube.waves import (
     propagate,
     scatter,
 )
-from acoustube.waves.budget import ERROR_QUANTILE, SpectralBudget, spectral_budget
+from acoustube.waves.budget import SpectralBudget, spectral_budget
 from acoustube.waves.spectral import SpectralScattering, scatter_spectral, wall_of
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
@@ -95,7 +95,7 @@ def tube_recordings(
             source_end=source_end,
             time_step=time_step,
             lossy_band=band_of(settings.pulse) if settings.lossy else None,
-            progress=_share_of(progress or ignore, done),
+            progress=part_of(progress, done / len(SOURCE_ENDS), (done + 1) / len(SOURCE_ENDS)),
         )
         time_step = recordings[source_end].time_step
     return recordings, _budget(settings, cells, time_step, recordings)
@@ -168,7 +168,7 @@ def scattering_of(
     Returns
     -------
     scattering : Scattering or SpectralScattering
-        In steps of `FREQUENCY_STEP`.
+        In steps of `FREQUENCY_STEP`, or of a fraction of it by the spectral solver without losses.
     cells : CutCells or None
         The lumen on its grid, where there is one.
     note : str
@@ -217,10 +217,9 @@ def spectral_scattering_of(
         raise ConfigError(
             "the sections of the lumen overlap themselves; use method = scattering"
         ) from cause
-    error = float(np.quantile(found.error, ERROR_QUANTILE))
-    if not error <= LARGEST_SPECTRAL_ERROR:
+    if not found.typical_error <= LARGEST_SPECTRAL_ERROR:
         raise ConfigError(
-            f"the spectral solver's error estimate is {error:.1g}, more than "
+            f"the spectral solver's error estimate is {found.typical_error:.1g}, more than "
             f"{LARGEST_SPECTRAL_ERROR:g}; use method = scattering"
         )
     return found
@@ -262,11 +261,10 @@ def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
     matrix = spectral_scattering_of(part, settings.air, band, lossy=settings.lossy)
     recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
     found = [locate(settings, recordings[end]) for end in SOURCE_ENDS]
-    error = float(np.quantile(matrix.error, ERROR_QUANTILE))
     return SpectralCheck(
         tuple(float(ranging.distance) for ranging in found),
         tuple(float(ranging.amplitude) for ranging in found),
-        error,
+        matrix.typical_error,
     )
 
 
@@ -343,11 +341,6 @@ def band_of(pulse: Pulse) -> tuple[float, float]:
 def _duration(settings: SISettings, air: Air) -> float:
     """Return a time in s that is long enough for the middle of an echo from the far end."""
     return 2 * settings.tube.length / air.sound_speed + 0.5 * settings.pulse.duration
-
-
-def _share_of(progress: Callable[[float], None], done: int) -> Callable[[float], None]:
-    """Return the progress function of one source end, after `done` others."""
-    return lambda part: progress((done + part) / len(SOURCE_ENDS))
 
 
 def locate(settings: SISettings, recording: Recording) -> signals.Ranging:

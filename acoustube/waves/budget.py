@@ -8,6 +8,7 @@ from math import asin, log10, pi, sin, sqrt
 import numpy as np
 
 from acoustube.air import Air
+from acoustube.base.units import MM
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.section import section_cut_ons
@@ -24,8 +25,6 @@ LOSSY_REFLECTION = -14.0
 """
 CUT_ON_RATIO = 1.01
 """Frequency over cut-on of the mode for which the absorber's reflection is stated."""
-ERROR_QUANTILE = 0.95
-"""Share of the frequencies for which the spectral solver's error is stated."""
 TAIL_FRACTION = 0.05
 """Fraction of a recording, at its end, in which the residual ringing is measured."""
 
@@ -69,7 +68,7 @@ class Budget:
         )
         return (
             f"{self.cells_per_wavelength:.0f} cells per wavelength; the grid moves the echo by "
-            f"{1e3 * self.delay_bias * path / 2:+.3f} mm, the bore's section by "
+            f"{MM * self.delay_bias * path / 2:+.3f} mm, the bore's section by "
             f"{100 * self.section_error:+.2f} %, the cut-on of (1,1) by "
             f"{100 * self.cut_on_error:+.2f} %; {absorbing}the highest pressure at the end of the "
             f"recording is {self.ringing:.0f} dB of that of all"
@@ -107,7 +106,7 @@ class SpectralBudget:
 def spectral_budget(found: SpectralScattering, pressure: Array) -> SpectralBudget:
     """Return the error budget of a recording (time last) joined from a scattering matrix."""
     return SpectralBudget(
-        spectral_error=float(np.quantile(found.error, ERROR_QUANTILE)),
+        spectral_error=found.typical_error,
         largest_spectral_error=float(found.error.max()),
         ringing=_ringing(pressure),
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.units import MM
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
@@ -97,7 +98,7 @@ def _radius(ring: Array) -> float:
     if np.abs(distance - radius).max() > ROUND * radius:
         raise ConfigError(
             f"the lumen's end is not a circle about x = y = 0: its radius goes from "
-            f"{1e3 * distance.min():.4g} to {1e3 * distance.max():.4g} mm; use the march "
+            f"{MM * distance.min():.4g} to {MM * distance.max():.4g} mm; use the march "
             "(acoustube.waves.scatter) for such ends"
         )
     return radius

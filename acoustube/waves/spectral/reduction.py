@@ -147,7 +147,7 @@ class LossyModel(NamedTuple):
 
 
 class LossyBand(NamedTuple):
-    """What a lossy response needs to know of each frequency.
+    """Frequency-dependent factors of the equations with losses.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class LossyBand(NamedTuple):
     viscous, thermal : ndarray
         Factors of the wall's stiffness and of its mass in m, (n, n_parts).
     flux : ndarray
-        What the flux of each lossy mode has of the lossless ones, (n, n_ports n_modes, ...).
+        Components of the flux of each lossy mode in the lossless ones, (n, n_ports n_modes, ...).
     """
 
     wavenumber: Complex

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 from acoustube.waves.spectral.sound import ModalScattering
+
+ERROR_QUANTILE = 0.95
+"""Share of the frequencies at which the error is to be within the tolerance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,3 +43,8 @@ class SpectralScattering(ModalScattering):
     n_elements: int
     n_shifts: int
     n_fields: int
+
+    @property
+    def typical_error(self) -> float:
+        """Estimated error of the coefficients that 95 % of the frequencies do not exceed."""
+        return float(np.quantile(self.error, ERROR_QUANTILE))

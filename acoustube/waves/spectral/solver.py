@@ -56,7 +56,7 @@ from acoustube.waves.spectral.ports import (
     port_modes,
 )
 from acoustube.waves.spectral.reduction import Reduced, reassembled
-from acoustube.waves.spectral.result import SpectralScattering
+from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
@@ -69,8 +69,6 @@ COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
 ROUGHNESS_RATIO = 0.25
 """Elements are split whose integrals change by so much of the largest change with more points."""
-QUANTILE = 0.95
-"""Share of the frequencies at which the error is to be within the tolerance."""
 ERROR_WINDOW = 5
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
 MAX_POINT_DOUBLINGS = 2
@@ -216,12 +214,12 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
         finer, fine, s, by_points, spare = _integrated(task, odd, basis, system, spaces, rough)
         error = maximum_filter1d(error + by_points, 2 * ERROR_WINDOW + 1)
-        typical = float(np.quantile(error, QUANTILE))
+        typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
         # Resonances amplify errors that are small at the probes.
         wanted *= 0.5 * tolerance / typical
-        if np.quantile(by_points, QUANTILE) > ADAPTATION_TOLERANCE * tolerance:
+        if np.quantile(by_points, ERROR_QUANTILE) > ADAPTATION_TOLERANCE * tolerance:
             change = np.linalg.norm(finer.stiffness - system.stiffness, axis=(1, 2))
             basis = replace(
                 basis, edges=split(basis.edges, change > ROUGHNESS_RATIO * change.max())
@@ -279,7 +277,7 @@ def _integrated(
         s = scattering_at(finer, fine, task.k)
         change = difference(system, s, before, task.k)
         largest = np.maximum(largest, change)
-        if np.quantile(change, QUANTILE) <= ADAPTATION_TOLERANCE * task.tolerance:
+        if np.quantile(change, ERROR_QUANTILE) <= ADAPTATION_TOLERANCE * task.tolerance:
             break
         before = s
     return finer, fine, s, largest, spare
