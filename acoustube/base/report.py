@@ -93,6 +93,23 @@ def ignore(*_progress: object) -> None:
     """Discard a progress."""
 
 
+def part_of(
+    progress: Callable[[float], None] | None, start: float, end: float
+) -> Callable[[float], None] | None:
+    """Return the progress of a part of the work, from one fraction of the whole to another.
+
+    Parameters
+    ----------
+    progress : callable or None
+        Called with the finished fraction of the whole.
+    start, end : float
+        Fractions of the whole.
+    """
+    if progress is None:
+        return None
+    return lambda fraction: progress(start + (end - start) * fraction)
+
+
 class TimeLeft:
     """Extrapolation of the time left from the recent rate of a fraction.
 

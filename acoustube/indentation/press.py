@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
+from acoustube.base.report import part_of
 from acoustube.base.types import Array, Progress
 from acoustube.indentation import wrinkle_penalty
 from acoustube.indentation.assembly import Model, build_model
@@ -121,10 +122,10 @@ def indent(
             barrier_distance=barrier_distance or BARRIER_DISTANCE * tube.inner_diameter,
         )
         _check_clearance(untouched, targets[-1])
-        model, first = press_model(untouched), _part(progress, 0.0, GUIDE_SHARE)
+        model, first = press_model(untouched), part_of(progress, 0.0, GUIDE_SHARE)
         coarse = _guide(untouched, targets[-1], first)
         if coarse is not None:
-            progress = _part(progress, GUIDE_SHARE, 1.0)
+            progress = part_of(progress, GUIDE_SHARE, 1.0)
         return load_path(untouched, model, targets, progress, guide=coarse)
 
 
@@ -144,13 +145,6 @@ def _guide(untouched: Indentation, depth: float, progress: Progress | None) -> G
     except PressError as error:
         coarse = error.indentation
     return guide(coarse, untouched.mesh) if len(coarse.depth) > 1 else None
-
-
-def _part(progress: Progress | None, start: float, end: float) -> Progress | None:
-    """Return the progress of a part of the work, which goes from `start` to `end` of the whole."""
-    if progress is None:
-        return None
-    return lambda fraction: progress(start + (end - start) * fraction)
 
 
 def restored(
