@@ -30,9 +30,9 @@ def entry() -> NoReturn:
             try:
                 code = _run()
             except KeyboardInterrupt:  # a second one, while the first was being dealt with
-                code = _said(exit_code())
+                code = _interrupted(exit_code())
     except KeyboardInterrupt:
-        code = _said(128 + signal.SIGINT)
+        code = _interrupted(128 + signal.SIGINT)
     except SystemExit as error:
         code = error.code
     # Python would wait for, or pull the ground from under, kernels that still run.
@@ -77,12 +77,12 @@ def _keep_streams() -> None:
 
 
 def _leave(number: int, _frame: object) -> None:
-    """Leave before anything has begun, or when all is over."""
-    os._exit(_said(128 + number))
+    """Handle a signal before the command has begun, or after its end: exit."""
+    os._exit(_interrupted(128 + number))
 
 
-def _said(code: int) -> int:
-    """Say that a signal has ended the command; return its exit code."""
+def _interrupted(code: int) -> int:
+    """Print that the command was interrupted; return its exit code."""
     with suppress(OSError):
         os.write(2, b"acoustube: interrupted; no incomplete run is left\n")
     return code

@@ -166,24 +166,23 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
     """
     folder = check_out(path)
     made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
-    with aside(folder) as partial:
-        try:
+    try:
+        with aside(folder) as partial:
             try:
                 partial.mkdir(parents=True)
             except OSError as error:
                 raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
-            yield partial
-        except DiskFullError as error:
-            shown = Path(str(error.path).replace(str(partial), str(path)))
-            needed = remnants.size(partial) + error.needed
-            rest = "the files after it need more"
-            raise DiskFullError(shown, error.reason, needed, rest) from error
-        finally:
-            if partial.exists():
-                remnants.remove(partial)
-                for parent in made:
-                    with contextlib.suppress(OSError):  # another run has put something there
-                        parent.rmdir()
+            try:
+                yield partial
+            except DiskFullError as error:
+                shown = Path(str(error.path).replace(str(partial), str(path)))
+                needed = remnants.size(partial) + error.needed
+                rest = "the files after it need more"
+                raise DiskFullError(shown, error.reason, needed, rest) from error
+    finally:
+        for parent in made:
+            with contextlib.suppress(OSError):  # the run, or another, is in it
+                parent.rmdir()
 
 
 def publish(partial: Path, path: str | Path) -> Path:

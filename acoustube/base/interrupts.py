@@ -1,4 +1,4 @@
-"""Interrupts: a request to stop, at any moment, ends a computation in order and in time."""
+"""Signal handling: a request to stop ends a computation at any moment, in order and in time."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callabl
 
 
 def check() -> None:
-    """Raise an interrupt that was raised before, and lost; for what must not be done after one."""
+    """Raise again an interrupt that was lost, before a step that must not follow one."""
     handler = signal.getsignal(signal.SIGINT)
     in_main = threading.current_thread() is threading.main_thread()
     if in_main and isinstance(handler, _Interrupt):
@@ -155,17 +155,17 @@ def end_in_time(clean: Callable[[], None]) -> None:
     clean : callable
         Called before the end.
     """
-    told, telling = socket.socketpair()
-    telling.setblocking(False)
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
     # Detached: the process has it to its end.
-    signal.set_wakeup_fd(telling.detach(), warn_on_full_buffer=False)
+    signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
 
     def watch() -> None:
         number, end = 0, math.inf
         while (left := end - time.monotonic()) > 0:
-            told.settimeout(None if math.isinf(left) else left)
+            receiver.settimeout(None if math.isinf(left) else left)
             with suppress(TimeoutError):
-                received = told.recv(1)[0]
+                received = receiver.recv(1)[0]
                 if received in REQUESTS:
                     end = min(end, time.monotonic() + (IMPATIENCE if number else GRACE))
                     number = received

@@ -1,4 +1,4 @@
-"""Register of the outputs that are being made, so that what a killed process leaves can be found.
+"""Register of incomplete outputs, by which those of killed processes are found.
 
 The folder ``begun`` of the cache has a file for each: the process, its machine, and the path.
 """
@@ -64,7 +64,7 @@ def register(path: Path) -> Path | None:
 
 
 def remnants() -> list[Remnant]:
-    """Return what killed processes have left behind."""
+    """Return the incomplete outputs of killed processes."""
     found = []
     with suppress(OSError, ConfigError):
         for record in sorted((cache.folder() / BEGUN).iterdir()):
@@ -75,7 +75,7 @@ def remnants() -> list[Remnant]:
 
 
 def clear() -> list[Remnant]:
-    """Remove what killed processes have left behind; return it."""
+    """Remove the incomplete outputs of killed processes; return them."""
     gone = remnants()
     for remnant in gone:
         remove(remnant.path)

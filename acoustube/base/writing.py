@@ -1,4 +1,4 @@
-"""Writing of files in one step: complete, on the disk, and never over what others have written."""
+"""Atomic writing of files: complete, flushed to the disk, and never over an existing file."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class DiskFullError(SimulationError):
 
 
 def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) -> None:
-    """Write a file in one step: aside, to the disk, and to its name if that is still free.
+    """Write a file atomically: under a temporary name, flushed, then renamed if the name is free.
 
     Parameters
     ----------
     path : str or path
-        The file. In a folder of :func:`partial_folder`, which is aside itself, it is written
+        The file. In a folder of :func:`partial_folder`, which is temporary itself, it is written
         directly.
     content : bytes or str
         All of it; text is written in UTF-8.
@@ -71,7 +71,7 @@ def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) ->
 
 
 def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -> None:
-    """Write files in one step, all or none; see :func:`write`.
+    """Write files atomically, all or none; see :func:`write`.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -
     with contextlib.ExitStack() as stack:
         complete = {}
         for path, content in encoded.items():
-            with _told(path, needed):
+            with _naming_file(path, needed):
                 if any(parent in _begun for parent in path.parents):
                     _to_disk(path, content)
                 else:
@@ -94,7 +94,7 @@ def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -
                     _to_disk(complete[path], content)
         interrupts.check()
         for path, hidden in complete.items():
-            with _told(path, needed):
+            with _naming_file(path, needed):
                 names[path] = hidden.replace(path) if overwrite else _named(hidden, path)
                 to_disk(path.parent)
     for path, name in names.items():
@@ -106,7 +106,7 @@ def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -
 
 
 @contextlib.contextmanager
-def _told(path: Path, needed: int) -> Iterator[None]:
+def _naming_file(path: Path, needed: int) -> Iterator[None]:
     """Turn an error of the system into one that names the file, and the bytes needed."""
     try:
         yield
@@ -177,7 +177,7 @@ _begun: dict[Path, Path | None] = {}
 
 @contextlib.contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """Yield a free hidden name next to a path; what is there in the end is removed."""
+    """Yield a temporary name next to a path, which is removed in the end."""
     hidden = path.absolute().with_name(f"{ASIDE}{uuid.uuid4().hex[:8]}")
     try:
         _begun[hidden] = remnants.register(hidden)

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
+from acoustube.base.units import MM
 from acoustube.base.writing import write_all
 from acoustube.cli._options import Lead, Output, Recording, check_files
 
@@ -159,7 +160,7 @@ def _print_calibration(found: Calibration, given: Any, console: Console) -> None
     console.print(
         f"{found.true_distance.size} of {given.size} blockages{left_out}: slope "
         f"{found.slope.value:.4f} +- {found.slope.deviation:.4f} m/m, RMSE "
-        f"{1e3 * found.distance_rmse:.3g} mm; arctan RMSE {found.amplitude_rmse:.3g}, tanh from "
+        f"{MM * found.distance_rmse:.3g} mm; arctan RMSE {found.amplitude_rmse:.3g}, tanh from "
         f"{near:.3g} to {far:.3g}",
         soft_wrap=True,
     )

@@ -11,6 +11,7 @@ from acoustube.base.console import ConsoleReporter, failure
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
+from acoustube.base.units import MS
 from acoustube.cli._options import Lead, Output, Ranging, Recording, check_files
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ def _note_recording(
     """Report the limits of a recording, and the start of its send pulse in s, where given."""
     notes = str(data.attrs.get("warnings", "")).splitlines()
     if begins is not None:
-        notes.append(f"the send pulse starts {1e3 * begins:.3f} ms after the first sample")
+        notes.append(f"the send pulse starts {MS * begins:.3f} ms after the first sample")
     if found.loudest > LOUD:
         notes.append(
             f"an echo is {found.loudest:.3g} times as high as the send pulse; if the recorder "

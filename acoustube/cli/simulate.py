@@ -168,9 +168,9 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
 
 def _compared(case: xr.Dataset) -> str:
     """Return how far the echo of the spectral solver is from that of the run, in words."""
-    if not math.isfinite(float(case["spectral_distance"] - case["estimated_distance"])):
-        return "no echo in one of the two, see the variables spectral_*"
     apart = float(case["spectral_distance"] - case["estimated_distance"])
+    if not math.isfinite(apart):
+        return "no echo in one of the two, see the variables spectral_*"
     ratio = float(case["spectral_amplitude"] / case["echo_amplitude"])
     return (
         f"echo {MM * apart:+.3f} mm from this one, {PERCENT * (ratio - 1):+.2f} % in height "

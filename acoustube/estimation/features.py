@@ -29,6 +29,7 @@ from acoustube.air import air_at
 from acoustube.base.checks import LENGTH, check_fields
 from acoustube.base.rules import Choice
 from acoustube.base.types import Array
+from acoustube.base.units import KHZ, MS
 from acoustube.signals import (
     Echoes,
     Processing,
@@ -181,8 +182,8 @@ def echo_names(carrier: float) -> tuple[str, ...]:
         "distance", "level", "over_background", "over_noise", "clutter", "first_lead",
         "first_level",
         *(f"other_{i + 1}_{what}" for what in ("level", "distance") for i in range(N_OTHER_ECHOES)),
-        *(f"spectrum_{1e-3 * f:.1f}_khz" for f in frequencies(carrier)),
-        *(f"envelope_{1e3 * t:+.1f}_ms" for t in ENVELOPE_DELAYS if t != 0),
+        *(f"spectrum_{KHZ * f:.1f}_khz" for f in frequencies(carrier)),
+        *(f"envelope_{MS * t:+.1f}_ms" for t in ENVELOPE_DELAYS if t != 0),
     )  # fmt: skip
 
 

@@ -31,7 +31,6 @@ SUFFICIENT_DECREASE = 1e-4
 """Fraction of the predicted decrease of the energy that a step must reach (Armijo's constant)."""
 RESIDUAL_DECREASE = 0.5
 """Ratio of the residuals after and before a step below which it is taken whatever the energy."""
-
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 REUSED_TOLERANCE = 1e-2
@@ -87,11 +86,11 @@ def minimise(
 
     Notes
     -----
-    Where the tangent is indefinite, the step is that of a positive definite matrix near it. The
-    last step before convergence is always that of the tangent itself, and this positive definite:
-    the result is a stable equilibrium, not a saddle point of the energy. A factor is used again
-    while it lowers the residual tenfold (the chord method); its steps end in less than the
-    tolerance, of which a step of the state's own tangent keeps well clear by itself.
+    Where the tangent is indefinite, the step is that of a positive definite matrix near it. It
+    converges only by a step of a true, positive definite tangent: the result is a stable
+    equilibrium, not a saddle point of the energy. The factor of a tangent is used again while it
+    lowers the residual tenfold (the chord method); after such steps the residual must fall to
+    `REUSED_TOLERANCE` of the tolerance, as a step of the state's own tangent would make it.
     """
     state = evaluate(model, start, bodies)
     order = linear_solver.section_order(model.mesh.points, model.free)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from acoustube.air import TEMPERATURES
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import MS
 
 SEND_PULSE_END = 3e-3
 """Time in s up to which the send pulse may reach the extreme codes."""
@@ -127,7 +128,7 @@ def clipped_cycles(
         count += int(np.sum(np.maximum(*repeats) >= MIN_CLIPPED_SAMPLES))
     text = (
         f"{count} of {len(signal)} cycles reach the extreme codes {bottom} or {top} at "
-        f"{MIN_CLIPPED_SAMPLES} or more samples after the first {1e3 * SEND_PULSE_END:g} ms, as "
+        f"{MIN_CLIPPED_SAMPLES} or more samples after the first {MS * SEND_PULSE_END:g} ms, as "
         "clipped echoes do."
     )
     return [text] if count else []

@@ -48,7 +48,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
         low, high = line.interval().T
         words.append(
             f"column {name}: r = {MM * line.radius:.2f} mm ({MM * low[0]:.2f} to "
-            f"{1e3 * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
+            f"{MM * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
             f"{int(kept.sum())} markers within {MM * line.deviation:.2f} mm"
             + (f", {left} left out as outliers" if left else "")
             + (f", {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
@@ -119,7 +119,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
             f"use {CM * near:.4g} to {CM * far:.4g} cm"
         )
     z = float(tube.height(distance))
-    x, y, height = 1e3 * tube.place(distance)
+    x, y, height = MM * tube.place(distance)
     along = found.deviation / float(tube.density(z))
     around = np.degrees(abs(tube.twist) * along)
     beside = nearest(tubes, tube.place(distance))
@@ -159,6 +159,6 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
         for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
             at, place, along, turned, turn = row
             detected = int(near - 1e-9 <= at <= far + 1e-9)
-            cells = [f"{100 * at:.2f}", *(f"{1e3 * value:.3f}" for value in place)]
+            cells = [f"{100 * at:.2f}", *(f"{MM * value:.3f}" for value in place)]
             table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, detected])
     write(path, text.getvalue())

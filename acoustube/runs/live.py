@@ -23,6 +23,7 @@ import numpy as np
 from acoustube import signals
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.units import MS
 from acoustube.base.writing import FULL
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
@@ -122,7 +123,7 @@ class Tally:
         return (
             f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
             f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
-            f"{1e3 * self.latency:.1f} ms" + (", joined in the middle" if self.n_joined else "")
+            f"{MS * self.latency:.1f} ms" + (", joined in the middle" if self.n_joined else "")
         )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acoustube.base.sampling import sampling_rate
+from acoustube.base.units import MS
 from acoustube.signals.filters import envelope, remove_offset
 from acoustube.signals.localise import plateaus
 from acoustube.signals.peaks import send_pulse
@@ -66,7 +67,7 @@ def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None =
     lead = float(np.median(np.where(clipped, edge, peak - duration / 2)))
     if lead < time[0] - duration / 4:
         raise ValueError(
-            f"the send pulse starts {1e3 * (time[0] - lead):.3g} ms before the first sample; "
+            f"the send pulse starts {MS * (time[0] - lead):.3g} ms before the first sample; "
             "record earlier"
         )
     return lead

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import Air
+from acoustube.base.units import KHZ
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.port_waves import Complex
@@ -44,7 +45,7 @@ def check_tube(presses: Sequence[PlacedScatterer], air: Air, radius: float) -> N
             if abs(found / wanted - 1) > CUT_ON_TOLERANCE:
                 raise ValueError(
                     f"radius = {radius:.4g} m is not that of the press at {press.position:.4g} m, "
-                    f"whose mode (1,1) cuts on at {1e-3 * found:.4g} kHz: its bore has a radius of "
+                    f"whose mode (1,1) cuts on at {KHZ * found:.4g} kHz: its bore has a radius of "
                     f"{radius * wanted / found:.4g} m"
                 )
 
@@ -85,8 +86,8 @@ def in_band(
     if left_out > OUT_OF_BAND_ENERGY:
         low, high = frequency[inside][[0, -1]] if inside.any() else (0.0, 0.0)
         raise ValueError(
-            f"{100 * left_out:.2g} % of the energy of {what} lies outside {1e-3 * low:.4g} to "
-            f"{1e-3 * high:.4g} kHz, the band of the presses' scattering, and "
+            f"{100 * left_out:.2g} % of the energy of {what} lies outside {KHZ * low:.4g} to "
+            f"{KHZ * high:.4g} kHz, the band of the presses' scattering, and "
             f"{100 * OUT_OF_BAND_ENERGY:g} % are allowed; compute it over a wider band"
         )
     return inside

@@ -21,7 +21,7 @@ _DIMENSION = b"This is a netCDF dimension"
 
 
 class Exceeded(Exception):  # noqa: N818
-    """What a file exceeds, after its name in a sentence."""
+    """Limit that a file exceeds, in words that follow its name in a sentence."""
 
 
 class Missing(ImportError):  # noqa: N818

@@ -13,6 +13,7 @@ from acoustube import estimation
 from acoustube.air import air_at
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
+from acoustube.base.units import MM
 from acoustube.estimation import FeatureSettings
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE, calibrated
@@ -70,7 +71,7 @@ def rod_on_a_bend(diameter: float, curvature: float) -> float:
 def tool(tube: Helix) -> str:
     """Return the diameter of :func:`rod_on_a_bend` at a sleeve's middle, as a setting in mm."""
     curvature = float(tube.bend(tube.length / 2)[0])
-    return f"{1e3 * rod_on_a_bend(ROD, curvature):.1f}"
+    return f"{MM * rod_on_a_bend(ROD, curvature):.1f}"
 
 
 def processing_of(tube: int) -> Processing:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acoustube import signals
 from acoustube.base.errors import SimulationError
 from acoustube.base.report import Reporter
-from acoustube.base.units import CM
+from acoustube.base.units import CM, MM
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.reports.figures.run import ENVELOPE, RETURN, SEND
 from acoustube.reports.studies.report import Row, Scale, Study
@@ -54,7 +54,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
             ours=found.slope.value,
             why="The plane wave's group speed in the bore is a little below that in free air."),
         Row(quantity="RMSE around that line", unit="mm", published=36.0,
-            ours=1e3 * found.distance_rmse,
+            ours=MM * found.distance_rmse,
             why=clean + " The sleeve paper's places near the rangefinder leave the line: there "
             "echoes overlap the ringing send pulse."),
         Row(quantity="least prominence in standard deviations", unit="1", published=2.8,

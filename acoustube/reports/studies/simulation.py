@@ -14,7 +14,7 @@ import xarray as xr
 
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
-from acoustube.base.units import CM, KHZ
+from acoustube.base.units import CM, KHZ, MS
 from acoustube.reports.studies.presses import swept
 from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
 from acoustube.reports.studies.simulation_cases import (
@@ -75,7 +75,7 @@ The distance's error has two values: small where the direct echo is highest, and
 centimetres where the highest is sound that was trapped near the rod, in a mode (2,1) whose cut-on
 in the widened lumen lies below the carrier and in the round bore just above. A mean over depths is
 a mixture of the two. With a pressure-release end the echo passes the probe twice,
-{1e3 * 2 * PROBE / SOUND_SPEED:.3f} ms apart, which adds about {CM * PROBE:g} cm where the second
+{MS * 2 * PROBE / SOUND_SPEED:.3f} ms apart, which adds about {CM * PROBE:g} cm where the second
 lobe is the higher.
 
 The direct echo itself moves from beyond the press to before it as the press deepens, since the

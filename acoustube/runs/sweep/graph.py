@@ -91,7 +91,7 @@ class LoadPath:
 
     @property
     def presses(self) -> bool:
-        """Whether one of its cases is pressed."""
+        """True if one of the cases is pressed."""
         return any(group.depth > 0 for group in self.groups)
 
     @property

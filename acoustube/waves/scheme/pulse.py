@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from acoustube.base.checks import CYCLES, FREQUENCY, RATE, Reals, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import MS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +143,6 @@ def check_duration(pulse: object, duration: float) -> None:
     lasting = float(getattr(pulse, "duration", 0.0))
     if lasting > duration:
         raise ValueError(
-            f"the pulse lasts {1e3 * lasting:.4g} ms, longer than the run; use duration = "
+            f"the pulse lasts {MS * lasting:.4g} ms, longer than the run; use duration = "
             f"{lasting:.4g} s or more, or a shorter pulse"
         )
