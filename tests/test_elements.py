@@ -219,6 +219,7 @@ def test_tangents_of_many_elements_are_those_of_each():
     rule = element.quadrature(mesh.points[mesh.elements], HEX20)
     displacement = np.random.default_rng(2).uniform(-1e-5, 1e-5, (40, 20, 3))
     every = element.tangents(displacement, rule, MATERIAL)
+    rule = element.Quadrature(*map(np.asarray, rule))
     for i in (0, 31, 39):
         own = element.Quadrature(*(part[i : i + 1] for part in rule[:-1]), rule.modes)
         alone = element.tangents(displacement[i : i + 1], own, MATERIAL)[0]
@@ -236,13 +237,17 @@ def test_convex_tangent_is_the_true_one_without_the_pressures_geometric_stiffnes
         f = element.deformation_gradients(u, own.gradients)
         return jax.vmap(element.determinant)(f)
 
-    ratio = swelling(displacement)
-    projected = element.project(ratio, own)
-    stabilisation = jnp.minimum(
-        own.stabilisation * element.shear_modulus(material), material.bulk_modulus
-    )
-    pressure = material.bulk_modulus * (projected - 1) + stabilisation * (ratio - projected)
-    geometric = jax.hessian(lambda u: (own.weights * pressure) @ swelling(u))(displacement)
+    @jax.jit
+    def geometric_stiffness(displacement, own, material):
+        ratio = swelling(displacement)
+        projected = element.project(ratio, own)
+        stabilisation = jnp.minimum(
+            own.stabilisation * element.shear_modulus(material), material.bulk_modulus
+        )
+        pressure = material.bulk_modulus * (projected - 1) + stabilisation * (ratio - projected)
+        return jax.hessian(lambda u: (own.weights * pressure) @ swelling(u))(displacement)
+
+    geometric = geometric_stiffness(displacement, own, material)
     true, convex = (
         element.tangents(displacement[None], rule, material, share)[0] for share in (1.0, 0.0)
     )
@@ -622,7 +627,7 @@ def pressurised(tube, layers):
     found = np.einsum("qn,eni->eqi", HEX20.shapes, displacement[mesh.elements])
     radius = np.linalg.norm(points[..., :2], axis=-1)
     exact = lame(tube, radius)[..., None] * outward(points)
-    weights = np.asarray(model.rule.weights)
+    weights = np.asarray(model.rule.weights)[: len(mesh.elements)]
 
     def norm(field):
         return np.sqrt(np.sum(weights * np.sum(field**2, axis=-1)))

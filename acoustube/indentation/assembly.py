@@ -18,8 +18,10 @@ from acoustube.indentation.element import Quadrature
 from acoustube.indentation.linear_solver import Pattern
 from acoustube.indentation.material import Material
 from acoustube.indentation.mesh import Mesh
+from acoustube.indentation.padding import padded
 from acoustube.indentation.self_contact import SelfContact
 
+_quadrature = jax.jit(element.quadrature, static_argnames="reference")
 _wall = jax.jit(element.energies_and_forces)
 _touch = jax.jit(contact.energies_and_forces)
 _touch_tangents = jax.jit(contact.tangents)
@@ -33,14 +35,21 @@ _volume_ratios = jax.jit(element.volume_ratios)
 class Model:
     """The discretised tube: everything that is constant during a press.
 
+    JAX compiles a function anew for each shape of its arguments. Elements and outer faces are
+    therefore padded to the counts of :func:`acoustube.indentation.padding.padded_count`, so that most meshes share compiled code.
+
     Attributes
     ----------
     mesh : Mesh
     material : Material
+    elements : array of int, shape (n_padded, n_local)
+        Nodes of the wall's elements; the last element is repeated.
     rule : Quadrature
-        Of the wall's elements.
-    outer_area : array of shape (n_faces, n_points)
-        Undeformed area in m2 of the outer faces' quadrature points.
+        Of the padded elements; the weights of repeated elements are zero.
+    outer_faces : array of int, shape (n_padded_faces, n_face_nodes)
+        Nodes of the outer faces; the last face is repeated.
+    outer_area : array of shape (n_padded_faces, n_points)
+        Undeformed area in m2 of the outer faces' quadrature points, zero for repeated faces.
     pattern : Pattern
         Sparsity of the stiffness matrix.
     lumen : SelfContact
@@ -51,7 +60,9 @@ class Model:
 
     mesh: Mesh
     material: Material
+    elements: NDArray[np.int_]
     rule: Quadrature
+    outer_faces: NDArray[np.int_]
     outer_area: Array
     pattern: Pattern
     lumen: SelfContact
@@ -66,6 +77,13 @@ class Model:
     def free(self) -> NDArray[np.bool_]:
         """Mask of the unknown displacement components, shape (n_nodes, 3)."""
         return self.pattern.free
+
+
+def _weights_of_mesh(weights: Array, count: int) -> Array:
+    """Return weights with zeros beyond the first `count` rows."""
+    kept = np.array(weights)
+    kept[count:] = 0.0
+    return kept
 
 
 def build_model(
@@ -90,12 +108,16 @@ def build_model(
     face, n_components = mesh.face, mesh.points.size
     if wrinkle_stiffness is None:
         wrinkle_stiffness = sparse.csr_array((n_components, n_components))
-    outer_area = _areas(mesh.points[mesh.outer_faces], face.slopes, face.weights)
+    elements, outer_faces = padded(mesh.elements), padded(mesh.outer_faces)
+    rule = _quadrature(mesh.points[elements], mesh.reference)
+    outer_area = _areas(mesh.points[outer_faces], face.slopes, face.weights)
     return Model(
         mesh=mesh,
         material=material,
-        rule=element.quadrature(mesh.points[mesh.elements], mesh.reference),
-        outer_area=np.asarray(outer_area),
+        elements=elements,
+        rule=rule._replace(weights=_weights_of_mesh(rule.weights, len(mesh.elements))),
+        outer_faces=outer_faces,
+        outer_area=_weights_of_mesh(outer_area, len(mesh.outer_faces)),
         pattern=linear_solver.pattern(~fixed, [mesh.elements, mesh.outer_faces]),
         lumen=lumen,
         wrinkle_stiffness=wrinkle_stiffness,
@@ -140,14 +162,15 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
         NaN where an element is inverted (J <= 0).
     """
     mesh, position = model.mesh, model.mesh.points + displacement
-    wall, inner = _wall(displacement[mesh.elements], model.rule, model.material)
-    touch, outer = _touch(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies)
+    wall, inner = _wall(displacement[model.elements], model.rule, model.material)
+    touch, outer = _touch(position[model.outer_faces], model.outer_area, mesh.face.shapes, bodies)
     barrier, total = model.lumen.energy_and_forces(position)
-    np.add.at(total, mesh.elements, inner)
-    np.add.at(total, mesh.outer_faces, outer)
+    np.add.at(total, mesh.elements, np.asarray(inner)[: len(mesh.elements)])
+    np.add.at(total, mesh.outer_faces, np.asarray(outer)[: len(mesh.outer_faces)])
     smoothing = (model.wrinkle_stiffness @ displacement.ravel()).reshape(displacement.shape)
     gradient = (total + smoothing)[model.free]
-    energy = float(np.sum(wall) + np.sum(touch) + 0.5 * np.sum(smoothing * displacement)) + barrier
+    smooth = 0.5 * np.sum(smoothing * displacement)
+    energy = float(np.asarray(wall).sum() + np.asarray(touch).sum() + smooth) + barrier
     return State(displacement, energy, gradient, float(np.linalg.norm(gradient)))
 
 
@@ -171,9 +194,11 @@ def stiffness(
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     share = 0.0 if convex else 1.0
+    local, faces = displacement[model.elements], position[model.outer_faces]
+    outer = _touch_tangents(faces, model.outer_area, mesh.face.shapes, bodies)
     matrices = [
-        element.tangents(displacement[mesh.elements], model.rule, model.material, share),
-        _touch_tangents(position[mesh.outer_faces], model.outer_area, mesh.face.shapes, bodies),
+        element.tangents(local, model.rule, model.material, share, count=len(mesh.elements)),
+        np.asarray(outer)[: len(mesh.outer_faces)],
     ]
     lower = model.pattern.assemble(matrices) + model.wrinkle_tangent
     barrier = model.lumen.tangent(position, convex=convex)
@@ -212,16 +237,16 @@ def equilibrium_results(
     Arguments as of :func:`evaluate`; the last of the bodies is the ground.
     """
     mesh, position = model.mesh, model.mesh.points + displacement
-    local = displacement[mesh.elements]
+    local, faces = displacement[model.elements], position[model.outer_faces]
     wall, _ = _wall(local, model.rule, model.material)
-    faces = position[mesh.outer_faces]
     deformed = _areas(faces, mesh.face.slopes, mesh.face.weights)
+    deformed = _weights_of_mesh(deformed, len(mesh.outer_faces))
     touched = [_contact_area(faces, deformed, mesh.face.shapes, body) for body in bodies[:-1]]
     return EquilibriumResults(
         press_force=np.array([indenter_force(model, displacement, body) for body in bodies[:-1]]),
         contact_area=mesh.copies * np.array(touched),
-        energy=mesh.copies * float(np.sum(wall)),
-        smallest_volume_ratio=float(np.min(_volume_ratios(local, model.rule))),
+        energy=mesh.copies * float(np.asarray(wall).sum()),
+        smallest_volume_ratio=float(np.asarray(_volume_ratios(local, model.rule)).min()),
         smallest_gap=model.lumen.smallest_gap(position),
     )
 
@@ -236,6 +261,6 @@ def indenter_force(model: Model, displacement: Array, body: Body) -> float:
         In m.
     body : Body
     """
-    position = (model.mesh.points + displacement)[model.mesh.outer_faces]
+    position = (model.mesh.points + displacement)[model.outer_faces]
     part = _force(position, model.outer_area, model.mesh.face.shapes, body)
     return model.mesh.copies * float(part)

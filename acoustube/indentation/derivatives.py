@@ -17,6 +17,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -240,7 +241,7 @@ def _residual_derivative(
     position = mesh.points + displacement
     _, barrier = model.lumen.energy_and_forces(position)
 
-    def forces(design: Design) -> tuple[Any, Any]:
+    def forces(design: Design, displacement: Any) -> tuple[Any, Any]:
         case = problem(design)
         _, wall = element.energies_and_forces(displacement[mesh.elements], case.rule, case.material)
         faces = (case.points + displacement)[mesh.outer_faces]
@@ -250,10 +251,13 @@ def _residual_derivative(
         total = case.wrinkle_forces(displacement).at[mesh.elements].add(wall)
         return total.at[mesh.outer_faces].add(touch), case.points
 
-    tangent = jax.jit(lambda along: jax.jvp(forces, (design,), (along,))[1])
+    # Everything that varies is an argument: XLA evaluates products of constants while compiling.
+    @jax.jit
+    def tangent(design: Design, along: Design, displacement: Any) -> Any:
+        return jax.jvp(lambda design: forces(design, displacement), (design,), (along,))[1]
 
     def derivative(along: Design) -> Array:
-        change, moved = tangent(along)
+        change, moved = tangent(design, along, displacement)
         stiffening = along.shear_modulus / design.shear_modulus
         of_barrier = model.lumen.forces_along(position, np.asarray(moved)) + stiffening * barrier
         return np.asarray(change) + of_barrier
@@ -296,7 +300,8 @@ def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> An
 def _directional(result: Any, displacement: Array, design: Design) -> Any:
     """Return the directional derivative of a result by displacement and design."""
 
-    def directional(moved: Any, along: Design) -> Any:
+    @jax.jit
+    def directional(displacement: Any, design: Design, moved: Any, along: Design) -> Any:
         return jax.jvp(result, (displacement, design), (moved, along))[1]
 
-    return jax.jit(directional)
+    return partial(directional, displacement, design)

@@ -19,6 +19,7 @@ from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.indentation import contact
 from acoustube.indentation.contact import Body
+from acoustube.indentation.padding import padded
 from acoustube.tube import Tube
 
 Shape = Literal["rod", "punch", "sphere"]
@@ -179,6 +180,12 @@ def indenter_bodies(
     )
 
 
+@jax.jit
+def _smallest_gap(points: Array, gap: Partial, height: Any) -> Any:
+    """Return the smallest distance in m of points (n, 3) to an indenter at a height."""
+    return jnp.min(jax.vmap(gap)(points - height * jnp.array([[0.0, 1.0, 0.0]])))
+
+
 def touch_height(points: Array, gap: Partial) -> float:
     """Return the height y in m of an indenter at first contact.
 
@@ -195,15 +202,16 @@ def touch_height(points: Array, gap: Partial) -> float:
         If the indenter misses the tube on its path down.
     """
 
-    @jax.jit
-    def nearest(height: Any) -> Any:
-        return jnp.min(jax.vmap(gap)(points - height * jnp.array([[0.0, 1.0, 0.0]])))
+    repeated = padded(points)
+
+    def nearest(height: Any) -> float:
+        return float(_smallest_gap(repeated, gap, height))
 
     top, bottom = points[:, 1].max(), points[:, 1].min()
     heights = np.linspace(top + 1e-3 * (top - bottom), bottom, TOUCH_STEPS)
     for above, below in itertools.pairwise(heights):
-        if float(nearest(below)) < 0:
-            return float(brentq(lambda height: float(nearest(height)), below, above, xtol=1e-15))
+        if nearest(below) < 0:
+            return float(brentq(nearest, below, above, xtol=1e-15))
     raise ConfigError(
         "The indenter misses the tube: its offset is too large for its size; reduce the offset or "
         "use a larger indenter."
