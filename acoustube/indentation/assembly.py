@@ -36,7 +36,8 @@ class Model:
     """The discretised tube: everything that is constant during a press.
 
     JAX compiles a function anew for each shape of its arguments. Elements and outer faces are
-    therefore padded to the counts of :func:`acoustube.indentation.padding.padded_count`, so that most meshes share compiled code.
+    therefore padded to few counts, so that most meshes share compiled code; see
+    :func:`acoustube.indentation.padding.padded_count`.
 
     Attributes
     ----------

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.indentation.material import (
     Array,
@@ -174,7 +175,7 @@ def tangents(
     pressure_share: float = 1.0,
     *,
     count: int | None = None,
-) -> Array:
+) -> NDArray[np.float64]:
     """Return the tangent stiffness in N/m of every element: the Hessians of :func:`energy`.
 
     Parameters

@@ -201,7 +201,6 @@ def touch_height(points: Array, gap: Partial) -> float:
     ConfigError
         If the indenter misses the tube on its path down.
     """
-
     repeated = padded(points)
 
     def nearest(height: Any) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-
-from acoustube.base.types import Array
+from numpy.typing import NDArray
 
 
 def padded_count(count: int) -> int:
@@ -18,7 +18,7 @@ def padded_count(count: int) -> int:
     return step * math.ceil(count / step)
 
 
-def padded(rows: Array) -> Array:
+def padded(rows: NDArray[Any]) -> NDArray[Any]:
     """Return an array with its last row repeated up to :func:`padded_count`."""
     surplus = padded_count(len(rows)) - len(rows)
     return np.concatenate([rows, np.repeat(rows[-1:], surplus, axis=0)])
