@@ -213,14 +213,14 @@ def test_what_cannot_be_solved_is_refused_in_one_sentence(change, words):
         spectral.scatter_spectral(wall("A"), AIR, **arguments)
 
 
-def test_lumens_without_round_or_straight_ends_are_refused():
-    straight, oval, open_ended = (rings("E") for _ in range(3))
+def test_lumens_without_straight_ends_alike_are_refused():
+    straight, unlike, open_ended = (rings("E") for _ in range(3))
     straight.rings[:] = straight.rings[0] + (straight.rings[:, :1, 2:] * [0, 0, 1] - [0, 0, 0])
-    oval.rings[..., 0] *= 1.01
+    unlike.rings[-2:, :, 0] *= 1.01
     open_ended.rings = open_ended.rings[20:]
     for lumen, words in (
         (straight, "straight all along"),
-        (oval, "not a circle"),
+        (unlike, "differ in section"),
         (open_ended, "straight at its ends"),
     ):
         with pytest.raises(ConfigError, match=words):

@@ -7,7 +7,7 @@ import time
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -17,23 +17,23 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name, check_new_file, check_surface
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
-from acoustube.base.units import KHZ, MM, UM, US
+from acoustube.base.units import KHZ, UM, US
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output
-from acoustube.runs.config import CELLS_PER_WAVELENGTH
-from acoustube.runs.config.checks import MOST_CELLS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
     from acoustube.air import Air
     from acoustube.base.report import Reporter
+    from acoustube.runs.scattering_file import StoredScattering
     from acoustube.waves.grid.cells import CutCells
-    from acoustube.waves.scattering import Scattering
+    from acoustube.waves.scattering import ModalScattering, Scattering
+    from acoustube.waves.spectral import SpectralScattering
 
 HIGHEST_KHZ = 1000.0
 """Frequency above which Hz are suspected."""
-NARROWEST_CELLS = 2
-"""Least number of cells across the narrowest place."""
 
 
 @Parameter(name="*")
@@ -116,6 +116,8 @@ def scatter(
     band: Band = Band(),
     medium: Medium = Medium(),
     resolution: Annotated[int, WHOLE] = 32,
+    method: Literal["march", "spectral"] = "march",
+    tolerance: float = 1e-3,
     out: Path,
     output: Output = Output(),
 ) -> None:
@@ -128,6 +130,11 @@ def scatter(
         the same section.
     resolution : int
         Grid cells across the ends.
+    method : {"march", "spectral"}
+        Time-domain march on a grid, or the spectral solver, which takes seconds and estimates its
+        error; a lumen that it cannot take is marched.
+    tolerance : float
+        Largest error of a coefficient that the spectral solver aims at.
     out : Path
         File to write (netCDF), which must be new.
     """
@@ -136,6 +143,7 @@ def scatter(
     check_netcdf_name(out)
     band.n_steps()
     Number(8, 128, "", "grid cells across the ends", whole=True).check("resolution", resolution)
+    Number(1e-6, 0.1, "", "of the spectral solver").check("tolerance", tolerance)
 
     from acoustube.base.netcdf import write_dataset
     from acoustube.runs.scattering_file import to_dataset
@@ -143,7 +151,8 @@ def scatter(
     started = time.perf_counter()
     console = output.console()
     report = ConsoleReporter(console)
-    found, notes = _scattering(lumen, band.frequencies(), medium, resolution, report)
+    task = _Task(lumen, band.frequencies(), medium, resolution, tolerance)
+    found, notes = _scattering(task, method, report)
     dataset = to_dataset(found)
     dataset.attrs |= {
         "lumen": lumen.name.encode("utf-8", "backslashreplace").decode(),
@@ -159,133 +168,124 @@ def scatter(
     console.print(f"Written to {out} in {elapsed:.0f} s.", soft_wrap=True)
 
 
-def _scattering(
-    lumen: Path,
-    frequency: Any,
-    medium: Medium,
-    resolution: int,
-    report: Reporter,
-) -> tuple[Scattering, list[str]]:
-    """Return the scattering matrix of a lumen, and the notes on it."""
-    import numpy as np
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What the command is asked for; frequencies in Hz."""
 
+    path: Path
+    frequency: Any
+    medium: Medium
+    resolution: int
+    tolerance: float
+
+
+def _scattering(task: _Task, method: str, report: Reporter) -> tuple[StoredScattering, list[str]]:
+    """Return the scattering matrix of a lumen, and the notes on it."""
     from acoustube.air import air_at
     from acoustube.base.surfaces import read_lumen
+
+    state = task.medium.in_si()
+    air = air_at(state.temperature, humidity=state.humidity, pressure=state.pressure)
+    surface, start = read_lumen(task.path)
+    unsuitable = []
+    with watched_interrupts() as check, report.progress(check) as show:
+        progress = functools.partial(show, "scattering")
+        if method == "spectral":
+            try:
+                return _spectral(task, air, surface, start, progress)
+            except ConfigError as reason:
+                unsuitable.append(
+                    f"The march computed the scattering, not the spectral solver: {reason}"
+                )
+        found, notes = _marched(task, air, surface, start, progress)
+    return found, [*unsuitable, *notes]
+
+
+def _spectral(
+    task: _Task, air: Air, surface: Any, start: float, progress: Callable[[float], None]
+) -> tuple[SpectralScattering, list[str]]:
+    """Return the scattering matrix by the spectral solver, and the notes on it."""
+    from acoustube.runs.surface_scattering import spectral_of_surface
+
+    progress(0.0)
+    found = spectral_of_surface(
+        surface, start, air, task.frequency, tolerance=task.tolerance,
+        lossy=not task.medium.lossless,
+    )  # fmt: skip
+    over = int((found.error > task.tolerance).sum())
+    notes = _cut_on_notes(found)
+    if over:
+        notes.append(
+            f"At {over} of {len(found.error)} frequencies the estimated error, up to "
+            f"{found.error.max():.1g}, exceeds the tolerance of {task.tolerance:g}."
+        )
+    return found, notes
+
+
+def _marched(
+    task: _Task, air: Air, surface: Any, start: float, progress: Callable[[float], None]
+) -> tuple[Scattering, list[str]]:
+    """Return the scattering matrix by the time-domain march, and the notes on it."""
     from acoustube.runs.scattering_file import keep, recall
-    from acoustube.waves.grid.cells import cut_cells
+    from acoustube.runs.surface_scattering import cells_of_surface
     from acoustube.waves.scattering import Scattering
     from acoustube.waves.scattering import scatter as scattering
 
-    state = medium.in_si()
-    air = air_at(state.temperature, humidity=state.humidity, pressure=state.pressure)
-    surface, start = read_lumen(lumen)
-    across = float(_end_size(surface) / resolution)
-    _check_grid(frequency[[0, -1]], across, air)
-    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
-    length = float(np.ptp(surface.bounds[:, 2]))
-    spacing = across, across, length / np.ceil(length / across - 1e-6)
-    _check_cells(float(np.prod(np.ptp(surface.bounds, axis=0) / spacing)), lumen)
-    with watched_interrupts() as check, report.progress(check) as show:
-        progress = functools.partial(show, "scattering")
-        cells = cut_cells(surface, spacing)
-        _check_width(cells, lumen)
-        progress(0.0)
-        name = _name(surface, start, frequency, medium, resolution)
-        found = recall(name)
-        if not isinstance(found, Scattering):
-            found = scattering(
-                cells, air, frequency, reference=(-start, -start), lossy=not medium.lossless,
-                progress=progress,
-            )  # fmt: skip
-            keep(name, found, f"sound of {lumen.name}")  # a full disk does not cost it
+    highest = float(task.frequency[-1])
+    cells = cells_of_surface(surface, task.path, task.resolution, highest, air)
+    progress(0.0)
+    name = _name(surface, start, task)
+    found = recall(name)
+    if not isinstance(found, Scattering):
+        found = scattering(
+            cells, air, task.frequency, reference=(-start, -start),
+            lossy=not task.medium.lossless, progress=progress,
+        )  # fmt: skip
+        keep(name, found, f"sound of {task.path.name}")  # a full disk does not cost it
     return found, _notes(cells, found, air)
 
 
-def _name(surface: Any, start: float, frequency: Any, medium: Medium, resolution: int) -> str:
+def _name(surface: Any, start: float, task: _Task) -> str:
     """Return the name of the scattering matrix in the cache."""
     shape = sha256(surface.vertices.tobytes() + surface.faces.tobytes()).hexdigest()
     return cache.key(
         "scattering",
         {
             "surface": [shape, start],
-            "frequency": frequency.tolist(),
-            "medium": asdict(medium),
-            "resolution": resolution,
+            "frequency": task.frequency.tolist(),
+            "medium": asdict(task.medium),
+            "resolution": task.resolution,
         },
     )
 
 
-def _end_size(surface: Any) -> float:
-    """Return the larger of width and height of the ends, in m."""
-    import numpy as np
-
-    z = surface.vertices[:, 2]
-    rim = surface.vertices[np.abs(z - z.min()) < 1e-9 + 1e-6 * np.ptp(z)]
-    return float(np.ptp(rim[:, :2], axis=0).max())
-
-
-def _check_grid(band: Any, spacing: float, air: Air) -> None:
-    """Check that the grid resolves the shortest wavelength of a band in Hz."""
-    low, high = KHZ * band
-    finest = KHZ * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
-    if high > finest:
-        raise ConfigError(
-            f"band = {low:g} {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
-            f"{MM * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
-            "resolution or lower the band"
-        )
-
-
-def _check_cells(cells: float, path: Path) -> None:
-    """Check that the grid of a lumen is not too large."""
-    if cells > MOST_CELLS:
-        raise ConfigError(
-            f"{path} takes a grid of {cells:.3g} cells, over {MOST_CELLS:.0e}; give a shorter "
-            "lumen (straight tube is added by acoustube simulate), or lower resolution"
-        )
-
-
-def _openings(cells: CutCells) -> Any:
-    """Return the smaller of the largest height and the largest width of each layer, in m, (nz,)."""
-    import numpy as np
-
-    high, wide = (cells.volume_fraction.sum(axis=axis).max(axis=0) for axis in (1, 0))
-    return np.asarray(np.minimum(high * cells.spacing[1], wide * cells.spacing[0]))
-
-
-def _check_width(cells: CutCells, path: Path) -> None:
-    """Check that there are enough cells across the narrowest place."""
-    openings = _openings(cells)[1:-1]
-    narrowest, place = float(openings.min()), int(openings.argmin())
-    if narrowest < NARROWEST_CELLS * cells.spacing[1]:
-        at = MM * (place + 1) * cells.spacing[2]
-        raise ConfigError(
-            f"{path} is {MM * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
-            f"{NARROWEST_CELLS} cells of {MM * cells.spacing[1]:.3g} mm; raise resolution"
-        )
-
-
-def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
-    """Return a sentence for each assumption of the model that the run violates."""
-    import numpy as np
-
-    from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
-    from acoustube.waves.grid.straight_part import straight_ends_cut
-
+def _cut_on_notes(found: ModalScattering) -> list[str]:
+    """Return a sentence on the modes that cut on inside the band, if any do."""
     low, high = found.frequency[[0, -1]]
-    notes = []
     inside = [
         f"{name} at {KHZ * cut_on:.2f} kHz"
         for name, cut_on in zip(found.modes, found.cut_ons, strict=True)
         if low < cut_on < high
     ]
-    if inside:
-        notes.append(
-            f"Modes cut on inside the band: {', '.join(inside)}. Within 1 % of these, small errors "
-            "of size or temperature decide whether they propagate."
-        )
-    gap = float(_openings(straight_ends_cut(cells)).min())
-    layers = gap / viscous_thickness(air, float(low))
+    words = (
+        f"Modes cut on inside the band: {', '.join(inside)}. Within 1 % of these, small errors "
+        "of size or temperature decide whether they propagate."
+    )
+    return [words] if inside else []
+
+
+def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
+    """Return a sentence for each assumption of the model that the march violates."""
+    import numpy as np
+
+    from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
+    from acoustube.runs.surface_scattering import openings
+    from acoustube.waves.grid.straight_part import straight_ends_cut
+
+    low = float(found.frequency[0])
+    notes = _cut_on_notes(found)
+    gap = float(openings(straight_ends_cut(cells)).min())
+    layers = gap / viscous_thickness(air, low)
     if layers < NARROW_GAP_LAYERS:
         notes.append(
             f"The lumen is {UM * gap:.0f} um wide at its narrowest, {layers:.0f} viscous boundary "
@@ -312,8 +312,8 @@ def _propagating(found: Scattering) -> Any:
     return np.broadcast_to(both, found.s.shape)
 
 
-def _print(found: Scattering, notes: list[str], console: Console) -> None:
-    """Print the plane mode's coefficients, the grid and the notes."""
+def _print(found: StoredScattering, notes: list[str], console: Console) -> None:
+    """Print the plane mode's coefficients, the discretisation and the notes."""
     import numpy as np
     from rich.table import Table
 
@@ -325,19 +325,38 @@ def _print(found: Scattering, notes: list[str], console: Console) -> None:
             f"{KHZ * found.frequency[i]:.2f}", f"{abs(s[i, 0]):.4f}", f"{abs(s[i, 1]):.4f}"
         )
     console.print(table)
-    nx, ny, nz = found.shape
-    console.print(
-        f"grid {nx} x {ny} x {nz}, {found.steps} steps of {US * found.time_step:.3g} us; "
-        f"modes {', '.join(found.modes)}",
-        soft_wrap=True,
-    )
-    high, over = float(found.frequency[-1]), 100 * np.mean(found.settled[_propagating(found)])
-    across = found.sound_speed / (high * max(found.spacing))
-    console.print(
-        f"accuracy: {across:.0f} cells per wavelength at {KHZ * high:g} kHz, where 16 cells give "
-        "R and T within 0.01, 32 within 0.003 (see the documentation); straight ends and absorbers "
-        f"add no error; {over:.1f} % of the coefficients are settled",
-        soft_wrap=True,
-    )
+    for line in _quality(found):
+        console.print(line, soft_wrap=True)
     for words in notes:
         note(console, words)
+
+
+def _quality(found: StoredScattering) -> tuple[str, str]:
+    """Return a line on the discretisation, and one on its accuracy."""
+    import numpy as np
+
+    from acoustube.waves.spectral import SpectralScattering
+
+    if isinstance(found, SpectralScattering):
+        solver = (
+            f"spectral solver: degree {found.degree}, {found.n_elements} elements, "
+            f"{found.n_shifts} shifts, {found.n_fields} fields; modes {', '.join(found.modes)}"
+        )
+        accuracy = (
+            f"estimated error of the coefficients: {found.typical_error:.1g} at 95 % of the "
+            f"frequencies, {found.error.max():.1g} at most (see the variable error)"
+        )
+        return solver, accuracy
+    nx, ny, nz = found.shape
+    high, over = float(found.frequency[-1]), 100 * np.mean(found.settled[_propagating(found)])
+    across = found.sound_speed / (high * max(found.spacing))
+    solver = (
+        f"grid {nx} x {ny} x {nz}, {found.steps} steps of {US * found.time_step:.3g} us; "
+        f"modes {', '.join(found.modes)}"
+    )
+    accuracy = (
+        f"accuracy: {across:.0f} cells per wavelength at {KHZ * high:g} kHz, where 16 cells give "
+        "R and T within 0.01, 32 within 0.003 (see the documentation); straight ends and absorbers "
+        f"add no error; {over:.1f} % of the coefficients are settled"
+    )
+    return solver, accuracy

@@ -1,15 +1,19 @@
 """Scattering of a lumen in the frequency domain: polynomials in space, rational in frequency.
 
-Reading order: `polynomials`, `walls` and `lumens` (what is integrated over), `assembly` (stiffness
-and mass), `ports` (modes of the ends), `elimination` (direct solution along the tube),
-`discretisation` (a basis and a richer one), `reduction` (many frequencies at once), `boundary`,
-`layers` and `lossy` (losses), `derivatives`, and `partition`, `first_basis`, `band` and `solver`
-(what is chosen, and the error).
+Reading order: `polynomials`, `walls`, `lumens` and `sections` (what is integrated over), `assembly`
+(stiffness and mass), `ports` and `ends` (modes of the ends), `elimination` (direct solution along
+the tube), `discretisation` (a basis and a richer one), `reduction` (many frequencies at once),
+`boundary`, `layers` and `lossy` (losses), `derivatives`, and `partition`, `first_basis`, `band` and
+`solver` (what is chosen, and the error).
 """
 
 from acoustube.waves.spectral.lumens import wall_of
 from acoustube.waves.spectral.result import SpectralScattering
+from acoustube.waves.spectral.sections import SurfaceRings, rings_of_surface
 from acoustube.waves.spectral.solver import scatter_spectral
 from acoustube.waves.spectral.walls import Wall, analytic_wall
 
-__all__ = ["SpectralScattering", "Wall", "analytic_wall", "scatter_spectral", "wall_of"]
+__all__ = [
+    "SpectralScattering", "SurfaceRings", "Wall", "analytic_wall", "rings_of_surface",
+    "scatter_spectral", "wall_of",
+]  # fmt: skip

@@ -14,8 +14,9 @@ import numpy as np
 
 from acoustube.waves.spectral.assembly import Elements, Layout, assemble
 from acoustube.waves.spectral.elimination import factor, solve
+from acoustube.waves.spectral.ends import Rim, end_functions, end_modes, rim_of
 from acoustube.waves.spectral.polynomials import Array, Index, polynomials
-from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes, port_functions, port_modes
+from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes
 from acoustube.waves.spectral.walls import Wall
 
 DEGREE_INCREASE = 2
@@ -46,6 +47,8 @@ class Discretisation:
         z of the ports in m.
     radius : float
         Of the ports in m.
+    rim : Rim
+        Products of the modes along the contour of an end.
     halved : bool
         Whether it is the half beyond the plane about which the lumen is symmetric, with one port.
     layers : tuple of ndarray, optional
@@ -59,6 +62,7 @@ class Discretisation:
     ports: Array
     heights: tuple[float, float]
     radius: float
+    rim: Rim
     halved: bool
     layers: tuple[Array, Array] | None = None
 
@@ -135,12 +139,12 @@ def discretise(
     layout = Layout(basis.count(degree), basis.size, order)
     elements = assemble(wall, edges, basis, layout, order + spare_points)
     reach = MARGIN + wavenumber * wall.radius
-    modes = port_modes(reach, odd)
-    far = port_modes(reach + FARTHEST, odd, lowest=reach)
+    modes = end_modes(wall, reach, odd)
+    far = end_modes(wall, reach + FARTHEST, odd, lowest=reach)
     boxes = [elements.last] if halved else [elements.first, elements.last]
     places = ((-1, 1),) if halved else ((0, 0), (-1, 1))
     for (element, end), box in zip(places, boxes, strict=True):
-        functions = port_functions(far, basis, box, wall.radius)
+        functions = end_functions(wall, far, basis, box)
         _add_far_modes(
             elements, (element, layout.end(end)), functions, far, wall.radius, wavenumber
         )
@@ -149,9 +153,10 @@ def discretise(
         mass=elements.mass,
         layout=layout,
         modes=modes,
-        ports=np.stack([port_functions(modes, basis, box, wall.radius) for box in boxes]),
+        ports=np.stack([end_functions(wall, modes, basis, box) for box in boxes]),
         heights=(2 * wall.middle - edges[-1] if halved else edges[0], edges[-1]),
         radius=wall.radius,
+        rim=rim_of(wall, modes, odd),
         halved=halved,
     )  # fmt: skip
 

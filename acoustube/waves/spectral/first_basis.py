@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acoustube.waves.spectral.ends import end_modes
 from acoustube.waves.spectral.partition import partition
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.ports import axial_wavenumbers, port_modes
+from acoustube.waves.spectral.ports import axial_wavenumbers
 from acoustube.waves.spectral.walls import Wall
 
 LEAST_DEGREE = 8
@@ -47,7 +48,7 @@ def first_basis(wall: Wall, odd: bool | None, k: Array, blocks: int) -> Basis:
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
     edges = partition(wall, float(k[-1]))
-    modes = port_modes(reach, odd)
+    modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
     waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
     per_shift = blocks * len(modes) * (1 if wall.reversible else 2)

@@ -24,9 +24,10 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.special import ive, jv
+from scipy.special import ive
 
 from acoustube.waves.spectral.boundary import WallPoints
+from acoustube.waves.spectral.ends import Rim, Section
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, PortModes
 from acoustube.waves.spectral.sound import Air
@@ -146,18 +147,20 @@ def gap_widths(points: WallPoints, narrow: float) -> Array:
 
 
 def lossy_ends(
-    k: Complex, modes: PortModes, radius: float, frequency: Array, air: Air
+    k: Complex, modes: PortModes, radius: float, rim: Rim, frequency: Array, air: Air
 ) -> tuple[Complex, Complex]:
-    """Return the axial wavenumbers of a round bore's modes with layers, and their fluxes.
+    """Return the axial wavenumbers of the ends' modes with layers, and their fluxes.
 
     Parameters
     ----------
     k : ndarray
         Wavenumbers of free sound in the air in 1/m, (n,).
     modes : PortModes
-        Of the bore without losses.
+        Of the ends without losses.
     radius : float
-        In m.
+        Of the wall, in m.
+    rim : Rim
+        Products of the modes along the contour.
     frequency : ndarray
         In Hz, (n,).
     air : Air
@@ -171,24 +174,22 @@ def lossy_ends(
 
     Notes
     -----
-    With the lossless modes' products G = closed int psi_a psi_b on the contour, N = 1 - D_v f G and
-    the eigenproblem kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f m^2 / R^2 G) v; the
-    flux is N v, with v^T N v = 1.
+    With the lossless modes' products f G = closed int f psi_a psi_b on the contour,
+    N = 1 - D_v f G and the eigenproblem
+    kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v, G' of the modes' derivatives
+    along the contour; the flux is N v, with v^T N v = 1.
     """
-    viscous, thermal = (
-        d * filling(np.array(2 * radius), np.array(1.0), d) for d in layer_thickness(frequency, air)
-    )
-    m, zeros = modes.m, modes.zeros
-    share = 1 - np.divide(m, zeros, out=np.zeros_like(zeros), where=zeros > 0) ** 2
-    edge = np.sqrt(2 / (radius * share)) * _wall_signs(modes)
-    alike = (m[:, None] == m) & (modes.sine[:, None] == modes.sine)
-    product = np.outer(edge, edge) * alike
-    one = np.eye(len(m))
-    inertia = one - viscous[:, None, None] * product
-    thermal = (air.heat_capacity_ratio - 1) * thermal
-    right = k[:, None, None] ** 2 * (one + thermal[:, None, None] * product)
-    right = right - np.diag((zeros / radius) ** 2)
-    right = right + viscous[:, None, None] * product * (m / radius)[:, None] * (m / radius)
+    layers = layer_thickness(frequency, air)
+    width, roundness = np.array([2 * radius]), np.ones(1)
+    if rim.section is not None:
+        width, roundness = _section_widths(rim.section, float(np.abs(layers[0][0])))
+    viscous, thermal = (d[:, None] * filling(width, roundness, d[:, None]) for d in layers)
+    one = np.eye(len(modes))
+    inertia = one - np.tensordot(viscous, rim.product, 1)
+    thermal = (air.heat_capacity_ratio - 1) * np.tensordot(thermal, rim.product, 1)
+    right = k[:, None, None] ** 2 * (one + thermal)
+    right = right - np.diag((modes.zeros / radius) ** 2)
+    right = right + np.tensordot(viscous, rim.slope, 1)
     square, vector = np.linalg.eig(np.linalg.solve(inertia, right))
     order = np.argmax(np.abs(vector), axis=1)
     back = np.argsort(order, axis=1)
@@ -201,6 +202,11 @@ def lossy_ends(
     return np.where(root.imag > 0, -root, root), inertia @ vector
 
 
-def _wall_signs(modes: PortModes) -> Array:
-    """Return the signs of the modes' radial functions at the wall."""
-    return np.sign(jv(modes.m, modes.zeros))
+def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
+    """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
+    contours, boxes = section.contours, section.boxes
+    halved = section.basis.odd is not None
+    nothing = np.zeros_like(contours.x)
+    points = WallPoints(np.zeros(1), contours, boxes, nothing[None], nothing, halved)
+    width = gap_widths(points, NARROW_SECTION * thickness)
+    return width[0], np.clip(_curvature(points) * width / 2, 0.0, 1.0)[0]

@@ -103,7 +103,7 @@ def lossy_scattering(
         Largest change of a coefficient of modes that propagate, (n,); between some frequencies.
     """
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
-    kz, flux = lossy_ends(k, system.modes, system.radius, frequency, air)
+    kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)
     n_ports = len(system.ports)
     flux = np.stack([block_diag(*[f] * n_ports) for f in flux])
     kz_all = np.tile(kz, (1, n_ports))

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from acoustube.base.units import MM
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
@@ -50,7 +49,8 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        Its first and last rings equal and round about x = y = 0, as those of a tube beyond a press.
+        Its first and last rings equal, as those of a tube beyond a press. If it has an attribute
+        `same`, rings and mirror images count as equal up to that distance in m.
 
     Returns
     -------
@@ -60,16 +60,17 @@ def wall_of(lumen: Rings) -> Wall:
     Raises
     ------
     ConfigError
-        If an end is not round, or the lumen is the same all along.
+        If the ends are not straight or not alike, or the lumen is the same all along.
 
     Notes
     -----
     Lines that join points of equal index are cubic splines through the rings of the pressed
-    part, over the rings' mean heights, and straight from there to the last round ring on each side.
+    part, over the rings' mean heights, and straight from there to the last ring of the straight
+    part on each side. Round ends lie about x = y = 0 afterwards.
     """
+    same = getattr(lumen, "same", SAME)
     rings = lumen.rings - [0.0, 0.0, lumen.position]
-    radius = _radius(rings[0])
-    changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > SAME
+    changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > same
     if not changed.any():
         raise ConfigError(
             "the lumen is straight all along and scatters nothing; press it, or use the modes of a "
@@ -77,31 +78,41 @@ def wall_of(lumen: Rings) -> Wall:
         )
     first, last = np.flatnonzero(changed)[[0, -1]]
     if first == 0 or last == len(rings) - 1:
-        raise ConfigError("the lumen is not straight at its ends; let both end in one round ring")
+        raise ConfigError(
+            "the lumen is not straight at its ends, or they differ in section; let both end in "
+            "straight tube of one section"
+        )
+    radius, centre = _circle(rings[0])
+    if radius is not None:
+        rings = rings - [*centre, 0.0]
     mirrored = np.abs(rings[::-1] * [1, 1, -1] - rings)[first - 1 : last + 2]
     lines = Lines(rings[first - 1 : last + 2])
     heights = rings[..., 2]
     return Wall(
         lines=lines,
         ends=(float(heights[first - 1].min()), float(heights[last + 1].max())),
-        radius=radius,
+        radius=_effective_radius(rings[0]) if radius is None else radius,
         breaks=(float(heights[first].min()), float(heights[last].max())),
         symmetric=lumen.symmetric,
-        reversible=bool(first + last == len(rings) - 1 and mirrored.max() < SAME),
+        reversible=bool(first + last == len(rings) - 1 and mirrored.max() < same),
+        circular=radius is not None,
     )
 
 
-def _radius(ring: Array) -> float:
-    """Return the radius of a round ring about x = y = 0."""
-    distance = np.hypot(ring[:, 0], ring[:, 1])
+def _circle(ring: Array) -> tuple[float | None, Array]:
+    """Return radius and centre of a round ring; no radius if it is not round."""
+    centre = ring[:, :2].mean(axis=0)
+    if np.abs(centre).max() < SAME:
+        centre = np.zeros(2)
+    distance = np.hypot(*(ring[:, :2] - centre).T)
     radius = float(distance.mean())
-    if np.abs(distance - radius).max() > ROUND * radius:
-        raise ConfigError(
-            f"the lumen's end is not a circle about x = y = 0: its radius goes from "
-            f"{MM * distance.min():.4g} to {MM * distance.max():.4g} mm; use the march "
-            "(acoustube.waves.scatter) for such ends"
-        )
-    return radius
+    return (radius if np.abs(distance - radius).max() <= ROUND * radius else None), centre
+
+
+def _effective_radius(ring: Array) -> float:
+    """Return the radius of the circle with the area of a ring."""
+    (x, y), (x_next, y_next) = ring[:, :2].T, np.roll(ring[:, :2], -1, axis=0).T
+    return float(np.sqrt((x * y_next - x_next * y).sum() / (2 * np.pi)))
 
 
 class Lines:

@@ -110,6 +110,11 @@ def port_functions(modes: PortModes, basis: Polynomials, box: Array, radius: flo
     )
 
 
+def wall_signs(modes: PortModes) -> Array:
+    """Return the signs of the modes' radial functions at the wall."""
+    return np.asarray(np.sign(jv(modes.m, modes.zeros)))
+
+
 def axial_wavenumbers(k: Array, zeros: Array, radius: float) -> Complex:
     """Return the axial wavenumbers k_z in 1/m, (n_frequencies, n_modes), of waves towards +z."""
     root = np.sqrt(k[:, None] ** 2 - (zeros / radius) ** 2 + 0j)

@@ -44,6 +44,7 @@ from acoustube.waves.spectral.discretisation import (
     discretise,
     respond,
 )
+from acoustube.waves.spectral.ends import end_modes
 from acoustube.waves.spectral.first_basis import Basis, first_basis
 from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
 from acoustube.waves.spectral.partition import split
@@ -53,7 +54,6 @@ from acoustube.waves.spectral.ports import (
     axial_wavenumbers,
     changed_scattering,
     of_both_ports,
-    port_modes,
 )
 from acoustube.waves.spectral.reduction import Reduced, reassembled
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
@@ -168,7 +168,7 @@ def scatter_spectral(
     if wall.symmetric:
         parities = (False,) if symmetric_only else (False, True)
     # Below the cut-on of (1,1) there is no antisymmetric mode.
-    parities = tuple(odd for odd in parities if len(port_modes(k[-1] * wall.radius, odd)))
+    parities = tuple(odd for odd in parities if len(end_modes(wall, k[-1] * wall.radius, odd)))
     task = _Task(wall, air, frequency, k, tolerance, reference, lossy, velocity)
     return _joined([_part(task, odd) for odd in parities], task)
 
@@ -340,7 +340,7 @@ def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> t
         for side in sides:
             changes = np.concatenate([side.by_degree[None], side.by_element])
             changed = changed_scattering(side.impedance[None], changes, kz)
-            largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2))
+            largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2), initial=0.0)
             by_degree = max(by_degree, float(largest[0]))
             by_element = np.maximum(by_element, largest[1:])
     return by_degree, by_element

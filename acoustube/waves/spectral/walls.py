@@ -61,7 +61,7 @@ class Wall:
     ends : tuple of float
         Start and end, z in m, of the part that is not straight.
     radius : float
-        Of the ends, in m.
+        Of the ends, or of the circle of equal area, in m.
     breaks : tuple of float
         Heights z in m where the wall is not smooth along z, besides its ends.
     symmetric : bool
@@ -70,6 +70,8 @@ class Wall:
         True if symmetric about the plane z = `middle`.
     middle : float
         In m.
+    circular : bool
+        False if the ends are straight, but not round.
     """
 
     lines: Callable[[Array], tuple[Array, Array, Array, Array]]
@@ -79,6 +81,7 @@ class Wall:
     symmetric: bool = True
     reversible: bool = False
     middle: float = 0.0
+    circular: bool = True
 
     def contours(self, z: Array, degree: int) -> Contours:
         """Return the contours at heights z (n,) in m, as cubic splines through their points.

@@ -1,0 +1,148 @@
+"""Scattering of a lumen from a file: by the spectral solver, and its grid for the march."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from acoustube.air import Air
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ, MM
+from acoustube.runs.config import CELLS_PER_WAVELENGTH
+from acoustube.runs.config.checks import MOST_CELLS
+from acoustube.runs.sound import LARGEST_SPECTRAL_ERROR
+from acoustube.waves import CutCells, cut_cells
+from acoustube.waves.spectral import (
+    SpectralScattering,
+    rings_of_surface,
+    scatter_spectral,
+    wall_of,
+)
+
+NARROWEST_CELLS = 2
+"""Least number of cells across the narrowest place."""
+
+
+def spectral_of_surface(
+    surface: trimesh.Trimesh,
+    start: float,
+    air: Air,
+    frequency: Array,
+    *,
+    tolerance: float,
+    lossy: bool,
+) -> SpectralScattering:
+    """Return the scattering matrix of a closed surface, both reference planes at its z = 0.
+
+    Parameters
+    ----------
+    surface : trimesh.Trimesh
+        In m, moved along z to begin at zero, from :func:`acoustube.base.surfaces.read_lumen`.
+    start : float
+        Where it began, in m.
+    air : Air
+    frequency : ndarray
+        In Hz, (n,).
+    tolerance : float
+        Largest error of a coefficient.
+    lossy : bool
+        With the losses at the wall and in the air.
+
+    Raises
+    ------
+    ConfigError
+        If the lumen is unsuitable for the spectral solver, or its error estimate is too large.
+    """
+    rings = rings_of_surface(surface, position=-start)
+    try:
+        found = scatter_spectral(wall_of(rings), air, frequency, tolerance=tolerance, lossy=lossy)
+    except np.linalg.LinAlgError as cause:
+        raise ConfigError("the sections of the lumen overlap themselves; use the march") from cause
+    if not found.typical_error <= max(LARGEST_SPECTRAL_ERROR, tolerance):
+        raise ConfigError(
+            f"the spectral solver's error estimate is {found.typical_error:.1g}, more than "
+            f"{max(LARGEST_SPECTRAL_ERROR, tolerance):g}; use the march"
+        )
+    return found
+
+
+def cells_of_surface(
+    surface: trimesh.Trimesh, path: Path, resolution: int, highest: float, air: Air
+) -> CutCells:
+    """Return a closed surface on the grid of the march.
+
+    Parameters
+    ----------
+    surface : trimesh.Trimesh
+        In m, from z = 0.
+    path : Path
+        Its file, for messages.
+    resolution : int
+        Grid cells across the ends.
+    highest : float
+        Highest frequency in Hz.
+    air : Air
+
+    Raises
+    ------
+    ConfigError
+        If the grid is too coarse for the frequency or for the narrowest place, or too large.
+    """
+    across = float(_end_size(surface) / resolution)
+    _check_grid(highest, across, air)
+    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
+    length = float(np.ptp(surface.bounds[:, 2]))
+    spacing = across, across, length / np.ceil(length / across - 1e-6)
+    _check_cells(float(np.prod(np.ptp(surface.bounds, axis=0) / spacing)), path)
+    cells = cut_cells(surface, spacing)
+    _check_width(cells, path)
+    return cells
+
+
+def _end_size(surface: trimesh.Trimesh) -> float:
+    """Return the larger of width and height of the ends, in m."""
+    z = surface.vertices[:, 2]
+    rim = surface.vertices[np.abs(z - z.min()) < 1e-9 + 1e-6 * np.ptp(z)]
+    return float(np.ptp(rim[:, :2], axis=0).max())
+
+
+def _check_grid(highest: float, spacing: float, air: Air) -> None:
+    """Check that the grid resolves the shortest wavelength."""
+    high = KHZ * highest
+    finest = KHZ * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
+    if high > finest:
+        raise ConfigError(
+            f"the band up to {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
+            f"{MM * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
+            "resolution or lower the band"
+        )
+
+
+def _check_cells(cells: float, path: Path) -> None:
+    """Check that the grid of a lumen is not too large."""
+    if cells > MOST_CELLS:
+        raise ConfigError(
+            f"{path} takes a grid of {cells:.3g} cells, over {MOST_CELLS:.0e}; give a shorter "
+            "lumen (straight tube is added by acoustube simulate), or lower resolution"
+        )
+
+
+def openings(cells: CutCells) -> Array:
+    """Return the smaller of the largest height and the largest width of each layer, in m, (nz,)."""
+    high, wide = (cells.volume_fraction.sum(axis=axis).max(axis=0) for axis in (1, 0))
+    return np.asarray(np.minimum(high * cells.spacing[1], wide * cells.spacing[0]))
+
+
+def _check_width(cells: CutCells, path: Path) -> None:
+    """Check that there are enough cells across the narrowest place."""
+    inner = openings(cells)[1:-1]
+    narrowest, place = float(inner.min()), int(inner.argmin())
+    if narrowest < NARROWEST_CELLS * cells.spacing[1]:
+        at = MM * (place + 1) * cells.spacing[2]
+        raise ConfigError(
+            f"{path} is {MM * narrowest:.3g} mm wide at {at:.3g} mm from its low end, under "
+            f"{NARROWEST_CELLS} cells of {MM * cells.spacing[1]:.3g} mm; raise resolution"
+        )

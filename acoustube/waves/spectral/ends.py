@@ -1,0 +1,204 @@
+"""Modes of the ends of a lumen: of a round bore in closed form, of any other section numerically.
+
+The modes of a section solve its Neumann problem, in the same polynomials as the sound in the
+lumen but of a higher degree. Wavenumbers are times an effective radius, which for a round bore is
+its own and for any other section that of the circle of equal area; so they are the zeros j' of a
+round bore.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from acoustube.waves.spectral.assembly import Boxes, section_matrices
+from acoustube.waves.spectral.polynomials import (
+    Array,
+    Index,
+    Polynomials,
+    gram,
+    moments,
+    polynomials,
+)
+from acoustube.waves.spectral.ports import PortModes, port_functions, port_modes, wall_signs
+from acoustube.waves.spectral.sound import ConfigError
+from acoustube.waves.spectral.walls import Contours, Wall
+
+SECTION_DEGREE = 18
+"""Total degree of the polynomials in which the modes of a section that is not round are found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Straight end of a lumen, with its modes where it is not round.
+
+    Attributes
+    ----------
+    contours : Contours
+        Of one section.
+    boxes : Boxes
+        Of one section.
+    basis : Polynomials
+    coefficients : ndarray
+        Of the modes, normalised to a unit integral of the square, (n, n_modes).
+    modes : PortModes
+        All that the basis resolves.
+    """
+
+    contours: Contours
+    boxes: Boxes
+    basis: Polynomials
+    coefficients: Array
+    modes: PortModes
+
+    def chosen(self, modes: PortModes) -> Array:
+        """Return the coefficients of some of the modes, (n, n_modes)."""
+        return self.coefficients[:, np.searchsorted(self.modes.zeros, modes.zeros)]
+
+
+def end_modes(wall: Wall, highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
+    """Return the modes of the ends with `lowest` < j' <= `highest`, in the order of their cut-ons.
+
+    Parameters
+    ----------
+    wall : Wall
+    highest, lowest : float
+        Of the cut-on's wavenumber times the wall's `radius`.
+    odd : bool or None
+        Symmetry about x = 0; None for both.
+    """
+    if wall.circular:
+        return port_modes(highest, odd, lowest)
+    modes = section_of(wall, odd).modes
+    kept = (modes.zeros > lowest) & (modes.zeros <= highest)
+    return PortModes(
+        names=tuple(name for name, there in zip(modes.names, kept, strict=True) if there),
+        m=modes.m[kept], zeros=modes.zeros[kept], sine=modes.sine[kept],
+    )  # fmt: skip
+
+
+def end_functions(wall: Wall, modes: PortModes, basis: Polynomials, box: Array) -> Array:
+    """Integrate polynomials times the normalised modes over an end, in m, (n, n_modes).
+
+    Parameters
+    ----------
+    wall : Wall
+    modes : PortModes
+        Some of :func:`end_modes`.
+    basis : Polynomials
+    box : ndarray
+        x0, a, y0, b of the end in m, (4,).
+    """
+    if wall.circular:
+        return port_functions(modes, basis, box, wall.radius)
+    section = section_of(wall, basis.odd)
+    rich, n = section.basis, section.basis.degree
+    contours, boxes = section.contours, section.boxes
+    x = (contours.x - box[0]) / box[1]
+    y = (contours.y - box[2]) / box[3]
+    moment = moments(2 * n, x, y, contours.x_t * contours.weight, boxes.b)
+    products = gram(moment, n, rich.i, rich.j)[0]
+    place = {pair: row for row, pair in enumerate(zip(rich.i, rich.j, strict=True))}
+    rows = [place[pair] for pair in zip(basis.i, basis.j, strict=True)]
+    found = basis.mix @ products[rows] @ rich.mix.T @ section.chosen(modes)
+    return np.asarray(found)
+
+
+class Rim(NamedTuple):
+    """Products of the modes of an end at points of its contour.
+
+    Attributes
+    ----------
+    product, slope : ndarray
+        Of two modes, times the contour's length at each point, in 1/m, and of their derivatives
+        along it, in 1/m3, (n_points, n, n). One point stands for the contour of a round end.
+    section : Section or None
+        None if the end is round.
+    """
+
+    product: Array
+    slope: Array
+    section: Section | None
+
+
+def rim_of(wall: Wall, modes: PortModes, odd: bool | None) -> Rim:
+    """Return the products of modes of a symmetry along the contour of an end."""
+    if wall.circular:
+        m, zeros = modes.m, modes.zeros
+        share = 1 - np.divide(m, zeros, out=np.zeros_like(zeros), where=zeros > 0) ** 2
+        edge = np.sqrt(2 / (wall.radius * share)) * wall_signs(modes)
+        alike = (m[:, None] == m) & (modes.sine[:, None] == modes.sine)
+        product = np.outer(edge, edge) * alike
+        slope = product * (m / wall.radius)[:, None] * (m / wall.radius)
+        return Rim(product[None], slope[None], None)
+    section = section_of(wall, odd)
+    contours, boxes, basis = section.contours, section.boxes, section.basis
+    x, y = (contours.x[0] - boxes.x0) / boxes.a, (contours.y[0] - boxes.y0) / boxes.b
+    chosen = section.chosen(modes)
+    value = basis.values(x, y)
+    other = polynomials(basis.degree, None if basis.odd is None else not basis.odd)
+    p_x, p_y = basis.dx @ other.values(x, y) / boxes.a, basis.dy @ value / boxes.b
+    speed = np.hypot(contours.x_t[0], contours.y_t[0])
+    along = (p_x * contours.x_t[0] + p_y * contours.y_t[0]) / speed
+    length = (speed * contours.weight)[:, None, None]
+    parts = ((chosen.T @ part).T for part in (value, along))
+    product, slope = (length * part[:, :, None] * part[:, None] for part in parts)
+    return Rim(product, slope, section)
+
+
+@lru_cache(maxsize=8)
+def section_of(wall: Wall, odd: bool | None) -> Section:
+    """Return the section of a straight end with its modes of a symmetry.
+
+    Raises
+    ------
+    ConfigError
+        If the section overlaps itself.
+    """
+    basis = polynomials(SECTION_DEGREE, odd)
+    z = np.array([wall.ends[0]])
+    x, y, *_ = wall.lines(z)
+    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+    (x0, y0), (a, b) = (low + high) / 2, (high - low) / 2
+    still = np.zeros(1)
+    x0 = 0.0 if wall.symmetric else x0
+    boxes = Boxes(still + x0, still + a, still + y0, still + b, still, still, still, still)
+    contours = wall.contours(z, SECTION_DEGREE)
+    mass, _, stiffness = (part[0] for part in section_matrices(contours, boxes, basis))
+    try:
+        square, vectors = eigh(stiffness, mass)
+    except np.linalg.LinAlgError as cause:
+        raise ConfigError(
+            "the end's section overlaps itself or is too slender for the spectral solver; use the "
+            "march (acoustube.waves.scatter)"
+        ) from cause
+    zeros = np.sqrt(np.maximum(square, 0.0)) * wall.radius
+    if not odd:
+        zeros[0] = 0.0
+    sine = np.full(len(zeros), bool(odd))
+    if odd is None:
+        mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
+        # The functions are combinations of products of like parity of the degree in X.
+        mirror = basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))
+        sine = np.einsum("im,ij,jm->m", vectors, mass @ mirror.T, vectors) < 0
+    names, m = _names(sine)
+    vectors = vectors * np.where(basis.values(np.zeros(1), np.ones(1))[:, 0] @ vectors < 0, -1, 1)
+    return Section(contours, boxes, basis, vectors, PortModes(names, m, zeros, sine))
+
+
+def _names(sine: NDArray[np.bool_]) -> tuple[tuple[str, ...], Index]:
+    """Return names and nodal diameters of the round bore's modes of equal symmetry and order."""
+    highest = 4.0
+    while True:
+        known = {side: port_modes(highest, side) for side in (False, True)}
+        if all(len(known[side]) >= np.sum(sine == side) for side in known):
+            break
+        highest *= 1.5
+    count = np.where(sine, np.cumsum(sine), np.cumsum(~sine)) - 1
+    found = [(known[bool(s)], i) for s, i in zip(sine, count, strict=True)]
+    return tuple(modes.names[i] for modes, i in found), np.array([modes.m[i] for modes, i in found])

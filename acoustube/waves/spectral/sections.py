@@ -1,0 +1,142 @@
+"""Walls of lumens that are closed surfaces, from contours of their sections.
+
+The surface is cut at even heights; each contour is followed from its lowest point under the middle
+of the section, and divided evenly by arc length, which makes a stack of rings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, depth_first_order
+
+from acoustube.base.units import MM
+from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.sound import ConfigError
+
+STEP = 0.06
+"""Distance of the sections, relative to the size of the end."""
+MOST_SECTIONS = 1200
+AROUND = 240
+"""Number of points of a contour."""
+ALIKE = 4e-4
+"""Distance up to which sections, or mirror images, count as equal, relative to the size of the end:
+facets deviate from a smooth wall by about as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceRings:
+    """A closed surface as a stack of rings.
+
+    Attributes
+    ----------
+    rings : ndarray
+        (n_rings, n_around, 3) in m, as those of a lumen.
+    position : float
+        z in m of the origin of heights.
+    symmetric : bool
+        True if symmetric about x = 0.
+    same : float
+        Distance in m up to which rings count as equal.
+    """
+
+    rings: Array
+    position: float
+    symmetric: bool
+    same: float
+
+
+def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> SurfaceRings:
+    """Return the sections of a closed surface along z as rings.
+
+    Parameters
+    ----------
+    surface : trimesh.Trimesh
+        In m, between flat ends across z.
+    position : float
+        z in m that becomes the origin of heights.
+
+    Returns
+    -------
+    SurfaceRings
+
+    Raises
+    ------
+    ConfigError
+        If a section consists of several parts.
+    """
+    low, high = surface.bounds[:, 2]
+    z = surface.vertices[:, 2]
+    rim = surface.vertices[z - low < 1e-9 + 1e-6 * (high - low), :2]
+    size = float(np.ptp(rim, axis=0).max())
+    n = min(int(np.ceil((high - low) / (STEP * size))), MOST_SECTIONS)
+    # Off the ends, and off round numbers at which vertices lie.
+    heights = low + (high - low) * (np.arange(n) + 0.503) / n
+    contours = [_contour(surface, height, AROUND) for height in heights]
+    planes = [low, *heights, high]
+    rings = np.array([contours[0], *contours, contours[-1]])
+    rings = np.concatenate(
+        [rings, np.broadcast_to(np.reshape(planes, (-1, 1, 1)), (*rings.shape[:2], 1))], axis=2
+    )
+    mirrored = np.roll(rings[:, ::-1], 1, axis=1) * [-1, 1, 1]
+    symmetric = bool(np.abs(mirrored - rings).max() < ALIKE * size)
+    if symmetric:
+        rings = (rings + mirrored) / 2
+    rings[[0, 1]], rings[[-2, -1]] = _straightened(rings, ALIKE * size)
+    return SurfaceRings(rings, position, symmetric, ALIKE * size)
+
+
+def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:
+    """Return n points (x, y), evenly spaced along the contour of a section, (n, 2)."""
+    vertices = surface.vertices
+    above = vertices[:, 2] > height
+    edges = surface.edges_unique
+    crossed = above[edges[:, 0]] != above[edges[:, 1]]
+    number = np.cumsum(crossed) - 1
+    sides = surface.faces_unique_edges
+    cut = crossed[sides]
+    faces = cut.any(axis=1)
+    pairs = number[sides[faces][cut[faces]]].reshape(-1, 2)
+    a, b = vertices[edges[crossed, 0]], vertices[edges[crossed, 1]]
+    share = (height - a[:, 2]) / (b[:, 2] - a[:, 2])
+    points = a[:, :2] + share[:, None] * (b - a)[:, :2]
+    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    n_parts, _ = connected_components(links, directed=False)
+    if n_parts > 1:
+        raise ConfigError(
+            f"the section at z = {MM * height:.4g} mm consists of {n_parts} parts; use the march "
+            "(acoustube.waves.scatter)"
+        )
+    order, _ = depth_first_order(links, 0, directed=False)
+    return _even(points[order], n)
+
+
+def _even(loop: Array, n: int) -> Array:
+    """Return n points on a closed polygon, from its lowest one under the middle, anticlockwise."""
+    x, y = loop.T
+    ahead = np.roll(loop, -1, axis=0)
+    cross = x * ahead[:, 1] - ahead[:, 0] * y
+    if cross.sum() < 0:
+        return _even(loop[::-1], n)
+    middle = float(((x + ahead[:, 0]) * cross).sum() / (3 * cross.sum()))
+    passes = (x <= middle) != (ahead[:, 0] <= middle)
+    share = (middle - x[passes]) / (ahead[passes, 0] - x[passes])
+    heights = y[passes] + share * (ahead[passes, 1] - y[passes])
+    lowest = int(np.argmin(heights))
+    first = int(np.flatnonzero(passes)[lowest]) + 1
+    start = np.array([[middle, heights[lowest]]])
+    closed = np.concatenate([start, np.roll(loop, -first, axis=0), start])
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    at = length[-1] * np.arange(n) / n
+    return np.stack([np.interp(at, length, part) for part in closed.T], axis=-1)
+
+
+def _straightened(rings: Array, same: float) -> tuple[Array, Array]:
+    """Return the two first and the two last rings, alike where the ends are alike."""
+    first, last = rings[[0, 1]].copy(), rings[[-2, -1]].copy()
+    if np.abs(first[0, :, :2] - last[1, :, :2]).max() < same:
+        last[..., :2] = first[:1, :, :2]
+    return first, last
