@@ -4,11 +4,9 @@ The simulated board sends what EchoTube's firmware does: 2000 bytes per cycle, C
 zero-terminated, the pulse width in the first two.
 """
 
-import contextlib
 import csv
 import os
 import re
-import select
 import signal
 import subprocess
 import sys
@@ -20,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from boards import CYCLES, DISTANCES, FRAMES, SPEED, TIME, Board, burst, cycles_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
@@ -29,7 +28,6 @@ from acoustube.base.errors import ConfigError
 from acoustube.cli import live
 from acoustube.cli.live import trace
 from acoustube.recordings.echotube_stream import (
-    FRAME_BYTES,
     PULSE_WIDTH_BYTES,
     Decoder,
     Receiver,
@@ -40,9 +38,6 @@ from acoustube.signals import Processing, Tracker
 from acoustube.signals.calibration import arctan_fall
 
 COMMAND = str(Path(sys.executable).with_name("acoustube"))
-CARRIER, SPEED = 42e3, 343.24
-PULSE_LENGTH = 11 / CARRIER
-TIME = np.arange(PULSE_WIDTH_BYTES, FRAME_BYTES) / RATE
 HOW = signals.without_aliased_template(Processing(prominence=0.05), RATE)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
 
@@ -54,25 +49,6 @@ TOLERANCE = 0.012
 def run_live(port, console, *, out=None, duration=None, **stream):
     """Run the command's work on a stream with some settings of its own."""
     return live.run_live(Stream(port=port, **stream), console, out=out, duration=duration)
-
-
-def burst(delay, time):
-    """A Gaussian pulse as the transducer sends it, its middle `delay` after that of the first."""
-    since = time - PULSE_LENGTH / 2 - np.asarray(delay)[..., np.newaxis]
-    return np.exp(-0.5 * (since / (PULSE_LENGTH / 6)) ** 2) * np.sin(2 * np.pi * CARRIER * since)
-
-
-def cycles_at(distances, noise=0.01, seed=0, time=TIME):
-    """Unsigned 8-bit samples of a send pulse and an echo, with noise of one count."""
-    distances = np.atleast_1d(distances)
-    clean = burst(np.zeros(1), time) + 0.3 * burst(2 * distances / SPEED, time)
-    hiss = np.random.default_rng(seed).normal(scale=noise, size=clean.shape)
-    return np.clip(np.rint(128 + 100 * (clean + hiss)), 0, 255).astype(np.uint8)
-
-
-DISTANCES = np.linspace(0.3, 2.0, 40)
-CYCLES = cycles_at(DISTANCES)
-FRAMES = [encode(1000 + i, cycle) for i, cycle in enumerate(CYCLES)]
 
 
 # ---------------------------------------------------------------------------------------------
@@ -367,29 +343,6 @@ def test_defect_in_the_reading_thread_is_not_taken_for_a_cut_cable(board, monkey
 
 # ---------------------------------------------------------------------------------------------
 # The command on a pseudo-terminal
-
-
-class Board:
-    """The other end of a pseudo-terminal."""
-
-    def __init__(self):
-        import tty
-
-        self.end, self._line = os.openpty()
-        tty.setraw(self._line)
-        self.port = os.ttyname(self._line)
-
-    def send(self, data, chunk=512):
-        for start in range(0, len(data), chunk):
-            piece = data[start : start + chunk]
-            while piece:
-                select.select([], [self.end], [])
-                piece = piece[os.write(self.end, piece) :]
-
-    def cut(self):
-        for end in (self.end, self._line):
-            with contextlib.suppress(OSError):
-                os.close(end)
 
 
 @pytest.fixture

@@ -119,10 +119,13 @@ class Complex:
     ----------
     least, most : float
         Smallest and largest magnitude.
+    axes : int, optional
+        Largest number of dimensions.
     """
 
     least: float
     most: float
+    axes: int | None = None
 
     def check(self, name: str, value: Any) -> None:
         """Raise unless the values are finite numbers of a magnitude within the bounds.
@@ -139,6 +142,11 @@ class Complex:
             raise ConfigError(
                 "is no finite number", setting=name, value=_in_words(value),
                 advice=f"use numbers of magnitude {self.least:g} to {self.most:g}",
+            )  # fmt: skip
+        if self.axes is not None and array.ndim > self.axes:
+            raise ConfigError(
+                f"has shape {array.shape}", setting=name, value=_in_words(value),
+                advice=f"give an array of at most {self.axes} dimensions",
             )  # fmt: skip
 
 
@@ -331,6 +339,7 @@ PROMINENCE = Number(0, LARGEST)
 GAPS = Reals(missing=True, empty=True)
 REFLECTION = Complex(0, 1e3)
 WAVES = Complex(1e-6, 1e12)
+WAVE_SERIES = Complex(1e-6, 1e12, axes=1)
 CYCLES = Number(0.1, 1e4, "cycles")
 ANGLE = Number(-1e6, 1e6, "rad")
 SEED = Number(0, 2**63 - 1, whole=True)

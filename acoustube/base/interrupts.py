@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from types import FrameType
+    from types import CodeType, FrameType
 
 REQUESTS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
@@ -25,13 +25,16 @@ RETRY = 0.05
 GRACE, IMPATIENCE = 3.0, 1.0
 """Seconds that a command has to end after one interrupt, and after a second one."""
 SENTENCE = "interrupted; no incomplete run is left"
+HOOKS: set[CodeType] = set()
+"""Code of the hooks that raise lost interrupts again."""
 SHOW_CURSOR = b"\x1b[?25h"
 
 
 class _Interrupt:
     """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
 
-    In an extension that is being loaded an interrupt becomes an ImportError, or is lost.
+    In an extension that is being loaded an interrupt becomes an ImportError, or is lost; in the
+    hook of this module, which raises lost ones again, it would be reported and lost.
 
     Attributes
     ----------
@@ -47,7 +50,7 @@ class _Interrupt:
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if number in REQUESTS:
             self.number = number
-        if _importing(frame):
+        if _deaf(frame):
             self.again()
             return
         signal.setitimer(signal.ITIMER_REAL, 0)
@@ -65,10 +68,11 @@ class _Interrupt:
             raise KeyboardInterrupt
 
 
-def _importing(frame: FrameType | None) -> bool:
-    """Return whether a frame belongs to an import under way."""
+def _deaf(frame: FrameType | None) -> bool:
+    """Return whether a frame belongs to an import under way, or to the hook of this module."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
+        code = frame.f_code
+        if code.co_filename.startswith("<frozen importlib") or code in HOOKS:
             return True
         frame = frame.f_back
     return False
@@ -126,6 +130,7 @@ def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callabl
         else:
             before(unraisable)
 
+    HOOKS.add(hook.__code__)
     return hook
 
 

@@ -71,7 +71,8 @@ def calibrate(
 
     console = output.console()
     closed, free = (_together(paths, recording, lead) for paths in (blocked, untouched))
-    _check_alike(closed, free, blocked[0])
+    named = f"{blocked[0]} (blocked) and {untouched[0]} (untouched)"
+    _check_alike(closed, free, blocked[0], named)
     try:
         found = signals.calibrate(
             closed["time"].values, closed["signal"].values, closed["true_distance"].values,
@@ -79,7 +80,7 @@ def calibrate(
             untouched_temperature=free["temperature"].values, sigmas=sigmas,
         )  # fmt: skip
     except ValueError as error:
-        raise ConfigError(str(error)) from error
+        raise ConfigError(f"{named}: {error}") from error
     path.parent.mkdir(parents=True, exist_ok=True)
     contents: dict[Path, bytes | str] = {path: in_toml(found)}
     if figure is not None:
@@ -107,7 +108,7 @@ def _free_path(out: Path | None, name: str | None) -> Path:
     return path
 
 
-def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path) -> None:
+def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str) -> None:
     """Check that closures have labels, and all cycles one rate and length."""
     if "true_distance" not in closed:
         raise ConfigError(
@@ -120,7 +121,8 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path) -> None:
     ):
         if one != other:
             raise ConfigError(
-                f"blocked and untouched cycles must have the same {what}, not {one:g} and {other:g}"
+                f"{named}: blocked and untouched cycles must have the same {what}, not {one:g} and "
+                f"{other:g}"
             )
 
 
@@ -144,7 +146,8 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Datas
     lengths = {part.sizes["time"] for part in parts}
     if len(rates) > 1 or len(lengths) > 1:
         raise ConfigError(
-            "the recordings differ in sampling rate or length; use ones that are alike in both"
+            f"{', '.join(map(str, paths))}: the recordings differ in sampling rate or length; use "
+            "ones that are alike in both"
         )
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 

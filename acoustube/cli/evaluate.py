@@ -57,6 +57,7 @@ def evaluate(
     check_files(out=out, figure=figure)
 
     from acoustube import estimation
+    from acoustube.base.foreign.limits import reading
     from acoustube.runs.training import error_rows, table_of
 
     console = output.console()
@@ -64,7 +65,8 @@ def evaluate(
     trained = estimation.load(model)
     with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
         table = table_of(data, trained.feature_settings, show)
-        estimates = estimation.estimate(trained, table)
+        with reading(model, "cannot be used", "train it again"):
+            estimates = estimation.estimate(trained, table)
     rows = list(error_rows(trained, table, estimates))
     if not rows:
         raise ConfigError(

@@ -26,8 +26,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.air import air_at
-from acoustube.base.checks import LENGTH, check_fields
-from acoustube.base.rules import Choice
+from acoustube.base.checks import Reals, check_argument, check_fields, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MS
 from acoustube.signals import (
@@ -55,6 +56,7 @@ LABELS = (
 CYCLES_PER_CHUNK = 250
 """Cycles whose features are computed at once: 8 MB of double precision per step."""
 THREADS = 2
+BORE_RADII = Reals(1e-4, 1.0, "m")
 
 WINDOW_BEFORE, WINDOW_AFTER = 0.8e-3, 1.6e-3
 """Window in s around the strongest echo: an echo lasts 0.5 ms, and trapped sound leaks later."""
@@ -106,9 +108,11 @@ class FeatureSettings:
 
     def __post_init__(self) -> None:
         """Validate kind, processing and radius."""
-        check_fields(self, kind=Choice(("paper", "echo")), processing=Processing, radius=LENGTH)
+        radius, kinds = Number(1e-4, 1.0, "m", "of the bore"), Choice(("paper", "echo"))
+        check_fields(self, kind=kinds, processing=Processing, radius=radius)
 
 
+@checked(cycles=xr.Dataset, settings=FeatureSettings)
 def feature_table(
     cycles: xr.Dataset, settings: FeatureSettings, progress: Callable[[float], None] | None = None
 ) -> xr.Dataset:
@@ -134,6 +138,8 @@ def feature_table(
     ValueError
         As :func:`acoustube.signals.process`.
     """
+    if missing := {"time", "signal", "temperature"} - {str(name) for name in cycles.variables}:
+        raise ConfigError(f"the cycles have no {min(missing)}; use recorded ones")
     time, signal = cycles["time"].values, cycles["signal"].values
     temperatures, count = cycles["temperature"].values, cycles.sizes["cycle"]
     processing = without_aliased_template(settings.processing, sampling_rate(time))
@@ -172,8 +178,11 @@ def names(settings: FeatureSettings) -> tuple[str, ...]:
 def _radii(cycles: xr.Dataset, default: float) -> Array:
     """Return the bore's radius of each cycle in m: a label, the recording's own, or the default."""
     if "bore_radius" in cycles:
-        return np.asarray(cycles["bore_radius"].values, float)
-    return np.full(cycles.sizes["cycle"], float(cycles.attrs.get("bore_radius", default)))
+        given = cycles["bore_radius"].values
+    else:
+        given = np.full(cycles.sizes["cycle"], cycles.attrs.get("bore_radius", default))
+    check_argument("bore_radius", given, BORE_RADII)
+    return np.asarray(given, float)
 
 
 def echo_names(carrier: float) -> tuple[str, ...]:

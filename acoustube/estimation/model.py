@@ -179,7 +179,8 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     Raises
     ------
     ConfigError
-        If the sampling rate differs from that of the training cycles.
+        If the sampling rate differs from that of the training cycles, or an estimate is not a
+        finite number.
     """
     rate = float(table.attrs["sampling_rate"])
     if abs(rate / model.sampling_rate - 1) > 1e-3:
@@ -192,10 +193,13 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     found = np.full((3, len(features), len(model.targets)), np.nan)
     if seen.any():
         rows = features[seen]
-        middle, deviation = model.estimator.predict(rows, return_std=True)
-        wide = model.estimator.half_width(rows, WIDE)
+        with np.errstate(all="ignore"):  # what is not finite in the end is refused
+            middle, deviation = model.estimator.predict(rows, return_std=True)
+            wide = model.estimator.half_width(rows, WIDE)
         shape = (len(rows), len(model.targets))
         found[:, seen] = np.stack([a.reshape(shape) for a in (middle, deviation, wide)])
+        if not np.isfinite(found[:, seen]).all():
+            raise ConfigError("its estimates of these cycles are not finite; train it again")
     variables = {}
     for column, target in enumerate(model.targets):
         name, unit = TARGETS[target], UNITS[target]

@@ -219,8 +219,10 @@ def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
     trees = Trees(**{name: arrays[f"{part}_{name}"] for name in Trees._fields})
     nodes, own = len(trees.feature), np.arange(len(trees.feature))
     inner = trees.feature >= 0
-    whole = all(trees[i].dtype == np.int32 and trees[i].ndim == 1 for i in range(1, 6)) and all(
-        len(a) == nodes for a in trees[3:]
+    whole = (
+        all(array.ndim == 1 for array in trees)
+        and [array.dtype for array in trees] == [float, *5 * [np.int32], float, float]
+        and all(len(array) == nodes for array in trees[3:])
     )
     sound = (
         whole
@@ -244,4 +246,4 @@ def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
     array = arrays[name]
     if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
         raise ValueError(f"its {name} of shape {array.shape} should be {shape} finite numbers")
-    return array
+    return array.astype(np.float32 if array.dtype.itemsize <= 4 else float)  # in native order

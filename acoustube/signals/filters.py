@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from acoustube.base.checks import CYCLES, FREQUENCY, RATE, SAMPLES, Reals, checked
+from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 
 FILTER_ORDER = 2
@@ -306,6 +307,17 @@ def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     -------
     array of shape (..., time)
         The normalised signals.
+
+    Raises
+    ------
+    ConfigError
+        If there is not one amplitude for each signal, or one for all.
     """
+    shapes = np.shape(samples)[:-1], np.shape(amplitude)
+    if shapes[1] and shapes[0] != shapes[1]:
+        raise ConfigError(
+            f"amplitude has shape {shapes[1]} and the samples are signals of shape {shapes[0]}; "
+            "give one amplitude for each"
+        )
     amplitude = np.asarray(amplitude, dtype=float)[..., np.newaxis]
     return np.asarray(samples, dtype=float) / np.where(amplitude > 0, amplitude, np.nan)

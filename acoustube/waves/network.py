@@ -31,7 +31,7 @@ from acoustube.base.checks import (
     LENGTH,
     PLACE,
     REFLECTION,
-    WAVES,
+    WAVE_SERIES,
     Several,
     checked,
 )
@@ -139,7 +139,7 @@ def probe_pressure(
 @checked(
     presses=Several(PlacedScatterer),
     air=Air,
-    frequency=WAVES,
+    frequency=WAVE_SERIES,
     radius=PLACE,
     length=LENGTH,
     probes=Several(DISTANCE, 1),

@@ -15,6 +15,8 @@ from pathlib import Path
 from tests.fuzz.harness import BATCH, Finding, run
 
 ROOT = Path(__file__).parents[2]
+REPORTED = 2000
+"""Cases between two lines of progress."""
 
 
 def main() -> int:
@@ -32,7 +34,8 @@ def main() -> int:
     chosen = given.category or list(CATEGORIES)
     end = time.monotonic() + (given.seconds or float("inf"))
     passed, found = dict.fromkeys(chosen, 0), dict.fromkeys(chosen, 0)
-    share = given.count // len(chosen) if given.count else sys.maxsize
+    share = -(-given.count // len(chosen)) if given.count else sys.maxsize
+    reported = 0
     for start in count(given.first, BATCH):
         left = given.first + share - start
         if time.monotonic() > end or left <= 0:
@@ -49,6 +52,9 @@ def main() -> int:
                     break
             if time.monotonic() > end:
                 break
+        if (done := sum(passed.values()) + sum(found.values())) - reported >= REPORTED:
+            reported = done
+            print(f"{done} cases, {sum(found.values())} found", flush=True)
     for name in chosen:
         print(f"{name:12} {passed[name] + found[name]:7} cases, {found[name]} found")
     total = sum(found.values())

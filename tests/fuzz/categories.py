@@ -24,6 +24,7 @@ from tests.fuzz.oddities import (
     odd_number,
     odd_text,
 )
+from tests.fuzz.streams import streams
 from tests.fuzz.writers import npz, written
 
 RECORDINGS = (
@@ -329,5 +330,6 @@ def _value(chance: Random) -> str:
 
 CATEGORIES: dict[str, Maker] = {
     "settings": settings, "words": words, "recordings": recordings, "surfaces": surfaces,
-    "markers": markers, "models": models, "results": results, "functions": functions,
+    "markers": markers, "models": models, "results": results, "streams": streams,
+    "functions": functions,
 }  # fmt: skip

@@ -23,8 +23,9 @@ ALSO = {
     "samples": ("record", "pressure"), "pressure": ("record",), "blocked": ("places", "closures"),
     "true_distance": ("places",), "first": ("column", "radius"), "second": ("column", "radius"),
     "time": ("sampling rate", "before"), "time_step": ("band", "longer than the run"),
-    "pulse": ("the run",), "outer_diameter": ("thick",), "line": ("curve",),
+    "pulse": ("the run",), "line": ("curve",),
     "settings": ("matched filter",), "temperature": ("air", "m/s"), "untouched": ("cycles",),
+    "outer_diameter": ("thick", "loops"),
 }  # fmt: skip
 """Words by which a sentence may name an argument, where several of them together are wrong."""
 

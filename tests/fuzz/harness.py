@@ -22,13 +22,14 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-HANG_S, WAIT_S = 10.0, 45.0
-"""Processor time, and time, after which a case hangs; the second allows for a busy machine."""
+HANG_S, IDLE_S = 10.0, 20.0
+"""Processor time, and time without any, after which a case hangs; what other programs take of a
+busy machine counts as neither."""
 MEMORY, ADDRESSES = 2 * 1024**3, 8 * 1024**3
 """Memory in bytes that the cases of a process may use, and the address space that they may reserve,
 as compilers do, beyond what is loaded."""
 OVERDONE = {"hang": f"hang of over {HANG_S:g} s", "memory": "memory of over 2 GB"}
-BATCH = 50
+BATCH = 100
 """Cases of a process."""
 TRIES = 5
 """Times that a case is made until all of its mutations are possible."""
@@ -51,11 +52,17 @@ class Case:
         In place of words; returns a complaint, or an empty text.
     told : tuple of str
         Words of which an error names one; those of the command if empty.
+    beside : callable, optional
+        Makes a context in which the command runs.
+    check : callable, optional
+        Returns what is wrong with what the command left, or nothing.
     """
 
     words: tuple[str, ...] = ()
     call: Callable[[], str] | None = None
     told: tuple[str, ...] = ()
+    beside: Callable[[], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
+    check: Callable[[], str] | None = None
 
 
 Maker = Callable[[Random, Path, Path], Case]
@@ -149,32 +156,74 @@ def _forked(
 
 def _line(results: Any, child: int) -> tuple[bytes, str]:
     """Return a line of results, or how the process ended: ``end``, ``hang`` or ``memory``."""
-    start, used, held = time.monotonic(), _processor_time(child), _memory(os.getpid())
+    held, session = _memory(Path("/proc/self")), Session(child)
     while not select.select([results], [], [], 0.2)[0]:
-        slow = _processor_time(child) - used > HANG_S
-        if slow or time.monotonic() - start > WAIT_S:
+        session.look()
+        if session.used > HANG_S or session.idle > IDLE_S:
             return b"", "hang"
-        if _memory(child) - held > MEMORY:
+        if session.memory - held > MEMORY:
             return b"", "memory"
     line = results.readline()
     return line, "" if line.endswith(b"\n") else "end"
 
 
-def _memory(process: int) -> int:
+class Session:
+    """What a session of processes takes of the machine.
+
+    Parameters
+    ----------
+    leader : int
+        Process that leads the session.
+
+    Attributes
+    ----------
+    before, used : float
+        Processor time in s up to the start and since, of the processes that there are, and of
+        children of theirs that have ended.
+    idle : float
+        Time in s between looks at which no thread of the session was running or ready to run.
+    memory : int
+        Bytes of memory at the last look.
+    """
+
+    def __init__(self, leader: int) -> None:
+        self._leader, self._seen = leader, time.monotonic()
+        self.before, self.memory, _ = _session(leader)
+        self.used = self.idle = 0.0
+
+    def look(self) -> None:
+        """Bring the numbers up to now."""
+        now = time.monotonic()
+        total, self.memory, busy = _session(self._leader)
+        self.used, self._seen, passed = total - self.before, now, now - self._seen
+        self.idle += 0.0 if busy else passed
+
+
+def _session(leader: int) -> tuple[float, int, bool]:
+    """Return the processor time in s of a session, its memory in bytes, and whether it is busy."""
+    ticks, memory, busy = 0, 0, False
+    for process in Path("/proc").iterdir():
+        if not process.name.isdigit():
+            continue
+        try:
+            fields = _status(process)
+            if int(fields[3]) == leader:
+                ticks += sum(map(int, fields[11:15]))
+                memory += _memory(process)
+                busy |= any(_status(thread)[0] in "RD" for thread in process.glob("task/*"))
+        except OSError:  # it has just ended
+            continue
+    return ticks / os.sysconf("SC_CLK_TCK"), memory, busy
+
+
+def _status(process: Path) -> list[str]:
+    """Return what the system tells of a process or thread, from its state on."""
+    return (process / "stat").read_text().rpartition(")")[2].split()
+
+
+def _memory(process: Path) -> int:
     """Return the bytes of memory that a process uses."""
-    try:
-        return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * resource.getpagesize()
-    except OSError:
-        return 0
-
-
-def _processor_time(child: int) -> float:
-    """Return the seconds of processor time of a process and its children that have ended."""
-    try:
-        fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+    return int((process / "statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def _child(
@@ -213,11 +262,13 @@ def one(maker: Maker, chance: Random, corpus: Path, folder: Path) -> str:
         return case.call()
     before = _content(folder)
     os.chdir(folder)
-    (out, err), code = _captured(case.words, folder)
+    with case.beside():
+        (out, err), code = _captured(case.words, folder)
     (folder / "command.txt").write_text(
         " ".join(map(repr, ("acoustube", *case.words))), encoding="utf-8", errors="backslashreplace"
     )
-    return judged(case, code, out, err, before, _content(folder))
+    what = judged(case, code, out, err, before, _content(folder))
+    return what or ("" if case.check is None else case.check())
 
 
 def _made(maker: Maker, chance: Random, corpus: Path, folder: Path) -> Case:

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
+import resource
 import secrets
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -26,14 +29,17 @@ from typing import Any
 import numpy as np
 
 from acoustube.base import remnants
+from tests.boards import FRAMES, Board
 from tests.fuzz.__main__ import ROOT, _corpus
+from tests.fuzz.harness import Session
+from tests.fuzz.streams import rows_of, waited
 
 ENDS = {"KILL": (signal.SIGKILL,), "INT": (signal.SIGINT,), "TERM": (signal.SIGTERM,),
         "INT twice": (signal.SIGINT, signal.SIGINT)}  # fmt: skip
 IN_TIME, PATIENCE = 5.0, 120.0
-"""Seconds to end in after a signal, and to wait for a command."""
-BEFORE_PYTHON = 1.0
-"""Seconds in which Python starts, before the command can say a word; on a busy machine."""
+"""Processor time in s, or time of waiting, to end in after a signal, and of a whole command."""
+BEFORE_PYTHON = 0.2
+"""Processor time in s in which Python starts, before the command can say a word."""
 REPORTED = 50
 """Trials between two lines of progress."""
 NOISE = ("Traceback", "Exception ignored", "Error:", "free()", "Warning")
@@ -62,13 +68,18 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "evaluate": ("evaluate", "CORPUS/boosting.model", "CORPUS/labelled.nc", "--out", "o.csv"),
     "sleeve": ("sleeve", "--forearm", "25", "17", "26", "--loops", "9", "--out", "o"),
     "reproduce": ("reproduce", "calibration", "--quick", "--workers", "1", "--out", "o"),
+    "wall": ("indent", *SMALL, "--steps", "1", "--tube", "CORPUS/wall.stl", "--out", "o"),
+    "press of a wall": ("simulate", *SMALL, "--config", "MADE/wall.toml", "--resolution", "11",
+                        "--method", "scattering", "--out", "o"),
+    "live": ("live", "--port", "PORT", "--prominence", "0.05", "--duration", "3", "--out",
+             "o.csv"),
     "check": ("check",),
     "cite": ("cite", "CORPUS/indent"),
     "cache": ("cache", "list"),
     "help": ("simulate", "--help"),
 }  # fmt: skip
 """Commands by name; the paths of good files begin with CORPUS, those made here with MADE."""
-CACHED = ("simulate", "indent", "sweep")
+CACHED = ("simulate", "indent", "sweep", "wall", "press of a wall", "scatter")
 """Commands that are faster the second time."""
 RESUMED = ("sweep", "dataset", "reproduce")
 """Commands whose folder grows, and is completed by the same command."""
@@ -81,14 +92,18 @@ class Ending:
     Attributes
     ----------
     code : int
-    seconds : float
-        Since the first signal.
+    before, used : float
+        Processor time in s before the first signal, and since.
+    idle : float
+        Time in s since then in which it wanted no processor.
     errors : str
         Standard error.
     """
 
     code: int
-    seconds: float
+    before: float
+    used: float
+    idle: float
     errors: str
 
 
@@ -108,13 +123,14 @@ class Bench:
         self.cache = place / "cache"
         self.environment = os.environ | {"ACOUSTUBE_CACHE": str(self.cache), "MPLBACKEND": "agg"}
         self.environment |= {"COLUMNS": "80"}
+        self.port = ""
         self.known: dict[str, tuple[float, dict[str, Any]]] = {}
         os.environ["ACOUSTUBE_CACHE"] = str(self.cache)
-        _make(place / "made")
+        _make(place / "made", self.corpus)
 
     def words(self, name: str) -> list[str]:
         """Return the words of a command, with its paths."""
-        places = {"CORPUS": str(self.corpus), "MADE": str(self.place / "made")}
+        places = {"CORPUS": str(self.corpus), "MADE": str(self.place / "made"), "PORT": self.port}
         words = list(COMMANDS[name])
         for short, path in places.items():
             words = [word.replace(short, path) for word in words]
@@ -122,36 +138,49 @@ class Bench:
 
     def run(self, name: str, folder: Path, ends: Sequence[int] = (), delay: float = 0) -> Ending:
         """Run a command, and send it signals after a delay."""
-        command = [sys.executable, "-m", "acoustube", *self.words(name)]
-        with subprocess.Popen(
-            command, cwd=folder, env=self.environment, stdout=subprocess.DEVNULL,
+        children = resource.getrusage(resource.RUSAGE_CHILDREN)
+        with self.beside(name, folder), subprocess.Popen(
+            [sys.executable, "-m", "acoustube", *self.words(name)],
+            cwd=folder, env=self.environment, stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=_not_ignored,
         ) as process:  # fmt: skip
-            started = time.monotonic()
             if ends:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(delay)
-                started = time.monotonic()
-                for number in ends:
-                    process.send_signal(number)
-                    time.sleep(0.05)
-            try:
-                _, errors = process.communicate(timeout=PATIENCE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                _, errors = process.communicate()
-                errors += f"\nstill running after {PATIENCE:.0f} s"
-            return Ending(process.returncode, time.monotonic() - started, errors)
+            session = Session(process.pid)
+            for number in ends:
+                process.send_signal(number)
+                time.sleep(0.05)
+            errors = _watched(process, session)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        total = after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
+        before = min(session.before, total)
+        return Ending(process.returncode, before, total - before, session.idle, errors)
+
+    @contextlib.contextmanager
+    def beside(self, name: str, folder: Path) -> Iterator[None]:
+        """Have a board send frames while a command reads a line, and nothing beside others."""
+        if name != "live":
+            yield
+            return
+        board = Board()
+        self.port = board.port
+        threading.Thread(target=_send, args=(board, folder / "o.csv"), daemon=True).start()
+        try:
+            yield
+        finally:
+            board.cut()
 
     def expected(self, name: str) -> tuple[float, dict[str, Any]]:
         """Return how long a command takes undisturbed, when all is cached, and its outputs."""
         if name not in self.known:
             for _ in range(2 if name in CACHED else 1):
                 with self.folder() as folder:
+                    started = time.monotonic()
                     ending = self.run(name, folder)
                     if ending.code:
                         raise RuntimeError(f"{name}: {ending.errors}")
-                    self.known[name] = ending.seconds, outputs(folder)
+                    self.known[name] = time.monotonic() - started, outputs(folder)
         return self.known[name]
 
     @contextlib.contextmanager
@@ -165,7 +194,7 @@ class Bench:
         _, whole = self.expected(name)
         with self.folder() as folder:
             ending = self.run(name, folder, ENDS[how], delay)
-            wrong = _about_end(ending, how, delay) + _about_files(folder, whole, name, ending)
+            wrong = _about_end(ending, how) + _about_files(folder, whole, name, ending)
             hidden = _hidden(folder)
             if how != "KILL":
                 wrong += [f"left behind: {path.name}" for path in hidden]
@@ -180,12 +209,33 @@ class Bench:
         return wrong
 
 
+def _send(board: Board, log: Path) -> None:
+    """Send frames once a command listens, as long as it does."""
+    with contextlib.suppress(OSError, ValueError):
+        if waited(log.exists):
+            for frame in FRAMES:
+                board.send(frame)
+
+
+def _watched(process: subprocess.Popen[str], session: Session) -> str:
+    """Wait for the end of a process; return what it wrote to standard error."""
+    while True:
+        try:
+            return process.communicate(timeout=0.1)[1]
+        except subprocess.TimeoutExpired:
+            session.look()
+            if max(session.used, session.idle) > PATIENCE:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                return f"{process.communicate()[1]}\nstill running after {PATIENCE:.0f} s"
+
+
 def _not_ignored() -> None:
     """Let interrupts come through, which are ignored in the background of a shell."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _make(folder: Path) -> None:
+def _make(folder: Path, corpus: Path) -> None:
     """Write the recordings that the good files lack."""
     sys.path.insert(0, str(ROOT / "tests"))  # as pytest does
     from labelled_cycles import cycles
@@ -197,31 +247,42 @@ def _make(folder: Path) -> None:
     np.savez(folder / "blocked.npz", signal=blocked(), true_distance=PLACES, **common)
     np.savez(folder / "untouched.npz", signal=untouched(), **common)
     cycles(56, seed=2).to_netcdf(folder / "labelled.nc", engine="h5netcdf")
+    wall = json.dumps(str(corpus / "wall.stl"))
+    (folder / "wall.toml").write_text(f"[tube]\nsurface = {wall}\n")
 
 
-def _about_end(ending: Ending, how: str, delay: float) -> list[str]:
+def _about_end(ending: Ending, how: str) -> list[str]:
     """Return what is wrong with the end of a command."""
     last = ending.errors.strip().splitlines()[-1:] or [""]
     if ending.code == -signal.SIGKILL and how == "KILL":
         return []
     noise = [word for word in NOISE if word in ending.errors]
-    if delay < BEFORE_PYTHON and ending.code in (-signal.SIGINT, -signal.SIGTERM, 130, 143, 1):
+    if ending.before < BEFORE_PYTHON and ending.code in (
+        -signal.SIGINT,
+        -signal.SIGTERM,
+        130,
+        143,
+        1,
+    ):
         return []
     wrong = [f"it says {' and '.join(noise)}:\n{ending.errors}"] if noise else []
     if ending.code == 0:  # it had ended before
-        return wrong if ending.seconds < 1 else [*wrong, "it went on, and ended with 0"]
+        return wrong if ending.used + ending.idle < 1 else [*wrong, "it went on, and ended with 0"]
     if ending.code != 128 + ENDS[how][0]:
         wrong.append(f"it ended with {ending.code}:\n{ending.errors}")
     if not last[0].startswith("acoustube: interrupted"):
         wrong.append(f"no sentence, but {last[0]!r}")
-    if ending.seconds > IN_TIME:
-        wrong.append(f"it took {ending.seconds:.1f} s to end")
+    if max(ending.used, ending.idle) > IN_TIME:
+        wrong.append(f"it took {ending.used:.1f} s to end, and {ending.idle:.1f} s of waiting")
     return wrong
 
 
 def _about_files(folder: Path, whole: dict[str, Any], name: str, ending: Ending) -> list[str]:
     """Return what is wrong with the outputs of a command that was ended."""
     found = outputs(folder)
+    if name == "live":  # its log grows, by whole rows
+        parts = all(found[path] == whole[path][: len(found[path])] for path in found)
+        return [] if parts else ["the log is not the first rows of a whole one"]
     if ending.code == 0 and not _alike(found, whole):
         return ["it ended with 0, without its outputs"]
     if name in RESUMED:
@@ -264,6 +325,8 @@ def _content(path: Path) -> Any:
     if path.suffix in (".model", ".npz"):
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name].tobytes() for name in archive.files if name != "header"}
+    if path.name == "o.csv" and b"received_s" in path.read_bytes()[:500]:
+        return rows_of(path)
     content = path.read_bytes()
     # Times are in the page, and in the report.
     return len(content) > 1000 if path.suffix == ".html" else content

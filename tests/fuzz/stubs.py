@@ -26,7 +26,8 @@ PRELOADED = (
     "acoustube.reports.figures.sweep", "acoustube.reports.export.tables", "h5netcdf", "h5py",
     "rich.console", "rich.progress", "rich.table", "rich.markup", "scipy.io", "pandas", "pyvista",
     "acoustube.sleeve", "acoustube.reports.sleeve_table", "sklearn.ensemble", "acoustube.waves",
-    "matplotlib.backends.backend_agg", "tomlkit", "acoustube.runs.sweep.graph", "ezc3d", "cobs",
+    "matplotlib.backends.backend_agg", "tomlkit", "acoustube.runs.sweep.graph", "ezc3d",
+    "cobs", "serial",
 )  # fmt: skip
 
 

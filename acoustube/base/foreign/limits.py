@@ -183,7 +183,9 @@ def reading(
             yield
     except ConfigError as error:
         if error.setting is None:  # of an argument otherwise, which the file has
-            raise
+            if str(path) in str(error) or Path(path).name in str(error).split(": ")[0]:
+                raise
+            raise ConfigError(f"{path}: {error}") from error
         raise ConfigError(f"{path} {failure} ({error}); {advice}") from error
     # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
     except errors as error:

@@ -111,8 +111,9 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
             for name, case in known.iterrows()
         ]
     if not rows:
+        where = files[0].parent if files[1:] else files[0]
         raise ConfigError(
-            f"{files[0].parent}: no walls: no case is pressed, or an earlier version "
+            f"{where}: no walls: no case is pressed, or an earlier version "
             "wrote the sweep; sweep into a new folder, which stores the presses"
         )
     write(folder / "lumens.csv", pd.DataFrame(rows).to_csv(index=False))
