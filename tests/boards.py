@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import threading
 
 import numpy as np
 
@@ -44,6 +45,8 @@ class Board:
         File descriptors of the board's end, and of the line that the computer opens.
     port : str
         Name of the line.
+    stopped : threading.Event
+        Set to end what is being sent.
     """
 
     def __init__(self):
@@ -51,6 +54,7 @@ class Board:
 
         self.end, self.line = os.openpty()
         tty.setraw(self.line)
+        self.stopped = threading.Event()
         self.ends = (self.end, self.line)
         self.port = os.ttyname(self.line)
 
@@ -58,8 +62,22 @@ class Board:
         for start in range(0, len(data), chunk):
             piece = data[start : start + chunk]
             while piece:
-                select.select([], [self.end], [])
-                piece = piece[os.write(self.end, piece) :]
+                if self.stopped.is_set():
+                    return
+                if select.select([], [self.end], [], 0.05)[1]:
+                    piece = piece[os.write(self.end, piece) :]
+
+    @contextlib.contextmanager
+    def sending(self, send):
+        """Call a function with this board in a thread, ended in the end, and then cut the cable."""
+        thread = threading.Thread(target=send, args=(self,), daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self.stopped.set()
+            thread.join()
+            self.cut()
 
     def cut(self):
         """Pull the cable, once."""

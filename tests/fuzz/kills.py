@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import resource
 import secrets
@@ -17,7 +16,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -68,9 +66,8 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "evaluate": ("evaluate", "CORPUS/boosting.model", "CORPUS/labelled.nc", "--out", "o.csv"),
     "sleeve": ("sleeve", "--forearm", "25", "17", "26", "--loops", "9", "--out", "o"),
     "reproduce": ("reproduce", "calibration", "--quick", "--workers", "1", "--out", "o"),
-    "wall": ("indent", *SMALL, "--steps", "1", "--tube", "CORPUS/wall.stl", "--out", "o"),
-    "press of a wall": ("simulate", *SMALL, "--config", "MADE/wall.toml", "--resolution", "11",
-                        "--method", "scattering", "--out", "o"),
+    "wall": ("indent", "--tube", "MESHES/d_bore.stl", "--indenter", "10", "--depth", "0.3",
+             "--steps", "1", "--out", "o"),
     "live": ("live", "--port", "PORT", "--prominence", "0.05", "--duration", "3", "--out",
              "o.csv"),
     "check": ("check",),
@@ -79,7 +76,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "help": ("simulate", "--help"),
 }  # fmt: skip
 """Commands by name; the paths of good files begin with CORPUS, those made here with MADE."""
-CACHED = ("simulate", "indent", "sweep", "wall", "press of a wall", "scatter")
+CACHED = ("simulate", "indent", "sweep", "wall", "scatter")
 """Commands that are faster the second time."""
 RESUMED = ("sweep", "dataset", "reproduce")
 """Commands whose folder grows, and is completed by the same command."""
@@ -126,11 +123,12 @@ class Bench:
         self.port = ""
         self.known: dict[str, tuple[float, dict[str, Any]]] = {}
         os.environ["ACOUSTUBE_CACHE"] = str(self.cache)
-        _make(place / "made", self.corpus)
+        _make(place / "made")
 
     def words(self, name: str) -> list[str]:
         """Return the words of a command, with its paths."""
         places = {"CORPUS": str(self.corpus), "MADE": str(self.place / "made"), "PORT": self.port}
+        places["MESHES"] = str(ROOT / "meshes")
         words = list(COMMANDS[name])
         for short, path in places.items():
             words = [word.replace(short, path) for word in words]
@@ -144,9 +142,10 @@ class Bench:
             cwd=folder, env=self.environment, stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=_not_ignored,
         ) as process:  # fmt: skip
+            ended = False
             if ends:
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(delay)
+                    ended = process.wait(delay) is not None
             session = Session(process.pid)
             for number in ends:
                 process.send_signal(number)
@@ -154,7 +153,7 @@ class Bench:
             errors = _watched(process, session)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         total = after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
-        before = min(session.before, total)
+        before = total if ended else min(session.before, total)
         return Ending(process.returncode, before, total - before, session.idle, errors)
 
     @contextlib.contextmanager
@@ -165,11 +164,8 @@ class Bench:
             return
         board = Board()
         self.port = board.port
-        threading.Thread(target=_send, args=(board, folder / "o.csv"), daemon=True).start()
-        try:
+        with board.sending(lambda board: _send(board, folder / "o.csv")):
             yield
-        finally:
-            board.cut()
 
     def expected(self, name: str) -> tuple[float, dict[str, Any]]:
         """Return how long a command takes undisturbed, when all is cached, and its outputs."""
@@ -210,11 +206,10 @@ class Bench:
 
 
 def _send(board: Board, log: Path) -> None:
-    """Send frames once a command listens, as long as it does."""
-    with contextlib.suppress(OSError, ValueError):
-        if waited(log.exists):
-            for frame in FRAMES:
-                board.send(frame)
+    """Send frames once a command listens."""
+    if waited(board, log.exists):
+        for frame in FRAMES:
+            board.send(frame)
 
 
 def _watched(process: subprocess.Popen[str], session: Session) -> str:
@@ -235,7 +230,7 @@ def _not_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def _make(folder: Path, corpus: Path) -> None:
+def _make(folder: Path) -> None:
     """Write the recordings that the good files lack."""
     sys.path.insert(0, str(ROOT / "tests"))  # as pytest does
     from labelled_cycles import cycles
@@ -247,8 +242,6 @@ def _make(folder: Path, corpus: Path) -> None:
     np.savez(folder / "blocked.npz", signal=blocked(), true_distance=PLACES, **common)
     np.savez(folder / "untouched.npz", signal=untouched(), **common)
     cycles(56, seed=2).to_netcdf(folder / "labelled.nc", engine="h5netcdf")
-    wall = json.dumps(str(corpus / "wall.stl"))
-    (folder / "wall.toml").write_text(f"[tube]\nsurface = {wall}\n")
 
 
 def _about_end(ending: Ending, how: str) -> list[str]:

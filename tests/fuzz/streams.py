@@ -8,9 +8,9 @@ import fcntl
 import itertools
 import struct
 import termios
-import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from random import Random
@@ -25,8 +25,6 @@ from tests.fuzz.oddities import mutated_bytes, odd_number
 
 LONGEST_DURATION = 0.3
 """Seconds after which a line that never ends is left."""
-PATIENCE = 20.0
-"""Seconds in which a command must open its line and read it."""
 LOG = "o.csv"
 OTHER_FRAMES = (12, 13, 100, 254, 255, 4000, 1_000_000)
 OTHER_RATES = (300, 9600, 115_200, 921_600, 2_000_000)
@@ -176,23 +174,16 @@ def _as_port(port: ScriptedPort) -> Iterator[None]:
         serial.Serial = before
 
 
-@contextlib.contextmanager
-def _on_terminal(board: Board, data: bytes, log: Path) -> Iterator[None]:
+def _on_terminal(board: Board, data: bytes, log: Path) -> AbstractContextManager[object]:
     """Send data over a pseudo-terminal once the log exists, and cut it when all is read."""
-    thread = threading.Thread(target=_sent, args=(board, data, log), daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        board.cut()
 
-
-def _sent(board: Board, data: bytes, log: Path) -> None:
-    with contextlib.suppress(OSError, ValueError):  # the command has ended before
-        if waited(log.exists):
+    def send(board: Board) -> None:
+        if waited(board, log.exists):
             board.send(data)
-            waited(lambda: not unread(board))
+            waited(board, lambda: not unread(board))
         board.cut()
+
+    return board.sending(send)
 
 
 def unread(board: Board) -> int:
@@ -200,13 +191,11 @@ def unread(board: Board) -> int:
     return int(struct.unpack("i", fcntl.ioctl(board.line, termios.FIONREAD, b"\0" * 4))[0])
 
 
-def waited(condition: Callable[[], bool]) -> bool:
-    """Wait until a condition holds; return whether it does."""
-    end = time.monotonic() + PATIENCE
+def waited(board: Board, condition: Callable[[], bool]) -> bool:
+    """Wait until a condition holds, or the board is stopped; return whether it holds."""
     while not condition():
-        if time.monotonic() > end:
+        if board.stopped.wait(0.005):
             return False
-        time.sleep(0.005)
     return True
 
 
