@@ -1,11 +1,12 @@
 """Adaptive load stepping: the load path of a press from first contact to its final depth.
 
 The increments of depth are doubled where Newton's method converges in few iterations and halved
-where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, cut short
-before the lumen's walls would cross. With a guide (:mod:`acoustube.indentation.guide`) an increment
-reaches from one of the depths asked for to the next, and starts from the guide's state, moved by
-what the last state on the own mesh differed from it, or from the extrapolation, whichever has the
-lower energy.
+where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, unless the
+lumen's walls cross there. With a guide (:mod:`acoustube.indentation.guide`) an increment reaches
+from one of the depths asked for to the next, and starts from the guide's state, moved by what the
+last state on the own mesh differed from it, or from the extrapolation, whichever has the lower
+energy. Only depths `SPACING` apart are met in rising order. The others are met by bisection, from
+the cubic through the two states on either side, which is nearer the solution.
 
 References
 ----------
@@ -21,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from acoustube.base.report import part_of
 from acoustube.base.types import Array, Progress
 from acoustube.base.units import MM
 from acoustube.indentation.assembly import (
@@ -29,7 +31,6 @@ from acoustube.indentation.assembly import (
     equilibrium_results,
     evaluate,
 )
-from acoustube.indentation.contact import Body
 from acoustube.indentation.guide import Guide
 from acoustube.indentation.newton import NewtonResult, minimise
 from acoustube.indentation.result import Indentation, PressError, bodies_at
@@ -42,6 +43,8 @@ EASY_ITERATIONS = 8
 """Newton iterations up to which the next increment is doubled."""
 FORCE_TOLERANCE = 1e-8
 """Norm of the residual forces at convergence, in shear moduli times squared bore diameters."""
+SPACING = 1 / 8
+"""Distance of the targets that are met first, in the order of depth."""
 EXTRAPOLATED_STATES = 3
 """Converged states that the start of an increment is extrapolated from (a quadratic)."""
 
@@ -95,25 +98,82 @@ def load_path(
     tube, bore = untouched.tube, untouched.tube.inner_diameter
     allowed = tolerance * tube.shear_modulus * bore**2
     start = NewtonResult(untouched.displacement[0], True, 0, 0.0)
-    done = [_Increment(0.0, start, _results_at_first_touch(model, untouched))]
-    largest, increment = largest * bore, FIRST_INCREMENT * bore
+    first = _Increment(0.0, start, _results_at_first_touch(model, untouched))
     if guide is not None:
-        increment = np.inf
         targets = np.unique(np.append(targets, min(guide.reach, targets[-1])))
+    problem = _Problem(untouched, model, allowed, largest * bore)
+    chain = spread(targets, SPACING * bore)
+    share = len(chain) / len(targets)
+    done, failure = _follow(problem, [first], chain, part_of(progress, 0.0, share), guide)
+    left = np.setdiff1d(targets[targets < done[-1].depth], [each.depth for each in done])
+    for count, depth in enumerate(_by_bisection(left, done), start=len(chain) + 1):
+        done, stopped = _between(problem, done, depth, guide)
+        failure = stopped or failure
+        if progress:
+            progress(count / len(targets))
+    if failure is not None:
+        raise _failed(untouched, done, targets[-1], failure)
+    return _gathered(untouched, done)
+
+
+class _Problem(NamedTuple):
+    """A press: its first contact, model, largest residual in N and largest increment in m."""
+
+    untouched: Indentation
+    model: Model
+    allowed: float
+    largest: float
+
+
+def spread(targets: Array, spacing: float) -> Array:
+    """Return targets at least a spacing apart, the last among them: those met first."""
+    kept = [targets[-1]]
+    for target in targets[-2::-1]:
+        if kept[-1] - target >= spacing * (1 - 1e-9):
+            kept.append(target)
+    return np.array(kept[::-1])
+
+
+def _by_bisection(targets: Array, done: Sequence[_Increment]) -> list[float]:
+    """Return targets in the order in which each is nearest the middle of the widest gap left."""
+    order, left, known = [], targets, np.array([each.depth for each in done])
+    while len(left):
+        above = np.searchsorted(known, left)
+        low, high = known[above - 1], known[above]
+        widest = np.flatnonzero(high - low >= (high - low).max() * (1 - 1e-9))
+        best = widest[np.argmin(np.abs(left - (low + high) / 2)[widest])]
+        order.append(float(left[best]))
+        known = np.insert(known, above[best], left[best])
+        left = np.delete(left, best)
+    return order
+
+
+def _follow(
+    problem: _Problem,
+    done: Sequence[_Increment],
+    targets: Array,
+    progress: Progress | None,
+    guide: Guide | None,
+) -> tuple[list[_Increment], NewtonResult | None]:
+    """Return increments followed by those that lead to the last target and meet all of them.
+
+    With the solution that failed, if one did however short the increment.
+    """
+    untouched, model, largest = problem.untouched, problem.model, problem.largest
+    done, bore = list(done), untouched.tube.inner_diameter
+    increment = np.inf if guide is not None else FIRST_INCREMENT * bore
     while done[-1].depth < targets[-1]:
         if guide is not None and done[-1].depth >= guide.reach:
             guide, increment = None, min(increment, largest)
         depth = _next_depth(targets, done[-1].depth, increment)
-        bodies = bodies_at(untouched, depth)
-        guess = _start(model, done[-EXTRAPOLATED_STATES:], depth, bodies, guide)
-        solution = minimise(model, guess, bodies, allowed)
+        guesses = _ahead(model, done[-EXTRAPOLATED_STATES:], depth, guide)
+        solution = _solved(problem, done[-1], guesses, depth)
         if not solution.converged:
             increment = (depth - done[-1].depth) / 2
             if increment < SMALLEST_INCREMENT * bore:
-                raise _failed(untouched, done, targets[-1], solution)
+                return done, solution
             continue
-        results = equilibrium_results(model, solution.displacement, bodies)
-        done.append(_Increment(depth, solution, results))
+        done.append(_increment(problem, depth, solution))
         if solution.iterations <= EASY_ITERATIONS:
             increment = 2 * increment if guide is not None else min(2 * increment, largest)
         if progress:
@@ -122,7 +182,37 @@ def load_path(
                 progress(_fraction_done(len(done), left, increment, largest))
             else:
                 progress(depth / float(targets[-1]))
-    return _gathered(untouched, done)
+    return done, None
+
+
+def _between(
+    problem: _Problem, done: list[_Increment], depth: float, guide: Guide | None
+) -> tuple[list[_Increment], NewtonResult | None]:
+    """Return increments with one at a depth between them added, and what :func:`_follow` does.
+
+    Where Newton's method fails from between the neighbours, a path from the lower one leads there;
+    where that ends, so do the increments.
+    """
+    if depth > done[-1].depth:
+        return done, None
+    above = int(np.searchsorted([each.depth for each in done], depth))
+    near = done[max(above - 2, 0) : above + 2]
+    nearest = min(near, key=lambda each: abs(each.depth - depth))
+    guesses = [_interpolated(near, depth)]
+    if guide is not None and done[above].depth <= guide.reach:
+        within = [each for each in near if each.depth <= guide.reach]
+        guesses.append(_corrected(guide, problem.model, within, depth))
+    solution = _solved(problem, nearest, guesses, depth)
+    if solution.converged:
+        return [*done[:above], _increment(problem, depth, solution), *done[above:]], None
+    path, failure = _follow(problem, done[:above], np.array([depth]), None, None)
+    return path + ([] if failure else done[above:]), failure
+
+
+def _increment(problem: _Problem, depth: float, solution: NewtonResult) -> _Increment:
+    bodies = bodies_at(problem.untouched, depth)
+    results = equilibrium_results(problem.model, solution.displacement, bodies)
+    return _Increment(depth, solution, results)
 
 
 def _results_at_first_touch(model: Model, untouched: Indentation) -> EquilibriumResults:
@@ -137,38 +227,60 @@ def _next_depth(targets: Array, reached: float, increment: float) -> float:
     return target if reached + 1.05 * increment >= target else reached + increment
 
 
-def _start(
-    model: Model,
-    last: Sequence[_Increment],
-    depth: float,
-    bodies: tuple[Body, ...],
-    guide: Guide | None,
-) -> Array:
-    """Return the start of an increment: the guess of the lowest energy, short of any collision."""
-    here, points = last[-1].solution.displacement, model.mesh.points
+def _ahead(
+    model: Model, last: Sequence[_Increment], depth: float, guide: Guide | None
+) -> list[Array]:
+    """Return guesses of the state at a depth beyond the last increments."""
     # Of a low order as well: a high one overshoots where the contact grows unforeseen.
-    guesses = [_extrapolated(last[-n:], depth) for n in range(2, len(last) + 1)]
+    guesses = [_interpolated(last[-n:], depth) for n in range(2, len(last) + 1)]
     if guide is not None:
-        change = guide.displacement(depth) - guide.displacement(last[-1].depth)
-        guesses.append(here + change * model.free)
+        guesses.append(_corrected(guide, model, last[-1:], depth))
+    return guesses
+
+
+def _solved(
+    problem: _Problem, near: _Increment, guesses: Sequence[Array], depth: float
+) -> NewtonResult:
+    """Return the solution from the guess of the lowest energy among those that do not cross.
+
+    If all cross themselves, from the last state before on the straight way from an increment.
+    """
+    model, bodies = problem.model, bodies_at(problem.untouched, depth)
+    here, points = near.solution.displacement, problem.model.mesh.points
+    sound = [guess for guess in guesses if not model.lumen.crosses_itself(points + guess)]
+    if not sound:
+        for guess in guesses:
+            clear = model.lumen.collision_free_fraction(points + here, points + guess)
+            sound.append(here + clear * (guess - here))
     best, least = here, np.inf
-    for ahead in guesses:
-        guess = ahead
-        if model.lumen.crosses_itself(points + ahead):
-            clear = model.lumen.collision_free_fraction(points + here, points + ahead)
-            guess = here + clear * (ahead - here)
+    for guess in sound:
         energy = evaluate(model, guess, bodies).energy
         if energy < least:
             best, least = guess, energy
-    return best
+    return minimise(model, best, bodies, problem.allowed)
 
 
-def _extrapolated(last: Sequence[_Increment], depth: float) -> Array:
-    """Return the Lagrange extrapolation of the last states to a depth."""
-    x = np.array([done.depth for done in last])
+def _interpolated(increments: Sequence[_Increment], depth: float) -> Array:
+    """Return the polynomial through the states of increments at a depth."""
+    states = [each.solution.displacement for each in increments]
+    return _lagrange([each.depth for each in increments], states, depth)
+
+
+def _corrected(guide: Guide, model: Model, increments: Sequence[_Increment], depth: float) -> Array:
+    """Return the guide's state at a depth with the polynomial through what increments differ."""
+    depths = [each.depth for each in increments]
+    differences = [
+        each.solution.displacement - guide.displacement(each.depth) * model.free
+        for each in increments
+    ]
+    return guide.displacement(depth) * model.free + _lagrange(depths, differences, depth)
+
+
+def _lagrange(depths: Sequence[float], states: Sequence[Array], depth: float) -> Array:
+    """Return the Lagrange polynomial through states at a depth."""
+    x = np.array(depths)
     weights = [np.prod((depth - np.delete(x, i)) / (x[i] - np.delete(x, i))) for i in range(len(x))]
-    states = np.stack([done.solution.displacement for done in last])
-    return np.tensordot(weights, states, axes=1)
+    return np.tensordot(weights, np.stack(states), axes=1)
 
 
 def _fraction_done(n_done: int, left: float, increment: float, largest: float) -> float:

@@ -20,7 +20,7 @@ from acoustube.indentation import wrinkle_penalty
 from acoustube.indentation.assembly import Model, build_model
 from acoustube.indentation.guide import Guide, coarse_mesh, guide
 from acoustube.indentation.indenters import SUPPORTS, Indenter, Layer, Support, touch_height
-from acoustube.indentation.load_path import load_path
+from acoustube.indentation.load_path import SPACING, load_path, spread
 from acoustube.indentation.material import Material, neo_hookean
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
 from acoustube.indentation.result import RESULTS, Indentation, PressError
@@ -123,13 +123,13 @@ def indent(
         )
         _check_clearance(untouched, targets[-1])
         model, first = press_model(untouched), part_of(progress, 0.0, GUIDE_SHARE)
-        coarse = _guide(untouched, targets[-1], first)
+        coarse = _guide(untouched, targets, first)
         if coarse is not None:
             progress = part_of(progress, GUIDE_SHARE, 1.0)
         return load_path(untouched, model, targets, progress, guide=coarse)
 
 
-def _guide(untouched: Indentation, depth: float, progress: Progress | None) -> Guide | None:
+def _guide(untouched: Indentation, targets: Array, progress: Progress | None) -> Guide | None:
     """Return the load path on a coarse mesh, or None where a coarse mesh is of no use."""
     mesh = coarse_mesh(untouched.mesh, untouched.tube, untouched.indenters)
     if mesh is None:
@@ -137,7 +137,8 @@ def _guide(untouched: Indentation, depth: float, progress: Progress | None) -> G
     coarse = dataclasses.replace(
         untouched, mesh=mesh, displacement=np.zeros((1, *mesh.points.shape))
     )
-    model, targets = press_model(coarse, GUIDE_SUBDIVISIONS), np.array([depth])
+    model = press_model(coarse, GUIDE_SUBDIVISIONS)
+    targets = spread(targets, SPACING * untouched.tube.inner_diameter)
     try:
         coarse = load_path(
             coarse, model, targets, progress, tolerance=GUIDE_TOLERANCE, largest=GUIDE_INCREMENT

@@ -76,7 +76,7 @@ class SelfContact:
 
     def _collisions(self, vertices: Array) -> Any:
         """Return the pairs of triangles within the activation distance; the last are kept."""
-        if self._clear(vertices):
+        if self._apart(vertices, by=self.barrier.dhat):
             return ipctk.NormalCollisions()
         known, pairs = self._last.get("pairs", (None, None))
         if known is None or not np.array_equal(known, vertices):
@@ -84,12 +84,12 @@ class SelfContact:
             self._last["pairs"] = vertices, pairs
         return pairs
 
-    def _clear(self, *states: Array) -> bool:
-        """Return whether no triangles are within the activation distance; false if not known.
+    def _apart(self, *states: Array, by: float = 0.0) -> bool:
+        """Return whether all triangles are farther apart than a distance; false if not known.
 
-        Neither at the given states of the vertices nor on the straight way from one to another. If
-        no distance is below d at a centre state, none is below d_hat while no vertex is farther
-        than (d - d_hat) / 2 from there. A centre without such a margin is kept for small motions.
+        Both at the given states of the vertices and on the straight way from one to another. If the
+        smallest distance at a centre state is d, it is more than `by` while no vertex is farther
+        than (d - by) / 2 from there. A centre without such a margin is kept for small motions.
         """
         d_hat = self.barrier.dhat
 
@@ -97,15 +97,15 @@ class SelfContact:
             away = [np.sum((state - centre) ** 2, axis=1).max(initial=0.0) for state in states]
             return float(np.sqrt(max(away)))
 
-        centre, margin = self._last.get("clear", (None, 0.0))
+        centre, least = self._last.get("centre", (None, 0.0))
+        margin = 0.999 * (least - by) / 2
         if centre is None or moved(centre) > (margin if margin > 0 else d_hat / 4):
-            centre = states[0]
-            pairs = self._pairs(centre, CLEARANCE * d_hat)
-            least = CLEARANCE * d_hat
+            centre, least = states[0], CLEARANCE * d_hat
+            pairs = self._pairs(centre, least)
             if not pairs.empty():  # the library returns the square
                 least = float(np.sqrt(pairs.compute_minimum_distance(self.mesh, centre)))
-            margin = 0.999 * (least - d_hat) / 2
-            self._last["clear"] = centre, margin
+            self._last["centre"] = centre, least
+            margin = 0.999 * (least - by) / 2
         return margin > 0 and moved(centre) <= margin
 
     def _pairs(self, vertices: Array, distance: float) -> Any:
@@ -243,7 +243,7 @@ class SelfContact:
             Nodes before and after the step, in m.
         """
         before, after = self._vertices(start), self._vertices(end)
-        if self._clear(before, after):
+        if self._apart(before, after):
             return 1.0
         free = ipctk.compute_collision_free_stepsize(self.mesh, before, after)
         return 1.0 if free >= 1 else STEP_SAFETY_FACTOR * float(free)
@@ -257,7 +257,7 @@ class SelfContact:
             Deformed nodes in m.
         """
         vertices = self._vertices(position)
-        return not self._clear(vertices) and bool(ipctk.has_intersections(self.mesh, vertices))
+        return bool(ipctk.has_intersections(self.mesh, vertices))
 
 
 def self_contact(
