@@ -43,7 +43,6 @@ References
 
 from __future__ import annotations
 
-from functools import partial
 from math import pi, sqrt
 from typing import NamedTuple
 
@@ -55,7 +54,15 @@ from jax.typing import DTypeLike
 from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.scheme.operator import Operator, assemble, laplacian, with_halo
+from acoustube.waves.scheme.operator import (
+    Operator,
+    assemble,
+    laplacian,
+    on_device,
+    silent,
+    silent_with_halo,
+    with_halo,
+)
 from acoustube.waves.scheme.relaxation_fit import half_integral
 from acoustube.waves.scheme.time_step import largest_eigenvalue
 
@@ -172,23 +179,23 @@ def losses(
     response = float(gain @ weights)
     found = Losses(
         drag=drag,
-        compliance=jnp.asarray(compliance, dtype),
-        implicit_factor=jnp.asarray(1 / (1 + 0.5 * response * compliance), dtype),
+        compliance=on_device(compliance, dtype),
+        implicit_factor=on_device(1 / (1 + 0.5 * response * compliance), dtype),
         decay=_scalars(decay, dtype),
         gain=_scalars(gain, dtype),
         wall=_scalars(weights, dtype),
         bulk=_scalars(lags, dtype),
-        response=jnp.asarray(response, dtype),
-        rate=jnp.asarray(diffusivity / (air.sound_speed**2 * time_step), dtype),
-        weight=jnp.asarray(weight[None, None], dtype),
+        response=on_device(response, dtype),
+        rate=on_device(diffusivity / (air.sound_speed**2 * time_step), dtype),
+        weight=on_device(weight[None, None], dtype),
     )
-    still = jnp.zeros(cells.shape, dtype)
-    return found, RelaxationState((still,) * len(rates), with_halo(still), still)
+    still, around = silent(cells.shape, dtype), silent_with_halo(cells.shape, dtype)
+    return found, RelaxationState((still,) * len(rates), around, still)
 
 
 def _scalars(values: Array, dtype: DTypeLike) -> tuple[jax.Array, ...]:
     """Return each value as a scalar array."""
-    return tuple(jnp.asarray(value, dtype) for value in values)
+    return tuple(on_device(value, dtype) for value in values)
 
 
 def wetted_area(cells: CutCells, exact: CutCells) -> Array:
@@ -229,7 +236,7 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     operator = assemble(cells, Air(sound_speed=1.0, density=1.0), 0.0)
     n_steps = int(np.ceil(WALL_SPREAD**2 / 2 * largest_eigenvalue(operator)))
     spread = [
-        _diffused(jnp.asarray(component, jnp.float32), operator, n_steps)
+        _diffused(on_device(component, np.float32), operator, n_steps)
         for component in vector**2 * density
     ]
     return _near_the_wall(np.asarray(spread, float), cells.volume_fraction)
@@ -243,7 +250,7 @@ def _near_the_wall(wetted: Array, volume: Array) -> Array:
     return near * (total / kept) if kept > 0 else wetted
 
 
-@partial(jax.jit, static_argnames="n_steps")
+@jax.jit
 def _diffused(density: jax.Array, operator: Operator, n_steps: int) -> jax.Array:
     """Return a density after n steps of explicit diffusion over `WALL_SPREAD`."""
 
@@ -258,11 +265,13 @@ def _drag(operator: Operator, wetted: Array, dtype: DTypeLike) -> Operator:
     x, y, z = wetted.sum(axis=0) - wetted
     x, y = np.pad(x, ((1, 1), (0, 0), (0, 0)), "edge"), np.pad(y, ((0, 0), (1, 1), (0, 0)), "edge")
     z = np.pad(z, ((0, 0), (0, 0), (2, 2)), "edge")
-    return operator._replace(
-        area_x=operator.area_x * jnp.asarray((x[1:] + x[:-1]) / 2, dtype),
-        area_y=operator.area_y * jnp.asarray((y[:, 1:] + y[:, :-1]) / 2, dtype),
-        area_z=operator.area_z * jnp.asarray((z[:, :, 1:] + z[:, :, :-1]) / 2, dtype),
+    at_faces = ((x[1:] + x[:-1]) / 2, (y[:, 1:] + y[:, :-1]) / 2, (z[:, :, 1:] + z[:, :, :-1]) / 2)
+    areas = (operator.area_x, operator.area_y, operator.area_z)
+    x, y, z = (
+        on_device(np.asarray(area) * weight.astype(dtype), dtype)
+        for area, weight in zip(areas, at_faces, strict=True)
     )
+    return operator._replace(area_x=x, area_y=y, area_z=z)
 
 
 def lossy_change(

@@ -34,11 +34,12 @@ References
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
+import numpy as np
+from jax.typing import ArrayLike, DTypeLike
 
 from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells
@@ -98,27 +99,53 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
     -----
     JAX can differentiate it, and a march of it, with respect to the fractions.
     """
-    volume = jnp.asarray(cells.volume_fraction, dtype)
-    faces = cells.open_x, cells.open_y, cells.open_z
-    areas = [
-        _closed_outside(jnp.asarray(face, dtype), axis) * (air.sound_speed / h) ** 2
-        for axis, (face, h) in enumerate(zip(faces, cells.spacing, strict=True))
-    ]
-    areas[2] = jnp.pad(areas[2], ((0, 0), (0, 0), (1, 1)))
+    volume, *faces = (
+        on_device(part, dtype)
+        for part in (cells.volume_fraction, cells.open_x, cells.open_y, cells.open_z)
+    )
+    scales = [np.asarray((air.sound_speed / h) ** 2, dtype) for h in cells.spacing]
+    inverse, x, y, z = _coefficients(volume, faces, scales)
+    return Operator(inverse, x, y, z, on_device(beta, dtype))
+
+
+@jax.jit
+def _coefficients(volume: jax.Array, faces: list[jax.Array], scales: list[ArrayLike]) -> Any:
+    """Return the inverse volume fractions and the scaled open faces, the outermost closed."""
+    x, y, z = (
+        _closed_outside(face, axis) * scale
+        for axis, (face, scale) in enumerate(zip(faces, scales, strict=True))
+    )
     # No division by zero in either branch, so that the derivative is finite too.
     inverse = jnp.where(volume > 0.0, 1.0 / jnp.where(volume > 0.0, volume, 1.0), 0.0)
-    return Operator(inverse, areas[0], areas[1], areas[2], jnp.asarray(beta, dtype))
+    return inverse, x, y, jnp.pad(z, ((0, 0), (0, 0), (1, 1)))
 
 
 def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
     """Return faces with the outermost closed, since the halo is not part of the lumen."""
-    closed = jnp.moveaxis(faces, axis, 0)
-    return jnp.moveaxis(closed.at[jnp.array([0, -1])].set(0.0), 0, axis)
+    inner = np.ones(faces.shape[axis], faces.dtype)
+    inner[[0, -1]] = 0.0
+    return faces * np.expand_dims(inner, [other for other in range(3) if other != axis])
+
+
+def on_device(values: ArrayLike, dtype: DTypeLike) -> jax.Array:
+    """Return values as a JAX array; NumPy converts them, because JAX compiles conversions."""
+    known = isinstance(values, jax.Array)
+    return jnp.asarray(values, dtype) if known else jnp.asarray(np.asarray(values, dtype))
 
 
 def with_halo(field: jax.Array) -> jax.Array:
     """Return a field (nx, ny, nz) surrounded by the halo of closed cells."""
     return jnp.pad(field, HALO)
+
+
+def silent(shape: tuple[int, ...], dtype: DTypeLike) -> jax.Array:
+    """Return a field of zeros."""
+    return jnp.asarray(np.zeros(shape, dtype))
+
+
+def silent_with_halo(shape: tuple[int, ...], dtype: DTypeLike) -> jax.Array:
+    """Return a field of zeros of shape (nx, ny, nz), surrounded by the halo."""
+    return silent(tuple(n + sum(pad) for n, pad in zip(shape, HALO, strict=True)), dtype)
 
 
 def laplacian(pressure: jax.Array, operator: Operator) -> jax.Array:

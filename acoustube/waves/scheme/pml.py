@@ -35,6 +35,8 @@ from acoustube.waves.scheme.operator import (
     Operator,
     axial_difference,
     axial_divergence,
+    on_device,
+    silent,
     transverse_divergence,
 )
 
@@ -122,12 +124,12 @@ def absorber(
     if at_source:
         centres, faces = centres[::-1], faces[::-1]
     stretches = [
-        Stretch(*(jnp.asarray(c[None, None], dtype) for c in coefficients))
+        Stretch(*(on_device(c[None, None], dtype) for c in coefficients))
         for coefficients in (
             _recursion(depth, thickness, time_step, sound_speed) for depth in (centres, faces)
         )
     ]
-    at_cells, at_faces = (jnp.zeros((*across, n), dtype) for n in (n_layers, n_layers + 3))
+    at_cells, at_faces = (silent((*across, n), dtype) for n in (n_layers, n_layers + 3))
     in_cells, in_faces = stretches
     return Absorber(in_cells, in_faces, at_cells, at_faces, at_faces, at_cells)
 

@@ -15,7 +15,14 @@ from acoustube.waves.grid.cells import CutCells, with_straight_ends
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.scheme.losses import Losses, RelaxationState, losses
-from acoustube.waves.scheme.operator import Operator, assemble, dispersion_coefficient, with_halo
+from acoustube.waves.scheme.operator import (
+    Operator,
+    assemble,
+    dispersion_coefficient,
+    on_device,
+    silent,
+    silent_with_halo,
+)
 from acoustube.waves.scheme.pml import Absorber, absorber, absorber_layers
 from acoustube.waves.scheme.time_step import marching_step
 
@@ -165,7 +172,7 @@ def prepare(
         else None
         for at_source, present in ((True, bool(ahead)), (False, behind is not None))
     ]
-    silence = jnp.zeros(whole.shape, dtype)
+    silence = silent(whole.shape, dtype)
     scheme = _scheme(whole, air, step, source_end, ahead, [ahead + k for k in nodes], dtype)
     lost, memory = None, None
     if lossy_band is not None:
@@ -176,7 +183,7 @@ def prepare(
     return Setup(
         cells=whole,
         scheme=scheme._replace(losses=lost),
-        state=State(with_halo(silence), silence, ends[0], ends[1], memory),
+        state=State(silent_with_halo(whole.shape, dtype), silence, ends[0], ends[1], memory),
         time_step=step,
         source_layer=ahead,
         probes=tuple(k * dz for k in nodes),
@@ -196,18 +203,19 @@ def _scheme(
     operator = assemble(cells, air, dispersion_coefficient(cells, air, step), dtype=dtype)
     released = source_end == "release"
     if released:  # the prescribed pressure does not depend on its neighbours
-        inverse = operator.inverse_volume.at[:, :, source_layer].set(0.0)
-        operator = operator._replace(inverse_volume=inverse)
+        others = np.arange(cells.shape[2]) != source_layer
+        inverse = np.asarray(operator.inverse_volume) * others.astype(dtype)
+        operator = operator._replace(inverse_volume=jnp.asarray(inverse))
     volume = cells.volume_fraction
     driven = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
     weights = volume[:, :, probe_layers]
     return Scheme(
         operator=operator,
-        step_squared=jnp.asarray(step**2, dtype),
-        keep=jnp.asarray(0.0 if released else 1.0, dtype),
-        source=jnp.asarray(driven, dtype),
-        probe_layers=jnp.asarray(probe_layers, jnp.int32),
-        probe_weights=jnp.asarray(weights / weights.sum(axis=(0, 1)), dtype),
+        step_squared=on_device(step**2, dtype),
+        keep=on_device(0.0 if released else 1.0, dtype),
+        source=on_device(driven, dtype),
+        probe_layers=on_device(np.array(probe_layers), np.int32),
+        probe_weights=on_device(weights / weights.sum(axis=(0, 1)), dtype),
         losses=None,
     )
 

@@ -107,15 +107,16 @@ def largest_eigenvalue(operator: Operator, iterations: int = ITERATIONS) -> floa
        linear differential and integral operators. Journal of Research of the National Bureau of
        Standards 45, 255-282. doi:10.6028/jres.045.026
     """
-    volume = jnp.where(operator.inverse_volume > 0.0, 1.0 / operator.inverse_volume, 0.0)
-    current = jnp.asarray(_checkerboard(volume.shape), volume.dtype) * (volume > 0.0)
-    previous = jnp.zeros_like(current)
-    coupling = jnp.sqrt(jnp.sum(volume * current**2))
-    if not float(coupling) > 0.0:
+    inverse = np.asarray(operator.inverse_volume)
+    volume = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0.0)
+    start = _checkerboard(volume.shape).astype(volume.dtype) * (volume > 0.0)
+    norm = np.sqrt(np.sum(volume * start**2))
+    if not norm > 0.0:
         raise ValueError("the grid has no open cell; check the lumen and the spacing")
-    current = current / coupling
+    volume, current, previous, coupling = map(
+        jnp.asarray, (volume, start / norm, np.zeros_like(volume), np.zeros_like(norm))
+    )
     diagonal, off_diagonal = [], []
-    coupling = jnp.zeros_like(coupling)
     for _ in range(iterations):
         previous, current, level, coupling = _lanczos(previous, current, coupling, volume, operator)
         diagonal.append(float(level))
