@@ -30,6 +30,7 @@ from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.straight_part import SKEWED_TOLERANCE, SYMMETRY_TOLERANCE, is_reversible
 from acoustube.waves.modes.grid_modes import duct_modes, labels, phases
 from acoustube.waves.scheme.leapfrog import march
+from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import LOSS_TAPER, Setup, prepare
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -198,7 +199,7 @@ def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
     speed = (air.sound_speed / setup.cells.spacing[0]) ** 2
     faces = 2 * speed * middle[:, layers] * inside
     operator = setup.scheme.operator
-    opened = jnp.asarray(faces, operator.area_x.dtype)
+    opened = on_device(faces, operator.area_x.dtype)
     scheme = setup.scheme._replace(
         operator=operator._replace(area_x=operator.area_x.at[0].set(opened))
     )
@@ -249,9 +250,9 @@ def _ringdown(
     weights = np.tile(modes.weights, (4, 1, 1)).transpose(1, 2, 0)
     dtype = setup.state.change.dtype
     scheme = setup.scheme._replace(
-        source=jnp.asarray(modes.shapes[mode], dtype),
-        probe_layers=jnp.asarray(layers, jnp.int32),
-        probe_weights=jnp.asarray(weights, dtype),
+        source=on_device(modes.shapes[mode], dtype),
+        probe_layers=on_device(layers, np.int32),
+        probe_weights=on_device(weights, dtype),
     )
     driven = replace(setup, scheme=scheme, source_layer=problem.sources[port])
     band = float(problem.frequency[0]), float(problem.frequency[-1])

@@ -6,12 +6,12 @@ from dataclasses import replace
 from math import pi, sqrt
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from acoustube.air import Air
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phases
+from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import Setup
 
 CELLS_PER_RADIAN = 1.5
@@ -81,7 +81,7 @@ def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
         _weights(probe, setup, int(layer), air)
         for probe, layer in zip(probes, scheme.probe_layers, strict=True)
     ]
-    stacked = jnp.asarray(np.stack(weights, axis=-1), scheme.probe_weights.dtype)
+    stacked = on_device(np.stack(weights, axis=-1), scheme.probe_weights.dtype)
     return replace(setup, scheme=scheme._replace(probe_weights=stacked))
 
 
@@ -174,6 +174,6 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     gain = 1j * slope / (1 - np.exp(-1j * omega))
     spectrum = np.fft.rfft(wave, n)
     spectrum[0], spectrum[1:] = 0.0, spectrum[1:] * gain
-    shape = jnp.asarray(modes.shapes[which], setup.scheme.source.dtype)
+    shape = on_device(modes.shapes[which], setup.scheme.source.dtype)
     driven = replace(setup, scheme=setup.scheme._replace(source=shape))
     return driven, np.fft.irfft(spectrum, n)[: len(wave) - 1]

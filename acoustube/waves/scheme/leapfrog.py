@@ -26,7 +26,13 @@ from acoustube.waves.scheme.losses import (
     bulk_absorption,
     lossy_change,
 )
-from acoustube.waves.scheme.operator import INTERIOR, Operator, laplacian, with_halo
+from acoustube.waves.scheme.operator import (
+    INTERIOR,
+    Operator,
+    laplacian,
+    on_device,
+    with_halo,
+)
 from acoustube.waves.scheme.pml import Absorber, pml_step
 from acoustube.waves.scheme.problem import Scheme, Setup, State
 
@@ -53,12 +59,18 @@ def initial_state(setup: Setup, pressure: ArrayLike) -> State:
     State
         Initial state of a march.
     """
-    silence, operator = setup.state, setup.scheme.operator
-    field = with_halo(jnp.asarray(pressure, silence.change.dtype))
-    field = field.at[INTERIOR].multiply(operator.inverse_volume > 0.0)
-    # Half a step backwards, so that the first step is that of a start at rest.
-    change = -0.5 * setup.scheme.step_squared * laplacian(field, operator)
+    silence, scheme = setup.state, setup.scheme
+    field, change = _from_rest(on_device(pressure, silence.change.dtype), scheme)
     return silence._replace(pressure=field, change=change)
+
+
+@jax.jit
+def _from_rest(pressure: jax.Array, scheme: Scheme) -> tuple[jax.Array, jax.Array]:
+    """Return a pressure with halo and the change that precedes a start at rest."""
+    operator = scheme.operator
+    field = with_halo(jnp.where(operator.inverse_volume > 0.0, pressure, 0.0))
+    # Half a step backwards, so that the first step is that of a start at rest.
+    return field, -0.5 * scheme.step_squared * laplacian(field, operator)
 
 
 def march(
@@ -159,6 +171,9 @@ class _TracedMarcher:
         return self._state
 
 
+_laplacian = jax.jit(laplacian)
+
+
 def acoustic_energy(setup: Setup, state: State) -> float:
     """Return the discrete energy that leapfrog conserves between rigid walls, without absorbers.
 
@@ -167,9 +182,9 @@ def acoustic_energy(setup: Setup, state: State) -> float:
     """
     operator = setup.scheme.operator
     volume = np.asarray(setup.cells.volume_fraction)
-    earlier = np.asarray(state.pressure[INTERIOR] - state.change, dtype=float)
+    earlier = np.asarray(state.pressure)[INTERIOR] - np.asarray(state.change)
     change = np.asarray(state.change, dtype=float)
-    force = np.asarray(laplacian(state.pressure, operator), dtype=float) * setup.time_step**2
+    force = np.asarray(_laplacian(state.pressure, operator), dtype=float) * setup.time_step**2
     return 0.5 * float(np.sum(volume * (change**2 - earlier * force)))
 
 
