@@ -176,6 +176,25 @@ class Instance:
 
 
 @dataclass(frozen=True)
+class Flag:
+    """True or False."""
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the value is a Boolean, of Python or of NumPy.
+
+        Raises
+        ------
+        ConfigError
+        """
+        kind = getattr(getattr(value, "dtype", None), "kind", "")
+        if not isinstance(value, bool) and not (kind == "b" and value.ndim == 0):
+            raise ConfigError(
+                "is neither true nor false", setting=name, value=_in_words(value),
+                advice="use True or False",
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Optional:
     """A rule, or None.
 
@@ -194,6 +213,30 @@ class Optional:
         ConfigError
         """
         if value is not None:
+            check_argument(name, value, self.rule)
+
+
+@dataclass(frozen=True)
+class Either:
+    """An object of some classes, or a value that obeys a rule.
+
+    Parameters
+    ----------
+    kinds : tuple of type
+    rule : rule
+    """
+
+    kinds: tuple[type, ...]
+    rule: Any
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise unless the value is of one of the classes or obeys the rule.
+
+        Raises
+        ------
+        ConfigError
+        """
+        if not isinstance(value, self.kinds):
             check_argument(name, value, self.rule)
 
 
@@ -337,6 +380,7 @@ DURATION = Number(1e-12, 1e6, "s")
 FREQUENCIES = Reals(0, 1e12, "Hz")
 PROMINENCE = Number(0, LARGEST)
 GAPS = Reals(missing=True, empty=True)
+FLAG = Flag()
 REFLECTION = Complex(0, 1e3)
 WAVES = Complex(1e-6, 1e12)
 WAVE_SERIES = Complex(1e-6, 1e12, axes=1)

@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, offsets
+from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, offsets
 from acoustube.estimation.splits import folds
 
 
@@ -91,6 +91,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         ConfigError
             If rows are too few or not finite, or a target is constant.
         """
+        check_settings(self)
         x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
         fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)

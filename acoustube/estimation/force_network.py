@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows
+from acoustube.estimation.inputs import check_inputs, check_rows, check_settings
 from acoustube.estimation.splits import folds
 
 
@@ -92,6 +92,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         ConfigError
             If rows are too few or not finite, or the target is constant.
         """
+        check_settings(self)
         x, targets = check_rows(X, y)
         if targets.shape[1] != 1:
             raise ConfigError(

@@ -6,11 +6,44 @@ from typing import Any
 
 import numpy as np
 
+from acoustube.base.checks import SEED, Reals, Several, check_argument
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 
+ROWS = Reals(missing=True, empty=True)
 MIN_ROWS = 50
 """Least number of training rows: fewer do not determine a standard deviation."""
+
+
+SETTINGS = {
+    "n_folds": Number(2, 1000, "folds", whole=True),
+    "epochs": Number(1, 1e6, whole=True),
+    "batch_size": Number(1, 1e9, "rows", whole=True),
+    "learning_rate": Number(1e-9, 10),
+    "weight_decay": Number(0, 1e3),
+    "max_iter": Number(1, 1e5, "trees", whole=True),
+    "max_leaf_nodes": Number(2, 1e5, "leaves", whole=True),
+    "hidden": Several(Number(1, 1e5, "units", whole=True)),
+    "seed": SEED,
+}
+"""Rules of the estimators' parameters, which scikit-learn leaves to ``fit``."""
+
+
+def check_settings(estimator: Any) -> None:
+    """Raise unless the parameters of an estimator are within their ranges.
+
+    Parameters
+    ----------
+    estimator : sklearn.base.BaseEstimator
+
+    Raises
+    ------
+    ConfigError
+    """
+    for name, value in estimator.get_params().items():
+        if name in SETTINGS:
+            check_argument(name, value, SETTINGS[name])
 
 
 def is_constant(values: Array) -> bool:
@@ -26,7 +59,9 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
     ConfigError
         If their lengths differ, they are not finite or too few, or a target is constant.
     """
-    x, targets = check_inputs(X), np.asarray(y, float)
+    x = check_inputs(X)
+    check_argument("y", y, ROWS)
+    targets = np.asarray(y, float)
     targets = targets[:, None] if targets.ndim == 1 else targets
     if targets.ndim != 2 or len(targets) != len(x):
         raise ConfigError(
@@ -58,6 +93,7 @@ def check_inputs(X: Any, columns: int | None = None) -> Array:
     ConfigError
         If they are not finite or do not have the shape (row, columns).
     """
+    check_argument("X", X, ROWS)
     x = np.asarray(X, float)
     if x.ndim != 2 or (columns is not None and x.shape[1] != columns):
         wanted = "(rows, inputs)" if columns is None else f"(rows, {columns})"

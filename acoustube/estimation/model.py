@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from acoustube.base.checks import SEED, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice
 from acoustube.estimation import splits
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
@@ -89,6 +91,13 @@ def usable(table: xr.Dataset, targets: tuple[str, ...]) -> Any:
     return used
 
 
+@checked(
+    table=xr.Dataset,
+    name=Choice(tuple(ESTIMATORS)),
+    feature_settings=FeatureSettings,
+    by=Choice(splits.KINDS),
+    seed=SEED,
+)
 def train(
     table: xr.Dataset,
     name: str,
@@ -128,6 +137,7 @@ def train(
     ConfigError
         If labels are missing, or the cycles are too few or a label is constant.
     """
+    _check_table(table)
     targets = targets_of(name, table)
     used = usable(table, targets)
     if used.sum() < MIN_ROWS:
@@ -160,6 +170,13 @@ def train(
     )
 
 
+def _check_table(table: xr.Dataset) -> None:
+    """Raise unless a dataset is a table of features."""
+    if "features" not in table or "sampling_rate" not in table.attrs:
+        raise ConfigError("table has no features, or no sampling_rate; give a feature_table")
+
+
+@checked(model=Model, table=xr.Dataset)
 def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     """Return the estimates of a model for a table of features.
 
@@ -182,6 +199,7 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
         If the sampling rate differs from that of the training cycles, or an estimate is not a
         finite number.
     """
+    _check_table(table)
     rate = float(table.attrs["sampling_rate"])
     if abs(rate / model.sampling_rate - 1) > 1e-3:
         raise ConfigError(

@@ -12,9 +12,11 @@ from jax.tree_util import Partial
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from acoustube.base.checks import FLAG, Either, Instance, Optional, Reals, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.report import part_of
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array, Progress
 from acoustube.indentation import wrinkle_penalty
 from acoustube.indentation.assembly import Model, build_model
@@ -40,10 +42,23 @@ GUIDE_TOLERANCE = 1e-3
 GUIDE_SUBDIVISIONS = 2
 """Triangle edges of its inner wall along the edge of an element's face."""
 
+DEPTHS = Reals(0, 1, "m")
+INDENTERS = Optional(Either((Indenter,), Several(Indenter, 1)))
+SUPPORT = Choice(SUPPORTS, "of the tube")
 GUIDE_SHARE = 0.25
 """Its part of the whole computing time, for the progress."""
 
 
+@checked(
+    tube=Tube,
+    indenter=INDENTERS,
+    depth=DEPTHS,
+    support=SUPPORT,
+    layer=Optional(Layer),
+    mesh=Optional(Instance((Mesh, MeshSize))),
+    whole=FLAG,
+    barrier_distance=Optional(Number(1e-9, 1e-2, "m")),
+)
 def indent(
     tube: Tube,
     indenter: Indenter | Sequence[Indenter] | None = None,
@@ -148,6 +163,14 @@ def _guide(untouched: Indentation, targets: Array, progress: Progress | None) ->
     return guide(coarse, untouched.mesh) if len(coarse.depth) > 1 else None
 
 
+@checked(
+    tube=Tube,
+    indenter=INDENTERS,
+    results=Mapping,
+    support=SUPPORT,
+    layer=Optional(Layer),
+    mesh=Optional(Instance((Mesh, MeshSize))),
+)
 def restored(
     tube: Tube,
     indenter: Indenter | Sequence[Indenter] | None,
@@ -169,7 +192,14 @@ def restored(
     Returns
     -------
     Indentation
+
+    Raises
+    ------
+    ConfigError
+        If a result is missing, or an argument is outside its range.
     """
+    if missing := set(RESULTS) - set(results):
+        raise ConfigError(f"results have no {min(missing)}; give those of an Indentation")
     indenters = _indenters(indenter)
     with jax.enable_x64(True):
         untouched = first_touch(
@@ -262,10 +292,7 @@ def press_model(indentation: Indentation, subdivisions: int = SUBDIVISIONS) -> M
 def _indenters(indenter: Indenter | Sequence[Indenter] | None) -> tuple[Indenter, ...]:
     if indenter is None:
         return (Indenter(),)
-    indenters = (indenter,) if isinstance(indenter, Indenter) else tuple(indenter)
-    if not indenters:
-        raise ConfigError("indenter = () is empty; give at least one Indenter.")
-    return indenters
+    return (indenter,) if isinstance(indenter, Indenter) else tuple(indenter)
 
 
 def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
@@ -291,8 +318,6 @@ def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "
             f"closed{' and the layer is flat' * (layer is not None)}; use at most {deepest:.6g}."
         )
-    if support not in SUPPORTS:
-        raise ConfigError(f"support = {support!r} is unknown; use 'held' or 'free'.")
     if layer is not None and support == "held":
         raise ConfigError("support = 'held' needs a rigid floor; use 'free' on an elastic layer.")
 

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 
 from acoustube.base.checks import Reals, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array, Index
 from acoustube.indentation import Indentation, Mesh
 from acoustube.indentation.self_contact import triangulated
+
+INCREMENT = Number(-1e9, 1e9, whole=True)
 
 TRIANGLES_PER_EDGE = 8
 """Triangle edges along the edge of an element's face, for the measurement of sections."""
@@ -39,6 +43,25 @@ class Profile:
     width: Array
 
 
+def check_increment(indentation: Indentation, increment: int) -> None:
+    """Raise unless a press has an increment.
+
+    Parameters
+    ----------
+    indentation : Indentation
+    increment : int
+        Its number, negative from the last.
+
+    Raises
+    ------
+    ConfigError
+    """
+    count = len(indentation.depth)
+    if not -count <= increment < count:
+        raise ConfigError(f"increment = {increment} is out of range; use 0 to {count - 1}")
+
+
+@checked(mesh=Mesh)
 def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
     """Triangulate the inner wall for the measurement of sections.
 
@@ -55,6 +78,7 @@ def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
     return triangulated(mesh, parts=TRIANGLES_PER_EDGE)
 
 
+@checked(indentation=Indentation, increment=INCREMENT, z=Reals(-1e6, 1e6, "m", ndim=1, empty=True))
 def measure(
     indentation: Indentation,
     increment: int,
@@ -77,7 +101,13 @@ def measure(
     -------
     Profile
         Of the whole section, even if half of it is modelled.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such increment.
     """
+    check_increment(indentation, increment)
     mesh = indentation.mesh
     sampling, triangles = wall or inner_wall(mesh)
     modelled = np.abs(z) if mesh.halved[1] else z

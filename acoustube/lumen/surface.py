@@ -9,11 +9,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from acoustube.base.checks import checked
+from acoustube.base.checks import FLAG, LENGTH, PLACE, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.indentation import Indentation, Mesh
+from acoustube.lumen.profiles import INCREMENT, check_increment
 from acoustube.lumen.straightening import straighten
 
 FACETS_PER_ELEMENT = 6
@@ -82,6 +83,7 @@ def _fan(rim: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([np.full(len(rim) - 2, rim[0]), rim[1:-1], rim[2:]], axis=-1)
 
 
+@checked(indentation=Indentation, increment=INCREMENT, outer=FLAG)
 def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool = False) -> Array:
     """Return the deformed inner or outer wall of the modelled part as rings of points.
 
@@ -99,7 +101,15 @@ def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool 
     array of shape (n_rings, n_around, 3)
         Points in m, evaluated from the finite-element interpolation; rings in the order of z. Each
         ring runs from the bottom over the side x > 0; its last point is next to the first.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such increment, or the wall is an imported one.
     """
+    check_increment(indentation, increment)
+    if indentation.mesh.sweep is None:
+        raise ConfigError("indentation is of an imported wall; give one of a round tube")
     return _wall(indentation.mesh, indentation.position(increment), outer=outer)
 
 
@@ -122,6 +132,7 @@ def _wall(mesh: Mesh, position: Array, *, outer: bool) -> Array:
     return np.concatenate([half, half[:, -2:0:-1] * [-1, 1, 1]], axis=1)
 
 
+@checked(indentation=Indentation, position=PLACE, increment=INCREMENT)
 def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lumen:
     """Build the lumen of the whole tube: the deformed part between undeformed ends.
 
@@ -167,6 +178,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
 
 
+@checked(indentation=Indentation, increment=INCREMENT)
 def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
     """Build the lumen of the deformed part alone, between short undeformed ends.
 
@@ -193,6 +205,7 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
     return lumen(dataclasses.replace(indentation, tube=short), half, increment)
 
 
+@checked(part=Lumen, position=PLACE, length=LENGTH)
 def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
     """Return the lumen of a whole tube from the lumen of its pressed part.
 

@@ -15,7 +15,17 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
-from acoustube.base.checks import DISTANCE, LENGTH, SEED, TEMPERATURE, Reals, Several, checked
+from acoustube.base.checks import (
+    DISTANCE,
+    LENGTH,
+    SEED,
+    TEMPERATURE,
+    WAVE_SERIES,
+    Reals,
+    Several,
+    checked,
+)
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
 from acoustube.waves.modes import axial_wavenumber
@@ -66,6 +76,15 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     return PlacedScatterer(closed, position)
 
 
+@checked(
+    presses=Several(PlacedScatterer),
+    air=Air,
+    frequency=WAVE_SERIES,
+    radius=LENGTH,
+    length=LENGTH,
+    density=Number(0, 1e6, "1/m"),
+    tube_seed=SEED,
+)
 def clutter(
     presses: Sequence[PlacedScatterer],
     air: Air,

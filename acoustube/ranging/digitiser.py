@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from acoustube.base.checks import SEED, Several, checked
+from acoustube.base.checks import SEED, Optional, Reals, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -34,6 +34,13 @@ DRIFT_PERIODS = np.geomspace(10.0, 1000.0, 8)
 """Periods of the drift's sines in s: long against a record, and without a common period."""
 
 
+@checked(
+    voltage=Reals(ndim=1, axes=1),
+    rangefinder=Rangefinder,
+    cycles=Reals(0, 2**53, ndim=1, kinds="iu", empty=True),
+    seed=SEED,
+    session_seed=Optional(SEED),
+)
 def digitise(
     voltage: Array,
     rangefinder: Rangefinder,

@@ -8,6 +8,8 @@ from math import asin, log10, pi, sin, sqrt
 import numpy as np
 
 from acoustube.air import Air
+from acoustube.base.checks import DURATION, FLAG, FREQUENCY, LENGTH, SAMPLES, Optional, checked
+from acoustube.base.errors import ConfigError
 from acoustube.base.units import MM
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
@@ -112,6 +114,16 @@ def spectral_budget(found: SpectralScattering, pressure: Array) -> SpectralBudge
     )
 
 
+@checked(
+    cells=CutCells,
+    air=Air,
+    frequency=FREQUENCY,
+    highest=FREQUENCY,
+    radius=LENGTH,
+    time_step=Optional(DURATION),
+    lossy=FLAG,
+    pressure=SAMPLES,
+)
 def error_budget(
     cells: CutCells,
     air: Air,
@@ -145,6 +157,11 @@ def error_budget(
     Returns
     -------
     Budget
+
+    Raises
+    ------
+    ConfigError
+        If the recording is silent, or an argument is outside its range.
     """
     half = cells.origin[0] == 0.0
     area = cells.area()[1] * (2 if half else 1)
@@ -170,7 +187,10 @@ def error_budget(
 def _ringing(pressure: Array) -> float:
     """Return the highest pressure at the end of a recording in dB of the highest of all."""
     tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
-    return 20 * log10(max(float(np.abs(tail).max() / np.abs(pressure).max()), 1e-12))
+    highest = float(np.abs(pressure).max())
+    if not highest:
+        raise ConfigError("pressure is 0 throughout; give a recording")
+    return 20 * log10(max(float(np.abs(tail).max()) / highest, 1e-12))
 
 
 def absorber_reflection() -> float:

@@ -5,15 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from acoustube.air import Air
-from acoustube.base.checks import LENGTH, checked
-from acoustube.base.rules import Number
+from acoustube.base.checks import DURATION, LENGTH, PLACE, Either, Optional, Reals, Several, checked
+from acoustube.base.rules import Choice, Number
 from acoustube.waves.grid.cells import CutCells
-from acoustube.waves.modes.probes import Probe, height_of, launching, with_probes
+from acoustube.waves.modes.probes import (
+    ModalProbe,
+    PointProbe,
+    Probe,
+    height_of,
+    launching,
+    with_probes,
+)
 from acoustube.waves.scheme.leapfrog import CHUNK, Array, Progress, march
 from acoustube.waves.scheme.problem import FarEnd, Setup, SourceEnd, prepare
 from acoustube.waves.scheme.pulse import check_pulse
@@ -85,6 +93,18 @@ def grid_spacing(
     return across, across, probe / ceil(probe / across - 1e-9)
 
 
+@checked(
+    cells=CutCells,
+    air=Air,
+    duration=DURATION,
+    probes=Several(Either((ModalProbe, PointProbe), PLACE), 1),
+    source_end=Choice(get_args(SourceEnd)),
+    source_mode=str,
+    far_end=Choice(get_args(FarEnd)),
+    absorber_thickness=LENGTH,
+    time_step=Optional(DURATION),
+    lossy_band=Optional(Reals(1e-3, 1e12, "Hz", ndim=1, last=2)),
+)
 def propagate(
     cells: CutCells,
     air: Air,

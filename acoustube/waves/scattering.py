@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import Air
+from acoustube.base.checks import DURATION, FLAG, LENGTH, Optional, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
@@ -95,6 +96,17 @@ class PlacedScatterer:
     position: float
 
 
+@checked(
+    cells=CutCells,
+    air=Air,
+    frequency=Reals(1e-3, 1e12, "Hz", ndim=1),
+    reference=Reals(-1e6, 1e6, "m", ndim=1, last=2),
+    lossy=FLAG,
+    symmetric=Optional(FLAG),
+    symmetric_only=FLAG,
+    longest=DURATION,
+    absorber_thickness=LENGTH,
+)
 def scatter(
     cells: CutCells,
     air: Air,
@@ -157,7 +169,7 @@ def scatter(
     z, on the grid too, one end is driven.
     """
     frequency = np.asarray(frequency, float)
-    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+    if not np.all(np.diff(frequency) > 0):
         raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
     core = straight_ends_cut(cells)
     parities: tuple[bool | None, ...] = (None,)

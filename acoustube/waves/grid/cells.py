@@ -25,6 +25,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from acoustube.base.checks import FLAG, Reals, checked
 from acoustube.waves.grid.polyhedron import SNAP, Array, Fractions, cut_polyhedron
 
 Spacing = tuple[float, float, float]
@@ -75,6 +76,7 @@ class CutCells:
         return open_cells * dx * dy
 
 
+@checked(surface=trimesh.Trimesh, spacing=Reals(1e-9, 1e6, "m"), half=FLAG)
 def cut_cells(
     surface: trimesh.Trimesh, spacing: float | ArrayLike, *, half: bool = False
 ) -> CutCells:

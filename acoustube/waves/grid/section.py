@@ -10,6 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 
+from acoustube.base.checks import SPEED, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.waves.grid.cells import CutCells
 
 
@@ -44,6 +47,12 @@ def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp
     return matrix
 
 
+@checked(
+    cells=CutCells,
+    layer=Number(-1e9, 1e9, whole=True),
+    sound_speed=SPEED,
+    n_modes=Number(1, 1e6, "modes", whole=True),
+)
 def section_cut_ons(
     cells: CutCells, layer: int, sound_speed: float, n_modes: int = 4
 ) -> NDArray[np.float64]:
@@ -68,14 +77,26 @@ def section_cut_ons(
     ndarray
         Frequencies in Hz, (n_modes,), ascending; the first is the plane mode's zero.
 
+    Raises
+    ------
+    ConfigError
+        If there is no such layer, or it has fewer cells than modes.
+
     Notes
     -----
     The eigenvalue problem ``sum A (p - p') = (2 pi f h / c)^2 V p`` of the cut cells across the
     tube, by shift-inverted Lanczos iteration.
     """
     dx, dy, _ = cells.spacing
+    n_layers = cells.volume_fraction.shape[2]
+    if not -n_layers <= layer < n_layers:
+        raise ConfigError(f"layer = {layer} is out of range; use 0 to {n_layers - 1}")
     volume = cells.volume_fraction[:, :, layer]
     inside = volume > 0.0
+    if not n_modes < inside.sum():
+        raise ConfigError(
+            f"n_modes = {n_modes} are too many of {inside.sum()} cells; use fewer, or a finer grid"
+        )
     faces = cells.open_x[:, :, layer] / dx**2, cells.open_y[:, :, layer] / dy**2
     stiffness = section_stiffness(*faces, inside)
     # Just below zero: the plane mode's eigenvalue is zero and would make the shift singular. From a

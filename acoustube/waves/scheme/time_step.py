@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import eigh_tridiagonal
 
 from acoustube.air import Air
+from acoustube.base.checks import checked
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.small_cells import share_small_volumes
@@ -27,6 +28,7 @@ ITERATIONS = 40
 """Number of Lanczos steps."""
 
 
+@checked(cells=CutCells, air=Air)
 def stable_step(cells: CutCells, air: Air) -> float:
     """Return the default time step of `propagate`.
 
