@@ -430,9 +430,9 @@ def test_impossible_indenters_are_refused(values):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"support": "glued"}, "support = 'glued' is unknown"),
+        ({"support": "glued"}, "support = 'glued' is not a choice"),
         ({"layer": Layer(thickness=1e-3, modulus=1e5)}, "support = 'held' needs a rigid floor"),
-        ({"indenter": ()}, "at least one Indenter"),
+        ({"indenter": ()}, "indenter = .* is too short, of 0; give 1 or more"),
         ({"indenter": Indenter(shape="sphere", diameter=5e-3, x=9e-3)}, "misses the tube"),
     ],
 )

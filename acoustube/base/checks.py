@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Number as AnyNumber
+from os import PathLike
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from acoustube.base.errors import ConfigError
@@ -370,6 +371,7 @@ PLACES = Reals(-1e6, 1e6, "m", last=3, empty=True)
 RATE = Number(1e-3, 1e12, "Hz")
 FREQUENCY = Number(1e-3, 1e12, "Hz")
 LENGTH = Number(1e-9, 1e6, "m")
+BORE = Number(1e-5, 1e3, "m")
 PLACE = Number(-1e6, 1e6, "m")
 DISTANCE = Number(0, 1e6, "m")
 SPEED = Number(1, 1e5, "m/s")
@@ -381,6 +383,7 @@ FREQUENCIES = Reals(0, 1e12, "Hz")
 PROMINENCE = Number(0, LARGEST)
 GAPS = Reals(missing=True, empty=True)
 FLAG = Flag()
+PATH = Instance((str, PathLike))
 REFLECTION = Complex(0, 1e3)
 WAVES = Complex(1e-6, 1e12)
 WAVE_SERIES = Complex(1e-6, 1e12, axes=1)

@@ -64,7 +64,8 @@ def note(console: Console, text: str) -> None:
 def _labelled(console: Console, colour: str, label: str, text: str) -> None:
     from rich.text import Text
 
-    console.print(Text.assemble((f"{label}:", colour), " ", readable(text)), soft_wrap=True)
+    one_line = readable(text).replace("\n", "\\n")  # in the name of a file
+    console.print(Text.assemble((f"{label}:", colour), " ", one_line), soft_wrap=True)
 
 
 def failure(text: str, label: str = "failed") -> None:

@@ -72,22 +72,24 @@ def short(value: Any) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-LONGEST_WORD, LONGEST_TEXT = 300, 3000
-"""Characters of a word, and of a whole text, that are shown."""
+LONGEST_WORD, LONGEST_TEXT, LONGEST_SENTENCE = 200, 3000, 600
+"""Characters of a word, of a text, and of the sentence of an error that are shown."""
 
 
-def readable(text: str) -> str:
+def readable(text: str, longest: int = LONGEST_TEXT) -> str:
     """Return a text as it can be shown: long parts shortened, control characters as codes.
 
     Parameters
     ----------
     text : str
         With values that a user has given, of any length and content.
+    longest : int
+        Characters that are shown of it.
     """
     if len(text) > LONGEST_WORD:
         words = re.split(r"(\s+)", text)
         text = "".join(_shortened(word, LONGEST_WORD) for word in words)
-    text = _shortened(text, LONGEST_TEXT)
+    text = _shortened(text, longest)
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in "\n\t" else _code(c) for c in text)

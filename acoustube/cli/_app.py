@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from cyclopts import App, CoercionError, CycloptsError, Parameter, UnusedCliTokensError
 
 from acoustube.base import cache
-from acoustube.base.errors import ConfigError, SimulationError, readable
+from acoustube.base.errors import LONGEST_SENTENCE, ConfigError, SimulationError, readable
 from acoustube.base.foreign.limits import VARIABLE
 from acoustube.base.interrupts import SENTENCE, exit_code, watched_interrupts
 from acoustube.base.version import __version__
@@ -163,5 +163,6 @@ def _about_file(error: OSError) -> str:
 def _fail(message: str, code: int) -> int:
     """Print one line on standard error and return the exit code."""
     with suppress(OSError):  # it is closed, or a pipe that nobody reads
-        print(f"acoustube: {readable(' '.join(message.split()))}", file=sys.stderr, flush=True)
+        sentence = readable(" ".join(message.split()), LONGEST_SENTENCE)
+        print(f"acoustube: {sentence}", file=sys.stderr, flush=True)
     return code

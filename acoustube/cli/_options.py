@@ -115,18 +115,15 @@ class Checked:
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Output(Checked):
-    """Options of every command.
+class Limits(Checked):
+    """Option of every command that reads files.
 
     Attributes
     ----------
-    quiet : bool
-        Messages off, except errors.
     limits : float
         Factor on the limits of size and number of what is read from files.
     """
 
-    quiet: Annotated[bool, FLAG] = False
     limits: Annotated[float | None, Number(1e-3, 1e6, "", "factor")] = None
 
     def __post_init__(self) -> None:
@@ -134,6 +131,20 @@ class Output(Checked):
         super().__post_init__()
         if self.limits is not None:
             os.environ[VARIABLE] = str(self.limits)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Output(Limits):
+    """Options of every command.
+
+    Attributes
+    ----------
+    quiet : bool
+        Messages off, except errors.
+    """
+
+    quiet: Annotated[bool, FLAG] = False
 
     def console(self, *, stderr: bool = False) -> Console:
         """Return the console to print on."""

@@ -10,7 +10,7 @@ from zipfile import is_zipfile
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
-from acoustube.cli._options import FLAG
+from acoustube.cli._options import FLAG, Limits
 from acoustube.cli.references import TOPICS, Reference, references
 
 CREASING = 0.72
@@ -22,7 +22,13 @@ OF_ESTIMATORS = {
 }
 
 
-def cite(result: Path | None = None, /, *, bibtex: Annotated[bool, FLAG] = False) -> None:
+def cite(
+    result: Path | None = None,
+    /,
+    *,
+    bibtex: Annotated[bool, FLAG] = False,
+    limits: Limits = Limits(),  # noqa: ARG001  read where files are
+) -> None:
     """List what a publication should cite: the program, and the sources of its methods.
 
     Parameters

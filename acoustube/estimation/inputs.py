@@ -95,7 +95,7 @@ def check_inputs(X: Any, columns: int | None = None) -> Array:
     """
     check_argument("X", X, ROWS)
     x = np.asarray(X, float)
-    if x.ndim != 2 or (columns is not None and x.shape[1] != columns):
+    if x.ndim != 2 or not x.shape[1] or (columns is not None and x.shape[1] != columns):
         wanted = "(rows, inputs)" if columns is None else f"(rows, {columns})"
         raise ConfigError(f"X has shape {x.shape}; give {wanted}")
     if bad := int(np.sum(~np.isfinite(x).all(axis=1))):

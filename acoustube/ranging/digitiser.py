@@ -67,6 +67,7 @@ def digitise(
     ndarray
         Counts, (n, n_samples): uint16, or float64 if not quantised.
     """
+    voltage, cycles = np.asarray(voltage), np.asarray(cycles)
     per_volt = 2**rangefinder.bits / rangefinder.full_scale
     counts = np.empty(
         (len(cycles), len(voltage)), np.uint16 if rangefinder.quantised else np.float64

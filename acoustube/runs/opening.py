@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from acoustube.base.checks import FLAG, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import check_result
@@ -23,6 +24,7 @@ PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
 """Result files of a folder, by the dimension along which they are joined."""
 
 
+@checked(verify=FLAG)
 def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = True) -> xr.Dataset:
     """Open a sweep or a dataset of cycles, or several, as one.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base import cache
+from acoustube.base.checks import Instance, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.units import MM, MPA
@@ -29,6 +30,7 @@ Note = Callable[[str], None]
 MESH = ("points", "elements", "inner_faces", "outer_faces")
 
 
+@checked(config=Instance((Config, Mechanics)), depths=Reals(0, 1, "m", ndim=1))
 def pressed(
     config: Config | Mechanics,
     depths: Sequence[float],

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base import cache
+from acoustube.base.checks import PATH, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
@@ -101,6 +102,7 @@ def recall(name: str) -> StoredScattering | None:
         return from_dataset(data.load())
 
 
+@checked(path=PATH)
 def read(path: str | Path) -> StoredScattering:
     """Read a scattering matrix that ``acoustube scatter`` wrote.
 

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness
+from acoustube.base.checks import Optional, checked
 from acoustube.base.errors import SimulationError
 from acoustube.base.limits import LARGEST_CLOSING
 from acoustube.base.report import ignore
@@ -34,6 +35,7 @@ from acoustube.waves import Budget, attenuation, cut_ons_in_band
 from acoustube.waves.budget import SpectralBudget
 
 
+@checked(config=Optional(Config))
 def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
     """Simulate a press, a pulse in the lumen, and the localisation of the press by its echo.
 

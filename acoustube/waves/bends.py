@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from acoustube.air import Air
-from acoustube.base.checks import FREQUENCIES, LENGTH, PLACE, Several, check_fields, checked
+from acoustube.base.checks import BORE, FREQUENCIES, LENGTH, Several, check_fields, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.grid.polyhedron import Array
@@ -102,7 +102,7 @@ class Bent:
 @checked(
     air=Air,
     frequency=FREQUENCIES,
-    radius=PLACE,
+    radius=BORE,
     bend_radius=Number(-1e6, 1e6, "m"),
     angle=Number(-1e6, 1e6, "rad"),
     torsion=Number(-1e6, 1e6, "1/m"),
@@ -172,7 +172,7 @@ def bend(
     air=Air,
     frequency=FREQUENCIES,
     parts=Several(Bent, 1),
-    radius=PLACE,
+    radius=BORE,
     highest=Number(1, 50),
 )
 def joined_bends(

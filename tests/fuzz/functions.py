@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import inspect
 import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 
@@ -25,7 +29,7 @@ ALSO = {
     "time": ("sampling rate", "before"), "time_step": ("band", "longer than the run"),
     "pulse": ("the run",), "line": ("curve",),
     "settings": ("matched filter",), "temperature": ("air", "m/s"), "untouched": ("cycles",),
-    "outer_diameter": ("thick", "loops"),
+    "outer_diameter": ("thick", "loops"), "count": ("seed",),
 }  # fmt: skip
 """Words by which a sentence may name an argument, where several of them together are wrong."""
 
@@ -108,14 +112,50 @@ def _huge(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**100
 
 
+class Reached(Exception):  # noqa: N818
+    """All checks have passed, and the computation would begin."""
+
+
+def up_to(function: Callable[..., Any], *places: str) -> Callable[..., Any]:
+    """Return a function that ends where its computation of seconds or minutes would begin.
+
+    Parameters
+    ----------
+    function : callable
+    *places : str
+        What it would call first, as ``module:name``.
+    """
+
+    @functools.wraps(function)
+    def checks(**given: Any) -> float:
+        with contextlib.ExitStack() as stack:
+            for place in places:
+                module, _, name = place.partition(":")
+                stack.enter_context(
+                    mock.patch.object(import_module(module), name, side_effect=Reached)
+                )
+            try:
+                function(**given)
+            except Reached:
+                return 0.0
+        raise AssertionError(f"{function.__name__} never calls {' or '.join(places)}")
+
+    return checks
+
+
 @cache
 def specs() -> dict[str, Spec]:
     """Return the public functions by name."""
-    groups = (_of_signals(), _of_sleeve(), _of_waves(), _of_air(), _of_estimation(), _of_walls())
+    from tests.fuzz.costly import of_estimators, of_fields, of_presses
+
+    groups = (
+        _of_signals(), _of_sleeve(), _of_waves(), _of_air(), _of_estimation(), _of_walls(),
+        of_presses(), of_fields(), of_estimators(),
+    )  # fmt: skip
     return {name: spec for group in groups for name, spec in group.items()}
 
 
-def _named_specs(module: str, rows: list[tuple[Any, ...]]) -> dict[str, Spec]:
+def named_specs(module: str, rows: list[tuple[Any, ...]]) -> dict[str, Spec]:
     return {f"{module}.{getattr(f, '__name__', f)}": Spec(f, *rest) for f, *rest in rows}
 
 
@@ -134,7 +174,7 @@ def _of_signals() -> dict[str, Spec]:
     processing = {
         f.name: f.default for f in dataclasses.fields(s.Processing) if f.name != "gain"
     }  # fmt: skip
-    return _named_specs(
+    return named_specs(
         "signals",
         [
             (s.sampling_rate, {"time": TIME}),
@@ -192,7 +232,7 @@ def _of_sleeve() -> dict[str, Spec]:
               "hand": "left", "lead": 0.1, "outer_diameter": 0.01, "reach": 2.5}  # fmt: skip
     layout = {"tubes": tubes, "dead_zone": 0.15, "reach": 2.5, "within": 0.01, "deviation": 0.05}
     following = {f.name: f.default for f in dataclasses.fields(s.TrackingSettings)}
-    return _named_specs(
+    return named_specs(
         "sleeve",
         [
             (s.Helix, helix),
@@ -225,7 +265,7 @@ def _of_waves() -> dict[str, Spec]:
     tube = {"presses": press, "radius": 3.95e-3, "length": 1.0}
     ends = {"probes": (0.02,), "source_reflection": -1.0, "far_reflection": 0.0}
     made = {"temperature": 20.0, "tube_seed": 0}
-    return _named_specs(
+    return named_specs(
         "waves",
         [
             (w.Pulse, {"frequency": 42e3, "cycles": 11.0}),
@@ -259,7 +299,7 @@ def _of_air() -> dict[str, Spec]:
     from acoustube.tube import Tube, shear_modulus_from_shore
 
     tube = {f.name: f.default for f in dataclasses.fields(Tube)}
-    return _named_specs(
+    return named_specs(
         "air",
         [
             (a.air_at, {"temperature": 20.0, "humidity": 50.0, "pressure": 101325.0}),
@@ -280,7 +320,7 @@ def _of_estimation() -> dict[str, Spec]:
 
     values, groups = np.linspace(0, 1, 20), np.arange(20) // 2
     features = {"kind": "echo", "processing": Processing(), "radius": 3.95e-3}
-    return _named_specs(
+    return named_specs(
         "estimation",
         [
             (e.errors, {"truth": values, "estimate": values, "half_width": values + 1}, True),
@@ -303,7 +343,7 @@ def _of_walls() -> dict[str, Spec]:
     ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
     rings = 4e-3 * ring + z[:, None, None] * [0, 0, 1]
     line = np.stack([0 * z, 0 * z, z], -1)
-    return _named_specs(
+    return named_specs(
         "walls",
         [
             (w.ring_faces, {"n_rings": 6, "n_around": 12}),

@@ -33,7 +33,7 @@ BATCH = 100
 """Cases of a process."""
 TRIES = 5
 """Times that a case is made until all of its mutations are possible."""
-LONGEST = 3100
+LONGEST = 650
 """Characters of the longest sentence."""
 NOISE = re.compile(
     r"Traceback|Exception ignored|Warning:|\[Errno|Error:|HDF5-DIAG|dumped|^\w+:\d+:"

@@ -365,7 +365,9 @@ def main() -> int:
 
 def _drawn(bench: Bench, chance: Random, given: argparse.Namespace) -> tuple[str, str, float, bool]:
     """Draw a command, a way to end it, a moment, and whether it is repeated."""
-    name = chance.choice(given.command or list(COMMANDS))
+    names = given.command or list(COMMANDS)
+    # The rarer, the longer it takes, so that each second of a command counts about the same.
+    name = chance.choices(names, [1 / (1 + bench.expected(name)[0]) for name in names])[0]
     how = chance.choice(list(ENDS))
     share, again = chance.random(), chance.random() < given.again
     return name, how, share * min(bench.expected(name)[0], 30.0), again

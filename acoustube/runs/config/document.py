@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acoustube.base.checks import PATH, Optional, checked
 from acoustube.base.errors import ConfigError, short
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Number, nearest
@@ -22,6 +23,7 @@ _SECTION_OF = {
 Given = dict[str, dict[str, Any]]
 
 
+@checked(path=Optional(PATH))
 def load_config(
     path: str | Path | None = None,
     kind: type[Settings] = Config,  # type: ignore[assignment]

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from acoustube.base.checks import PATH, Either, Optional, Several, checked
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, Reporter, time_in_words
-from acoustube.base.rules import nearest
+from acoustube.base.rules import Number, nearest
 from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
@@ -79,6 +80,12 @@ Simulated: no fabric, no bends, no scatter between specimens but that of `clutte
 """
 
 
+@checked(
+    sweep=Several(PATH),
+    out=PATH,
+    recipe=Recipe,
+    workers=Optional(Either((Workers,), Number(1, 1024, "processes", whole=True))),
+)
 def run_dataset(
     sweep: Sequence[Path],
     out: Path,

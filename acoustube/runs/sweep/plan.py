@@ -16,6 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from acoustube.base.checks import PATH, Optional, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
 from acoustube.base.version import __version__
@@ -194,6 +195,7 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
+@checked(path=Optional(PATH), over=Optional(Mapping))
 def load_plan(
     path: str | Path | None = None,
     over: Mapping[str, Sequence[str]] | None = None,

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acoustube.base.checks import FLAG, PATH, Either, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.runs.sweep import store
@@ -56,6 +58,14 @@ class Work(NamedTuple):
     n_cases: int
 
 
+@checked(
+    plan=Plan,
+    out=PATH,
+    workers=Optional(Either((Workers,), Number(1, 1024, "processes", whole=True))),
+    width=Optional(Number(1, 1e6, "tasks", whole=True)),
+    share=Several(Number(1, 1e9, whole=True), 2),
+    retry=FLAG,
+)
 def run_sweep(
     plan: Plan,
     out: str | Path,

@@ -169,6 +169,7 @@ def axial_wavenumber(
        doi:10.1016/0022-460X(87)90186-6
     """
     frequency = np.asarray(frequency)
+    frequency = frequency.astype(np.result_type(frequency, float), copy=False)  # half overflows
     omega, zero = 2 * pi * frequency, bessel_zero(m, n)
     k = omega / air.sound_speed + 0j
     if not lossy:
