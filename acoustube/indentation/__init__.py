@@ -7,18 +7,21 @@ punches, spheres and the ground), ``self_contact`` (the barrier between the lume
 ``wrinkle_penalty`` (smooth folds), ``linear_solver`` (the sparse matrix and its factorisation),
 ``assembly`` (energy, residual and tangent of the whole tube), ``newton`` (equilibrium at one
 depth), ``result``, ``guide`` (a path on a coarse mesh), ``load_path`` (increments of depth),
-``press`` (the public function), ``derivatives`` (sensitivities), and for imported walls
-``wall_surface``, ``boundary_nodes`` and ``tetrahedra``.
+``press`` (the public function), ``depth_path`` (depths between), ``derivatives`` (sensitivities),
+and for imported walls ``wall_surface``, ``boundary_nodes`` and ``tetrahedra``.
 """
 
+from acoustube.indentation.depth_path import DepthPath, InterpolationError
 from acoustube.indentation.indenters import Indenter, Layer, Press, Support
 from acoustube.indentation.mesh import Mesh, MeshSize
 from acoustube.indentation.press import indent, restored
 from acoustube.indentation.result import Indentation, PressError
 
 __all__ = [
+    "DepthPath",
     "Indentation",
     "Indenter",
+    "InterpolationError",
     "Layer",
     "Mesh",
     "MeshSize",

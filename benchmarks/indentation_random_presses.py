@@ -1,0 +1,129 @@
+"""How many presses of random tubes by random indenters reach their depth, and is any of them wrong?
+
+Draws the tube (bore 3 to 20 mm, wall 0.5 to 4 mm, hardness 10 to 70 Shore A), the indenter (rod,
+punch or sphere, 4 to 60 mm, half of them off the axis, half of the rods turned), the ground and the
+depth (up to 95 % of the bore), and presses a mesh of one or two layers of 12 by 10 elements:
+``OMP_NUM_THREADS=1 python benchmarks/indentation_random_presses.py FILE [COUNT]``. FILE gets a line
+of JSON for each press; a second run goes on after the last of them, and prints what all show. A
+press depends on its number alone.
+
+Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
+and volume ratios above zero, and the work of the force against the change of the whole potential
+energy, which are equal at a fixed ground whatever the contact.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.units import MM
+from acoustube.indentation import Indentation, Indenter, Layer, MeshSize, PressError, indent
+from acoustube.indentation.assembly import evaluate
+from acoustube.indentation.load_path import FORCE_TOLERANCE
+from acoustube.indentation.press import press_model
+from acoustube.tube import Tube, shear_modulus_from_shore
+
+DEPTHS = 12
+"""Depths of each press, so that the work can be integrated."""
+WORK_TOLERANCE = 0.01
+"""Largest difference of work and energy: of cubic splines through twelve forces."""
+
+
+def drawn(number: int) -> tuple[Tube, Indenter, float, dict[str, Any]]:
+    """Return the tube, the indenter, the largest depth in m and the options of a press."""
+    rng = np.random.default_rng(number)
+    shape = str(rng.choice(["rod", "punch", "sphere"]))
+    diameter = float(np.exp(rng.uniform(np.log(4e-3), np.log(60e-3))))
+    bore, wall = float(rng.uniform(3e-3, 20e-3)), float(rng.uniform(0.5e-3, 4e-3))
+    tube = Tube(
+        inner_diameter=bore,
+        wall_thickness=wall,
+        shear_modulus=shear_modulus_from_shore(float(rng.uniform(10, 70))),
+    )
+    offset = float(rng.uniform(-0.4, 0.4)) * tube.outer_diameter * (rng.random() < 0.5)
+    yaw = float(rng.uniform(-0.8, 0.8)) * (rng.random() < 0.5) * (shape == "rod")
+    indenter = Indenter(shape=shape, diameter=diameter, x=offset * (shape != "rod"), yaw=yaw)
+    layer = None
+    if rng.random() < 0.3:
+        thickness, modulus = rng.uniform(2e-3, 20e-3), np.exp(rng.uniform(*np.log([3e4, 1e6])))
+        layer = Layer(thickness=float(thickness), modulus=float(modulus))
+    support = "free" if layer or rng.random() < 0.5 else "held"
+    size = MeshSize(through_wall=int(rng.integers(1, 3)), around=12, along=10)
+    depth = float(rng.uniform(0.1, 0.95)) * bore
+    return tube, indenter, depth, {"support": support, "layer": layer, "mesh": size}
+
+
+def wrong(press: Indentation) -> list[str]:
+    """Return what is wrong with a press."""
+    bore, found = press.tube.inner_diameter, []
+    with jax.enable_x64(True):
+        model = press_model(press)
+        crossing = any(model.lumen.crosses_itself(press.position(row)) for row in (-2, -1))
+        energy = [
+            model.mesh.copies * evaluate(model, press.displacement[row], press.bodies(row)).energy
+            for row in range(len(press.depth))
+        ]
+    if press.residual.max() > FORCE_TOLERANCE * press.tube.shear_modulus * bore**2:
+        found.append("residual")
+    if crossing or press.smallest_gap.min() <= 0:
+        found.append("gap")
+    if press.smallest_volume_ratio.min() <= 0:
+        found.append("J")
+    work = CubicSpline(press.depth, press.contact_force).integrate(0, press.depth[-1])
+    gained = energy[-1] - energy[0]
+    if abs(work - gained) > WORK_TOLERANCE * gained:
+        found.append(f"work {work:.4g} J, energy {gained:.4g} J")
+    return found
+
+
+def pressed(number: int) -> dict[str, Any]:
+    """Return the record of a press."""
+    tube, indenter, depth, options = drawn(number)
+    start = time.process_time()
+    record: dict[str, Any] = {
+        "number": number, "shape": indenter.shape, "diameter_mm": MM * indenter.diameter,
+        "x_mm": MM * indenter.x, "yaw": indenter.yaw, "bore_mm": MM * tube.inner_diameter,
+        "wall_mm": MM * tube.wall_thickness, "depth_mm": MM * depth,
+        "support": options["support"], "layer": options["layer"] is not None,
+        "layers": options["mesh"].through_wall,
+    }  # fmt: skip
+    try:
+        press = indent(tube, indenter, depth=depth * np.arange(1, DEPTHS + 1) / DEPTHS, **options)
+        record |= {"state": "reached", "force_N": float(press.contact_force[-1])}
+        record |= {"closed": bool(press.closed[-1]), "rows": len(press.depth)}
+        record |= {"iterations": int(press.iterations.sum()), "wrong": wrong(press)}
+    except ConfigError as error:
+        record |= {"state": "refused", "reason": str(error)}
+    except PressError as error:
+        last = MM * float(error.indentation.depth[-1])
+        record |= {"state": "stopped", "reason": str(error), "stopped_mm": last}
+    return record | {"seconds": round(time.process_time() - start, 2)}
+
+
+def summary(records: list[dict[str, Any]]) -> str:
+    """Return what all presses show, and a line for each that is not sound."""
+    states = [record["state"] for record in records]
+    lines = [f"{states.count(state)} {state}" for state in ("reached", "stopped", "refused")]
+    lines.append(f"{sum(bool(record.get('wrong')) for record in records)} wrong")
+    lines.append(f"{sum(record['seconds'] for record in records):.0f} s of processor time")
+    rest = [each for each in records if each["state"] != "reached" or each["wrong"]]
+    return "\n".join([", ".join(lines), *(json.dumps(each) for each in rest)])
+
+
+if __name__ == "__main__":
+    path, count = Path(sys.argv[1]), int((*sys.argv[2:], 200)[0])
+    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    for number in range(len(known), count):
+        known.append(pressed(number))
+        with path.open("a") as file:
+            file.write(json.dumps(known[-1]) + "\n")
+    print(summary(known))
