@@ -336,9 +336,27 @@ def narrow_weights(arrays):
     arrays["weights_1"] = arrays["weights_1"][:, :, :-1]
 
 
+def processing_with(**words):
+    def change(arrays):
+        header = json.loads(str(arrays["header"]))
+        header["processing"] |= words
+        arrays["header"] = np.array(json.dumps(header))
+
+    return change
+
+
+def dates_in_trees(arrays):
+    arrays["mean_value"] = arrays["mean_value"].astype("M8[s]")
+
+
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
+        ("boosting", dates_in_trees, "trees of the mean are invalid"),
+        ("echo", header_with(radius=1e-8), "radius = 1e-08 is out of range"),
+        ("echo", processing_with(template_cycles=1e308), "template_cycles"),
+        ("echo", processing_with(offset_cutoff=1e-320), "offset_cutoff"),
+        ("echo", processing_with(frequency=1e-9), "frequency"),
         ("boosting", broken_trees, "trees of the mean are invalid"),
         ("boosting", past_the_end, "trees of the mean are invalid"),
         ("network", nan_weights, "its weights_1"),
@@ -357,6 +375,15 @@ def test_a_damaged_model_is_refused(name, change, words, models):
     estimation.save(models[name], "a.model")
     with pytest.raises(ConfigError, match=f"is not a model .*{words}"):
         estimation.load(rewritten(change))
+
+
+def test_model_whose_estimates_overflow_is_refused(models, tables):
+    def huge(arrays):
+        arrays["weights_2"] = np.full_like(arrays["weights_2"], 1e38)
+
+    estimation.save(models["network"], "a.model")
+    with pytest.raises(ConfigError, match="not finite"):
+        estimation.estimate(estimation.load(rewritten(huge)), tables["paper"])
 
 
 def test_what_is_no_model_is_refused_and_nothing_in_it_is_run():

@@ -53,6 +53,27 @@ def test_odd_argument_is_named_or_the_answer_is_finite(name, data):
     assert trial(spec, {argument: value}) == ""
 
 
+@pytest.mark.parametrize(
+    ("name", "argument", "value"),
+    [
+        ("sleeve.layout", "deviation", -1), ("sleeve.layout", "reach", np.nan),
+        ("waves.Pulse", "frequency", np.inf), ("signals.locate", "temperature", np.inf),
+        ("signals.locate", "samples", np.full((3, 1200), 1j)),
+        ("signals.locate", "samples", np.full((3, 1200), 1e308)),
+        ("signals.process", "offset_cutoff", 0), ("signals.process", "prominence", None),
+        ("sleeve.design", "length", 0), ("estimation.Decoder", "frame_bytes", 0),
+        ("press.indent", "depth", -1e-3), ("press.indent", "depth", np.nan),
+        ("fields.propagate", "duration", np.inf), ("fields.cut_cells", "spacing", 0.0),
+        ("fields.stable_step", "air", 343.0), ("estimators.network.fit", "X", "words"),
+        ("estimators.load_config", "depth_mm", -1),
+    ],
+)  # fmt: skip
+def test_nonsense_is_refused_with_the_name_of_the_argument(name, argument, value):
+    spec = specs()[name]
+    with pytest.raises(ValueError, match=rf"\b{argument}\b"):
+        spec.function(**(dict(spec.good) | {argument: value}))
+
+
 @pytest.mark.parametrize("name", specs())
 def test_good_arguments_are_taken(name):
     spec = specs()[name]

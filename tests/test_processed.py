@@ -1,6 +1,7 @@
 """The commands process and calibrate on files, as a user meets them."""
 
 import csv
+import errno
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from test_calibration import PLACES, blocked, untouched
 from test_pipeline import RATE, TIME, cycles_at
 
 from acoustube import signals
+from acoustube.base import writing
 from acoustube.cli import main
 from acoustube.runs import recordings
 
@@ -187,6 +189,35 @@ def test_calibration_is_written_and_applied():
     assert np.median(before - 99 * PLACES) == pytest.approx(3.0, abs=0.1)
     assert np.median(after - 99 * PLACES) == pytest.approx(0.0, abs=0.1)
     assert Path("p.png").stat().st_size > 10_000
+
+
+@pytest.mark.usefixtures("recorded")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("process", "closed.npz", "--out", "t.csv", "--figure", "p.png"),
+        ("calibrate", "closed.npz", "--untouched", "free.npz", "--out", "t", "--figure", "p.png"),
+    ],
+)
+def test_full_disk_leaves_nothing_that_blocks_the_repeated_command(words, monkeypatch):
+    """It is named with its file; the picture is written after the table, and neither stays."""
+    before, put = sorted(Path().iterdir()), writing._to_disk
+
+    def full(path, content):
+        if content.startswith(b"\x89PNG"):
+            raise OSError(errno.ENOSPC, "full")
+        put(path, content)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(writing, "_to_disk", full)
+        refused = run_here(*words)
+    assert refused.returncode == 1
+    assert re.search(
+        r"^acoustube: p\.png: no space left on the device; .* MB", refused.stderr, re.M
+    )
+    assert sorted(Path().iterdir()) == before
+    assert run_here(*words).returncode == 0
+    assert Path("p.png").exists()
 
 
 @pytest.mark.usefixtures("recorded")

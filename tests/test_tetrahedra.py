@@ -389,7 +389,7 @@ def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
     ("shares", "taken"), [([0.5, 0.002, 0.0], 1), ([1.0, 0.2, 0.3], 1), ([0.01, 0.0], 0)]
 )
 def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, monkeypatch):
-    """Until one in a hundred or fewer are; of three that have more, the best is taken."""
+    """Until one in a hundred or fewer are; of three with more the best is taken, with a note."""
     shape, drawn = boundary_nodes.quadratic, []
 
     def astray(*piece):
@@ -400,9 +400,12 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
     monkeypatch.setattr(tetrahedra, "qualities", lambda *_: np.ones(1))
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 3)
     size = TetrahedronSize(fine=1.5, coarse=1.5)
-    mesh = tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size)
+    told = []
+    mesh = tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=size, note=told.append)
     assert mesh is drawn[taken]
-    assert len(drawn) == (taken + 1 if shares[taken] <= 0.01 else 3)
+    over = shares[taken] > 0.01
+    assert len(drawn) == (3 if over else taken + 1)
+    assert [text[:16] for text in told] == ["20 % of the node"] * over
 
 
 def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkeypatch):

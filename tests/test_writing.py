@@ -178,7 +178,7 @@ def test_register_that_was_tampered_with_deletes_nothing_else():
 
 
 def test_interrupt_in_a_destructor_is_not_lost():
-    """ROBUSTNESS 11: Python prints and ignores an exception there."""
+    """Python prints and ignores an exception there."""
 
     class Slow:
         def __del__(self):
@@ -188,6 +188,29 @@ def test_interrupt_in_a_destructor_is_not_lost():
     with pytest.raises(KeyboardInterrupt), interrupts.watched_interrupts():
         Slow()
         threading.Event().wait(5)
+
+
+def test_second_interrupt_while_a_lost_one_is_raised_again_is_not_lost(monkeypatch, capfd):
+    """In the hook that raises it again Python would print and ignore it."""
+    again, sent = interrupts._Interrupt.again, []
+
+    def interrupted(handler):
+        if not sent:
+            sent.append(True)
+            os.kill(os.getpid(), signal.SIGINT)
+        again(handler)
+
+    class Slow:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            threading.Event().wait(0.2)
+
+    monkeypatch.setattr(interrupts._Interrupt, "again", interrupted)
+    with pytest.raises(KeyboardInterrupt), interrupts.watched_interrupts():
+        Slow()
+        threading.Event().wait(5)
+    assert sent
+    assert "ignored" not in capfd.readouterr().err
 
 
 def test_nothing_is_written_after_an_interrupt_that_was_lost():

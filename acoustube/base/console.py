@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acoustube.base.errors import readable
+from acoustube.base.errors import LONGEST_SENTENCE, readable
 from acoustube.base.report import ShowProgress, TimeLeft, time_in_words
 from acoustube.base.version import __version__
 
@@ -64,7 +64,7 @@ def note(console: Console, text: str) -> None:
 def _labelled(console: Console, colour: str, label: str, text: str) -> None:
     from rich.text import Text
 
-    one_line = readable(text).replace("\n", "\\n")  # in the name of a file
+    one_line = readable(text.replace("\n", "\\n"), LONGEST_SENTENCE)  # in the name of a file
     console.print(Text.assemble((f"{label}:", colour), " ", one_line), soft_wrap=True)
 
 

@@ -86,13 +86,12 @@ def readable(text: str, longest: int = LONGEST_TEXT) -> str:
     longest : int
         Characters that are shown of it.
     """
+    if not text.isprintable():
+        text = "".join(c if c.isprintable() or c in "\n\t" else _code(c) for c in text)
     if len(text) > LONGEST_WORD:
         words = re.split(r"(\s+)", text)
         text = "".join(_shortened(word, LONGEST_WORD) for word in words)
-    text = _shortened(text, longest)
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() or c in "\n\t" else _code(c) for c in text)
+    return _shortened(text, longest)
 
 
 def _shortened(text: str, most: int) -> str:

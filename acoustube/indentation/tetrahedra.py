@@ -38,7 +38,7 @@ import itertools
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,7 @@ def tetrahedral_mesh(
     halved: tuple[bool, bool] = (False, False),
     presses: Sequence[float] = (0.0,),
     size: TetrahedronSize | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Mesh:
     """Mesh a piece of a tube's wall with quadratic tetrahedra.
 
@@ -128,6 +129,9 @@ def tetrahedral_mesh(
         Positions z of the indenters in m, around which the mesh is fine.
     size : TetrahedronSize, optional
         Edge lengths of the elements.
+    note : callable, optional
+        Called with a sentence where more than :data:`MAX_OFF_SURFACE` of the nodes of the best mesh
+        are off the wall's surface.
 
     Returns
     -------
@@ -169,6 +173,12 @@ def tetrahedral_mesh(
             "repair the surface, or choose other edge lengths."
         )
     _check_volume(best.points, best.elements, piece)
+    if least > MAX_OFF_SURFACE and note is not None:
+        note(
+            f"{100 * least:.2g} % of the nodes on the wall are off its surface in the best of "
+            f"{ATTEMPTS} meshes, over {100 * MAX_OFF_SURFACE:g} %: the force may err; smooth the "
+            "surface."
+        )
     return best
 
 

@@ -81,7 +81,7 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     air=Air,
     frequency=WAVE_SERIES,
     radius=LENGTH,
-    length=LENGTH,
+    length=Number(1e-9, 1e3, "m"),
     density=Number(0, 1e6, "1/m"),
     tube_seed=SEED,
 )

@@ -47,7 +47,8 @@ def pressed(
     progress : callable, optional
         Called with the finished fraction.
     note : callable, optional
-        Called with a sentence where a cached press is damaged and has to be computed again.
+        Called with a sentence where a cached press is damaged and has to be computed again, or
+        where the mesh of an imported wall leaves its surface.
 
     Returns
     -------
@@ -76,7 +77,7 @@ def press_to(
         entry = cache.folder() / f"{name}.npz"
         note(f"The cached press {entry} is damaged and was not used: it was computed again.")
     indenter, support, layer = settings.indenter, settings.support, settings.layer
-    tube, mesh = _tube_and_mesh(settings, known)
+    tube, mesh = _tube_and_mesh(settings, known, note)
     if known is not None:
         return restored(tube, indenter, known, support=support, layer=layer, mesh=mesh)
     found = indent(
@@ -131,7 +132,9 @@ def _content(path: Path) -> str:
         return "unreadable"
 
 
-def _tube_and_mesh(settings: SIPress, known: Arrays | None) -> tuple[Tube, Mesh | MeshSize]:
+def _tube_and_mesh(
+    settings: SIPress, known: Arrays | None, note: Note | None
+) -> tuple[Tube, Mesh | MeshSize]:
     """Return the tube, and its mesh or the size of its elements; `known` is a cached press."""
     if settings.surface is None:
         return settings.tube, settings.mesh
@@ -151,7 +154,7 @@ def _tube_and_mesh(settings: SIPress, known: Arrays | None) -> tuple[Tube, Mesh 
         return tube, Mesh(**parts, reference=TET10, halved=halved)
     reach = pressed_reach(tube.outer_diameter, settings.indenter.diameter)
     halves = settings.indenter.halves
-    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=halves)
+    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=halves, note=note)
 
 
 def _check_depth(tube: Tube, settings: SIPress) -> None:

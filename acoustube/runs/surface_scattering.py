@@ -92,7 +92,7 @@ def cells_of_surface(
         If the grid is too coarse for the frequency or for the narrowest place, or too large.
     """
     across = float(_end_size(surface) / resolution)
-    _check_grid(highest, across, air)
+    _check_grid(highest, across, air, path)
     # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
@@ -109,13 +109,13 @@ def _end_size(surface: trimesh.Trimesh) -> float:
     return float(np.ptp(rim[:, :2], axis=0).max())
 
 
-def _check_grid(highest: float, spacing: float, air: Air) -> None:
+def _check_grid(highest: float, spacing: float, air: Air, path: Path) -> None:
     """Check that the grid resolves the shortest wavelength."""
     high = KHZ * highest
     finest = KHZ * air.sound_speed / (CELLS_PER_WAVELENGTH * spacing)
     if high > finest:
         raise ConfigError(
-            f"the band up to {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
+            f"{path}: the band up to {high:g} kHz goes beyond {finest:.3g} kHz, where the grid of "
             f"{MM * spacing:.3g} mm has {CELLS_PER_WAVELENGTH} cells per wavelength; raise "
             "resolution or lower the band"
         )

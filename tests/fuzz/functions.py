@@ -29,7 +29,8 @@ ALSO = {
     "time": ("sampling rate", "before"), "time_step": ("band", "longer than the run"),
     "pulse": ("the run",), "line": ("curve",),
     "settings": ("matched filter",), "temperature": ("air", "m/s"), "untouched": ("cycles",),
-    "outer_diameter": ("thick", "loops"), "count": ("seed",),
+    "outer_diameter": ("thick", "loops"), "count": ("seed",), "over": ("range",),
+    "path": ("cannot be read",),
 }  # fmt: skip
 """Words by which a sentence may name an argument, where several of them together are wrong."""
 

@@ -278,7 +278,12 @@ def _made(maker: Maker, chance: Random, corpus: Path, folder: Path) -> Case:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 return maker(chance, corpus, folder)
-        except (OSError, RuntimeError, MemoryError, KeyError):  # of libraries, on what is damaged
+        except (
+            OSError,
+            RuntimeError,
+            MemoryError,
+            LookupError,
+        ):  # on damaged files
             shutil.rmtree(folder)
             folder.mkdir()
     return Case(call=str)
