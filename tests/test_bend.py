@@ -227,5 +227,5 @@ def test_bends_that_cannot_be_are_refused(setting, given, value):
 
 
 def test_frequencies_that_fall_are_refused():
-    with pytest.raises(ConfigError, match="frequency must rise"):
+    with pytest.raises(ConfigError, match="frequency must be positive"):
         bend(AIR, BAND[::-1], radius=RADIUS, **WRAP)

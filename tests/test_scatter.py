@@ -205,9 +205,9 @@ def test_lumen_is_read_in_metres_from_zero():
     ("words", "part"),
     [
         (["missing.stl"], "missing.stl does not exist"),
-        (["lumen.stl", "--band", "60", "5"], "must rise"),
-        (["lumen.stl", "--band", "5", "10", "--step", "3"], "whole parts; use 2.5"),
-        (["lumen.stl", "--band", "5", "inf"], "goes beyond 1000 kHz; give it in kHz"),
+        (["lumen.stl", "--band", "60", "5"], "0 < low < high"),
+        (["lumen.stl", "--band", "5", "10", "--step", "3"], "equal steps; use 2.5"),
+        (["lumen.stl", "--band", "5", "inf"], "is above 1000 kHz; give it in kHz"),
         (["lumen.stl", "--humidity", "120"], "humidity = 120 is out of range; use 0 to 100 %"),
         (["lumen.stl", "--band", "5", "600", "--step", "5"], "cells per wavelength"),
         (["lumen.stl", "--resolution", "4"], "resolution = 4 is out of range; use a whole number"),
@@ -233,7 +233,7 @@ def test_band_of_the_plane_mode_alone():
     assert found.modes == ("00",)
     assert np.all(np.abs(found.s[:, :, 0, 0, 0]).max(axis=1) > 0.5)
     for frequency in ([0.0, 1e3], [2e3, 1e3], 5.0):
-        with pytest.raises(ConfigError, match="must rise"):
+        with pytest.raises(ConfigError, match="must be positive and increasing"):
             scatter(cells_of("A", 10), AIR, np.array(frequency))
 
 

@@ -29,7 +29,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Reals:
-    """Real numbers in an array, within bounds.
+    """Rule for an array of real numbers within bounds.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ class Reals:
     missing : bool
         Whether nan and inf are allowed, as missing values.
     empty : bool
-        Whether there may be no values at all; that there are no rows of some values is allowed.
+        Whether an empty array is allowed; one with rows of length zero is allowed always.
     kinds : str
-        Kinds of the array's type, as NumPy has them: ``iu`` of whole numbers, ``U`` of words.
+        Allowed values of ``dtype.kind``: ``iu`` for integers, ``U`` for strings.
     """
 
     low: float = -LARGEST
@@ -103,7 +103,7 @@ class Reals:
 
 
 def _in_words(value: Any) -> Any:
-    """Return an array, or a list, as its first values; anything else unchanged."""
+    """Return the first values of an array or a list as text; anything else unchanged."""
     if isinstance(value, str | bytes | dict) or not getattr(
         value, "ndim", hasattr(value, "__len__")
     ):
@@ -114,7 +114,7 @@ def _in_words(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Complex:
-    """Finite complex numbers, in an array or alone.
+    """Rule for a finite complex number, or an array of them.
 
     Parameters
     ----------

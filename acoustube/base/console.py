@@ -57,7 +57,7 @@ def _plain_console() -> type[Console]:
 
 
 def note(console: Console, text: str) -> None:
-    """Print a note on the range of a result, on a line."""
+    """Print a note, such as a result outside the model's range, as one line."""
     _labelled(console, "yellow", "note", text)
 
 
@@ -69,7 +69,7 @@ def _labelled(console: Console, colour: str, label: str, text: str) -> None:
 
 
 def failure(text: str, label: str = "failed") -> None:
-    """Print a failure on standard error, on a line."""
+    """Print an error message on standard error, as one line."""
     _labelled(plain_console(stderr=True), "red", label, text)
 
 

@@ -121,7 +121,7 @@ class Limits(Checked):
     Attributes
     ----------
     limits : float
-        Factor on the limits of size and number of what is read from files.
+        Factor by which to raise the limits on file sizes and on counts in files that are read.
     """
 
     limits: Annotated[float | None, Number(1e-3, 1e6, "", "factor")] = None

@@ -35,7 +35,7 @@ def cache_size() -> None:
 
 @app.command(name="clear")
 def clear_cache() -> None:
-    """Delete all cached results, JAX's compiled code, and what killed commands left half made."""
+    """Delete all cached results, JAX's compiled code, and temporary files of killed commands."""
     code = cache.compiled()
     left = remnants.clear()
     gone = cache.clear()

@@ -31,7 +31,7 @@ TABLE_ROWS = 16
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Placement:
-    """Settings of the depths, of the indenter's place and direction, and of the tube."""
+    """Options for the indentation depths, the indenter's position and direction, and the tube."""
 
     steps: Annotated[int | None, setting("steps")] = None
     offset: Annotated[float | None, setting("offset")] = None

@@ -63,15 +63,15 @@ class Band:
         (low, high), step = self.band, self.step
         if high > HIGHEST_KHZ:
             raise ConfigError(
-                f"band = {low:g} {high:g} kHz goes beyond {HIGHEST_KHZ:g} kHz; give it in kHz, "
+                f"band = {low:g} {high:g} kHz is above {HIGHEST_KHZ:g} kHz; give it in kHz, "
                 "such as 5 60"
             )
         if not 0 < low < high:
-            raise ConfigError(f"band = {low:g} {high:g} kHz must rise from over 0")
+            raise ConfigError(f"band = {low:g} {high:g} kHz is invalid; use 0 < low < high")
         count = (high - low) / step if step > 0 else 0.0
         if not (0.999 < count < 5000 and abs(count - round(count)) < 1e-6 * count):
             raise ConfigError(
-                f"must divide the band of {high - low:g} kHz into 1 to 5000 whole parts",
+                f"must divide the band of {high - low:g} kHz into 1 to 5000 equal steps",
                 setting="step", value=step, unit="kHz",
                 advice=f"use {(high - low) / max(1, round(min(count, 5000))):.6g}",
             )  # fmt: skip

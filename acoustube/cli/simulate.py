@@ -179,7 +179,7 @@ def _compared(case: xr.Dataset) -> str:
 
 
 def _estimate(case: xr.Dataset, prominence: float) -> str:
-    """Return the estimate with one choice of the source end, in words."""
+    """Return the text of the estimated distance for one boundary condition at the source end."""
     distance, true = float(case["estimated_distance"]), float(case["true_distance"])
     if not math.isfinite(distance):
         return f"no echo over {PERCENT * prominence:g} % of the send pulse"

@@ -66,7 +66,7 @@ def guide(coarse: Indentation, fine: Mesh) -> Guide:
 
 
 def coarse_mesh(fine: Mesh, tube: Tube, indenters: Sequence[Indenter]) -> Mesh | None:
-    """Return a coarse mesh of the same part of a round tube.
+    """Return a coarse mesh of the part of a round tube that a fine mesh covers.
 
     Parameters
     ----------

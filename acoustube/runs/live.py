@@ -143,8 +143,8 @@ def follow(
         Called with the counts so far and the last cycle, None before the first.
     out : Path, optional
         New CSV file, one row of :data:`LIVE_COLUMNS` per cycle, on the disk with each cycle:
-        `received_s` is the Unix time of a cycle's last byte in s, by the clock at the start, and
-        `pulse_width` the rangefinder's own in us.
+        `received_s` is the Unix time in s at which a cycle's last byte arrived, and `pulse_width`
+        the pulse width that the rangefinder itself reports, in us.
     duration : float, optional
         In s.
 
@@ -153,14 +153,14 @@ def follow(
     tally : Tally
         Final counts.
     failure : Exception or None
-        Error that ended the line; cycles that were received whole are processed and logged.
+        Error that ended the connection; complete cycles are processed and logged.
 
     Raises
     ------
     ConfigError
         If the calibration or the port cannot be used.
     KeyboardInterrupt
-        With a sentence that states the counts and the log.
+        With a message on the counts and the log file.
     """
     tracker = _tracker(stream)
     decoder, tally = Decoder(stream.frame_bytes), Tally()

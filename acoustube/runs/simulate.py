@@ -93,7 +93,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
             try:
                 check = spectral_check(settings, pressed_part(indentation))
             except ValueError as error:
-                notes.append(f"The spectral solver did not check this run: {error}")
+                notes.append(f"The spectral solver could not verify this run: {error}")
 
     return results.dataset(
         config,

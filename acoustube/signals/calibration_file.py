@@ -77,7 +77,7 @@ def in_toml(calibration: Calibration) -> str:
 
 
 def _toml(value: Any, unit: str) -> Item:
-    """Return a number or an array of numbers, with the unit as a comment."""
+    """Return the TOML item of a number or an array of numbers, with the unit as a comment."""
     several = np.ndim(value) > 0
     item = toml_array(float(one) for one in value) if several else tomlkit.item(float(value))
     return item.comment(unit)

@@ -58,8 +58,8 @@ def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None =
     agree = np.abs(rise - np.median(rise)) < duration / 2
     if np.mean(agree) < LEAST_AGREEMENT:
         raise ValueError(
-            f"the highest part begins at one time in only {100 * np.mean(agree):.0f} % of the "
-            "cycles, so the send pulse cannot be found; give --pulse-at MS"
+            f"the strongest pulse starts at the same time in only {100 * np.mean(agree):.0f} % of "
+            "the cycles, so the send pulse cannot be found; give --pulse-at MS"
         )
     before = float(np.median(rise)) + duration + 1 / settings.cutoff
     peak, height = send_pulse(time, heights[agree], before=before)

@@ -273,7 +273,7 @@ def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
 def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> None:
     """Validate that the frequencies increase, and that the modes suffice for the highest."""
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
-        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
+        raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
         raise ConfigError(
             f"is too low for frequency = {frequency[-1]:g} Hz and radius = {radius:g} m",

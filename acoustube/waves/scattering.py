@@ -170,7 +170,7 @@ def scatter(
     """
     frequency = np.asarray(frequency, float)
     if not np.all(np.diff(frequency) > 0):
-        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
+        raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     core = straight_ends_cut(cells)
     parities: tuple[bool | None, ...] = (None,)
     if is_symmetric(core) if symmetric is None else symmetric:

@@ -94,7 +94,7 @@ def draw_errors(
 def _scaled(
     table: xr.Dataset, estimates: xr.Dataset, target: str
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return truth, estimate and deviation of a target in human units."""
+    """Return label, estimate and standard deviation of a target in the figure's units."""
     name, _, scale = PANELS[target]
     columns = (table[target], estimates[name], estimates[name + "_deviation"])
     return tuple(scale * column.values.astype(float) for column in columns)

@@ -1,4 +1,4 @@
-"""Figures of a run. Each function draws on axes that it is given, and shows nothing by itself."""
+"""Figures of a run. Each function draws on given matplotlib axes and opens no window."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ test machine's rod slid, and how the arm's curved surface took the deep presses.
 
 
 def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
-    """Return the force network of the flat table, at every fifth of its places.
+    """Return the force network trained for a flat table, on every fifth of the study's positions.
 
     Returns
     -------

@@ -65,7 +65,7 @@ class Scale:
 
     @property
     def level(self) -> Level:
-        """The level of the numbers that are reported."""
+        """Level of mesh and grid refinement of the reported numbers."""
         return COARSE if self.quick else USUAL
 
     @property

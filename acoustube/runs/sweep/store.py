@@ -148,7 +148,7 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
 
 
 def walls(path: Path) -> xr.Dataset | None:
-    """Return the walls of the tube that the cases of a file of results share, where it has them."""
+    """Return the tube's walls that the cases of a results file share, or None if it has none."""
     import h5py
 
     with h5py.File(path) as content:

@@ -1,4 +1,4 @@
-"""Modes of a straight duct on the grid: shapes, cut-ons and axial phases.
+"""Modes of a straight duct on the grid: mode shapes, cut-on frequencies and axial phases.
 
 A straight part of the grid repeats one layer of cells, whose axial faces have the open fractions of
 its volumes. The modes of the layer then propagate without coupling: the amplitude of each obeys the

@@ -337,7 +337,7 @@ def advance_relaxations(
 
 
 def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) -> jax.Array:
-    """Return the pressure that the air's absorption adds to the Laplacian's argument, in Pa."""
+    """Return the bulk absorption's pressure term in Pa, which is added under the Laplacian."""
     lagging = sum(
         (weight * one for weight, one in zip(losses.bulk, memory.relaxed, strict=True)),
         start=jnp.zeros_like(change),

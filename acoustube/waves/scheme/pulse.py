@@ -127,7 +127,7 @@ def check_pulse(pulse: object, duration: float) -> None:
     """
     if not callable(pulse):
         raise ConfigError(
-            "is no function of time", setting="pulse", value=pulse, advice="use Pulse"
+            "is not a function of time", setting="pulse", value=pulse, advice="use Pulse"
         )
     check_duration(pulse, duration)
 

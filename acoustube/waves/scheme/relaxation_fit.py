@@ -66,7 +66,7 @@ def half_integral(band: tuple[float, float], accuracy: float = ACCURACY) -> Half
     """
     if not 0 < band[0] < band[1] < np.inf:
         raise ConfigError(
-            f"lossy_band = {band[0]:g} to {band[1]:g} Hz must rise from a value over 0; give the "
+            f"lossy_band = {band[0]:g} to {band[1]:g} Hz must be positive and increasing; give the "
             "lowest and the highest frequency"
         )
     for n in range(2, MOST_POLES + 1):

@@ -194,15 +194,15 @@ def lossy_fields(model: LossyModel, band: LossyBand) -> Complex:
 
 
 def lossy_impedance(model: LossyModel, band: LossyBand, fields: Complex) -> Complex:
-    """Return the response of the ports' lossy modes in 1/m, (n_frequencies, n, n).
+    """Return the response matrix between the ports' lossy modes in 1/m, (n_frequencies, n, n).
 
     Parameters
     ----------
     model : LossyModel
     band : LossyBand
     fields : ndarray
-        Solutions at some of the frequencies, (n_samples, r, n), in whose span those at the others
-        are sought; the matrix being symmetric, each counts as a field on both sides.
+        Solutions at sample frequencies, (n_samples, r, n), which span the reduced basis of a
+        Galerkin projection; the system matrix is symmetric, so that they serve as test functions.
     """
     columns = fields.transpose(1, 0, 2).reshape(len(model.square), -1)
     turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)

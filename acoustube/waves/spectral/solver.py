@@ -93,7 +93,7 @@ class _Task:
 
 
 class _Part(NamedTuple):
-    """Scattering of one symmetry's modes, (n, 2, m, 2, m), with errors (n,) and basis sizes."""
+    """Scattering matrices of one symmetry, (n, 2, m, 2, m), with errors (n,) and basis sizes."""
 
     names: tuple[str, ...]
     zeros: Array
@@ -156,7 +156,7 @@ def scatter_spectral(
     """
     frequency = np.asarray(frequency, float)
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
-        raise ConfigError("frequency must rise from a value over 0; give one row of Hz")
+        raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     if not 1e-6 <= tolerance <= 0.1:
         raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
     if velocity is not None and lossy:
