@@ -186,7 +186,7 @@ def test_deeply_nested_json_and_numbers_of_400_digits_are_refused():
     for text, words in (
         ("[" * 20_000, "attribute cannot be read .it is nested too deeply"),
         ("[" * 110 + "]" * 110, "nested over 100 levels"),
-        (json.dumps({"a": 10**400}), "a is a whole number of over 64 bits"),
+        (json.dumps({"a": 10**400}), "a is an integer of more than 64 bits"),
         (json.dumps({"a" * 300: 1}), "holds a name of 300 characters"),
         ('{"a": ' + "9" * 5000 + "}", "cannot be read .Exceeds the limit"),
     ):
@@ -253,10 +253,10 @@ def test_values_of_100_kb_are_shortened():
         ("channel = 7", "channel = 7, but the file has one channel; leave it out"),
         ("sampling_rate_hz = [[1], [2, 3]]", "sampling rate is not a number; give one"),
         ("[sampling_rate_hz]\na = 1", "is not a number"),
-        (f"sampling_rate_hz = {10**400}", "sampling_rate_hz is a whole number of over 64 bits"),
-        (f"temperature_c = [{10**400}]", "temperature_c is a whole number of over 64 bits"),
-        ("[labels]\nsignal = [1, 2, 3]", "state signal, which is no label; rename it"),
-        ("[labels]\ntime = [1, 2, 3]", "state time, which is no label; rename it"),
+        (f"sampling_rate_hz = {10**400}", "sampling_rate_hz is an integer of more than 64 bits"),
+        (f"temperature_c = [{10**400}]", "temperature_c is an integer of more than 64 bits"),
+        ("[labels]\nsignal = [1, 2, 3]", "state signal, which is not a label; rename it"),
+        ("[labels]\ntime = [1, 2, 3]", "state time, which is not a label; rename it"),
         ("[labels.a]\nb = 1", "a is neither numbers nor words"),
         ("labels = {press = [{x = 1}, 2, 3]}", "press"),
     ],

@@ -432,7 +432,7 @@ def test_impossible_indenters_are_refused(values):
     [
         ({"support": "glued"}, "support = 'glued' is not a choice"),
         ({"layer": Layer(thickness=1e-3, modulus=1e5)}, "support = 'held' needs a rigid floor"),
-        ({"indenter": ()}, "indenter = .* is too short, of 0; give 1 or more"),
+        ({"indenter": ()}, "indenter = .* has only 0 entries; give 1 or more"),
         ({"indenter": Indenter(shape="sphere", diameter=5e-3, x=9e-3)}, "misses the tube"),
     ],
 )

@@ -468,7 +468,11 @@ WRONG = {
         {"time": np.arange(LENGTH) / 1e5},
         "a.npz: rate = 200000 Hz contradicts its time axis, which has 100000 Hz; correct one",
     ),
-    "uneven": (cycles(), {"time": np.arange(LENGTH) ** 2}, "time is not evenly spaced and rising"),
+    "uneven": (
+        cycles(),
+        {"time": np.arange(LENGTH) ** 2},
+        "time is not evenly spaced and increasing",
+    ),
     "short time": (cycles(), {"time": np.arange(9) / RATE}, "its time axis has 9 values for 400"),
     "hot": (
         cycles(),
@@ -554,7 +558,7 @@ def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
     ("text", "message"),
     [
         ("{", "is not valid JSON: Expecting property name"),
-        ("[]", "it is no table of names and values"),
+        ("[]", "it is not a table of names and values"),
         ('{"sampling_rate": 1}', "sampling_rate is not known; use sampling_rate_hz"),
         ('{"labels": [1]}', "labels must be a table of names and their values"),
         ('{"labels": {"force": [1, [2, 3]]}}', "force is a list of unequal lists"),

@@ -125,7 +125,7 @@ def on_its_side():
     ("wall", "what"),
     [
         (lambda: without_facets(1), "not closed: 3 edges"),
-        (folded_through, "crosses itself"),
+        (folded_through, "intersects itself"),
         (lambda: trimesh.creation.cylinder(5, 100), "has 0 holes"),
         (on_its_side, "not a tube along z"),
         (lambda: trimesh.creation.torus(8, 2), "not a tube along z"),

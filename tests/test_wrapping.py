@@ -100,8 +100,8 @@ def test_flattened_tube_converts_less():
     [
         ([], "without a press"),
         ([0.4, 0.45], "40, 45 cm are nearer to each other"),
-        ([0.17], "15 to 14 cm is no part"),
-        ([1.4], "is no part of a tube that is wound from 15 to"),
+        ([0.17], "15 to 14 cm is not part"),
+        ([1.4], "is not part of a tube wound from 15 to"),
     ],
 )
 def test_presses_that_cannot_be_on_the_wrap_are_refused(presses, words):

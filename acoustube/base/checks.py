@@ -141,7 +141,7 @@ class Complex:
         size = np.abs(array) if array.dtype.kind in "iufc" else np.empty(0)
         if not (size.size and size.min() >= self.least and size.max() <= self.most):
             raise ConfigError(
-                "is no finite number", setting=name, value=_in_words(value),
+                "is not a finite number", setting=name, value=_in_words(value),
                 advice=f"use numbers of magnitude {self.least:g} to {self.most:g}",
             )  # fmt: skip
         if self.axes is not None and array.ndim > self.axes:
@@ -266,7 +266,7 @@ class Several:
             raise ConfigError("is not a sequence", setting=name, value=value, advice="give a list")
         if len(value) < self.least:
             raise ConfigError(
-                f"is too short, of {len(value)}", setting=name, value=value,
+                f"has only {len(value)} entries", setting=name, value=value,
                 advice=f"give {self.least} or more",
             )  # fmt: skip
         for one in value:

@@ -64,7 +64,7 @@ class SimulationError(RuntimeError):
 
 
 def short(value: Any) -> str:
-    """Return a value in a few words: a number in the digits that are exact, 12 rather than 12.0."""
+    """Return a value as a short text: a number in its shortest exact form, 12 rather than 12.0."""
     if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:  # more than Python may print
         return f"{'-' if value < 0 else ''}1e{int(log10(abs(value)))}"
     if isinstance(value, int | str) or not isinstance(value, Real):
@@ -102,5 +102,5 @@ def _shortened(text: str, most: int) -> str:
 
 
 def _code(character: str) -> str:
-    """Return the code by which a text of Python names a character."""
+    """Return the Python escape sequence of a character."""
     return character.encode("unicode_escape").decode("ascii")

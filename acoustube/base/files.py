@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the command line imports this module before it needs xarray
 
 
 def check_out(path: str | Path) -> Path:
-    """Check that a run can be written to a folder, and leave no trace.
+    """Check that a run can be written to a folder, without leaving files there.
 
     Parameters
     ----------

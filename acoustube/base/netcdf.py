@@ -1,7 +1,7 @@
-"""Variables and files of netCDF, and the seal by which a damaged file is known before it is opened.
+"""NetCDF variables and files, and the checksum (seal) that reveals damage before opening.
 
-The seal is the SHA-256 of all bytes before it, at the end of the file, where HDF5 does not look:
-its library is not made for damaged files, and one changed byte may change any value in silence.
+The seal is the SHA-256 of all bytes before it, at the end of the file, where HDF5 does not read:
+its library does not detect all damage, and one changed byte may change any value in silence.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = 1 << 20
 
 
 class Seal(Enum):
-    """State of a file by its seal: earlier versions, and other programs, write none."""
+    """Result of a file's checksum test; earlier versions and other programs write none."""
 
     INTACT = "intact"
     BROKEN = "broken"
@@ -44,7 +44,7 @@ def flag(dims: str, values: Any, long_name: str) -> Variable:
 
 
 def seal_of(path: str | Path) -> Seal:
-    """Return whether a file is what was written.
+    """Return whether a file's checksum matches its content.
 
     Parameters
     ----------

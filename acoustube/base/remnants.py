@@ -94,7 +94,7 @@ def remove(path: Path) -> None:
 
 
 def _abandoned(record: Path) -> Path | None:
-    """Return the output of a record, if it is there and nobody makes it any more."""
+    """Return the output of a record, if it exists and the process that wrote it has ended."""
     try:
         words, _, name = record.read_bytes().partition(b"\n")
         process, machine = words.decode().split(" ", 1)

@@ -68,7 +68,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of a few words.
+    """One of several allowed words.
 
     Parameters
     ----------

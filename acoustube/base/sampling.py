@@ -25,7 +25,7 @@ def sampling_rate(time: ArrayLike) -> float:
     Raises
     ------
     ValueError
-        If the times are not evenly spaced and rising.
+        If the times are not evenly spaced and increasing.
     """
     time = np.asarray(time, dtype=float)
     if time.ndim != 1 or time.size < 2:
@@ -33,5 +33,5 @@ def sampling_rate(time: ArrayLike) -> float:
     step = (time[-1] - time[0]) / (time.size - 1)
     # Loose enough for times that were stored in single precision.
     if not (step > 0 and np.allclose(np.diff(time), step, rtol=0.05, atol=0)):
-        raise ValueError("time is not evenly spaced and rising; resample the signal first")
+        raise ValueError("time is not evenly spaced and increasing; resample the signal first")
     return float(1 / step)

@@ -104,7 +104,7 @@ def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
     vertices = np.asfortranarray(surface.vertices / surface.extents.min())
     faces = surface.faces.astype(np.int32)
     if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):
-        raise ConfigError(f"{path}: the surface crosses itself; repair it.")
+        raise ConfigError(f"{path}: the surface intersects itself; repair it.")
 
 
 def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
@@ -132,7 +132,7 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     Raises
     ------
     ConfigError
-        If it cannot be read, is open, inside out or crosses itself, does not lie along z between
+        If it cannot be read, is open, inside out or self-intersecting, does not lie along z between
         flat ends, or seems to be given in metres.
     """
     path = Path(path)

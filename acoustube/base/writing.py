@@ -25,7 +25,7 @@ FULL = {
 
 
 class DiskFullError(SimulationError):
-    """Output for which there is no room.
+    """Output that does not fit on the disk.
 
     Parameters
     ----------

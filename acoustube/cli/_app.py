@@ -144,7 +144,7 @@ def _advice_on_setting(option: str, command: str) -> str:
 
 
 def _kept() -> str:
-    """Return what to do where there was no room for a file, and what became of cached results."""
+    """Return the advice for a full disk, and whether the results were cached."""
     again, kept = "make room and repeat the command", cache.has_kept()
     if kept is None:
         return again

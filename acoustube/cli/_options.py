@@ -121,7 +121,7 @@ class Limits(Checked):
     Attributes
     ----------
     limits : float
-        Factor by which to raise the limits on file sizes and on counts in files that are read.
+        Factor applied to the limits on the size of files that are read, and on counts in them.
     """
 
     limits: Annotated[float | None, Number(1e-3, 1e6, "", "factor")] = None

@@ -163,7 +163,7 @@ def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
 
 
 def look() -> Machine:
-    """Return the machine, its packages and the cache."""
+    """Return the properties of the machine, its packages and the cache."""
     from importlib.metadata import requires
 
     import jax

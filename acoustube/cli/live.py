@@ -68,7 +68,7 @@ def live(
 ) -> None:
     """Estimate the distance of a press in each cycle that an EchoTube board sends, as it arrives.
 
-    Ends with the line, after the duration, or with an interrupt.
+    Ends after the duration, when the connection ends, or at an interrupt.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def live(
     out : Path
         Table to write (CSV), which must be new; each row is written as its cycle arrives.
     duration : float
-        Duration in s; without it until the line ends or an interrupt.
+        Duration in s; by default until the connection ends or an interrupt.
     """
     if duration is not None:
         Number(0, 1e9, "s", "duration of the stream").check("duration", duration)

@@ -53,7 +53,7 @@ def reproduce(
     out : Path
         Folder to write, or to resume.
     quick : bool
-        Few presses on a coarse grid, as a test of the installation; the numbers mean little.
+        Few presses on a coarse grid, as a test of the installation; the numbers are not accurate.
     """
     if not study:
         raise ConfigError("reproduce needs the name of a study, or all")

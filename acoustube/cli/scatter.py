@@ -170,7 +170,7 @@ def scatter(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What the command is asked for; frequencies in Hz."""
+    """Validated arguments of the command; frequencies in Hz."""
 
     path: Path
     frequency: Any

@@ -167,7 +167,7 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
 
 
 def _compared(case: xr.Dataset) -> str:
-    """Return how far the echo of the spectral solver is from that of the run, in words."""
+    """Return the difference between the spectral solver's echo and that of the run, as text."""
     apart = float(case["spectral_distance"] - case["estimated_distance"])
     if not math.isfinite(apart):
         return "no echo in one of the two, see the variables spectral_*"

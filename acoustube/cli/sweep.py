@@ -49,7 +49,7 @@ class Axes:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Choice(Checked):
-    """Options of the choice of cases.
+    """Options that select the cases.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Choice(Checked):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """Options of the extent and the place of the computation.
+    """Options of the computation: output folder, shard, cluster, repetition of failed cases.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Execution:
     dask : str
         Address of the scheduler of a running Dask cluster, in place of processes.
     retry : str
-        Failed cases again.
+        Which cases to compute again: failed ones.
     dry_run : bool
         Cases, cached results and expected costs only; nothing is computed.
     """
@@ -104,7 +104,7 @@ class Execution:
     dry_run: Annotated[bool, FLAG] = False
 
     def share(self) -> tuple[int, int]:
-        """Return number and count of a part such as 3/40.
+        """Parse a shard such as 3/40: its number and the number of shards.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class Execution:
         number, count = (int(found[1]), int(found[2])) if found else (0, 0)
         if not 1 <= number <= count:
             raise ConfigError(
-                "is not a part", setting="shard", value=self.shard,
+                "is not a shard", setting="shard", value=self.shard,
                 advice="write NUMBER/COUNT, from 1/COUNT on, such as 3/40",
             )  # fmt: skip
         return number, count

@@ -45,7 +45,7 @@ REVERSED_FACE = np.array([0, 2, 1, 4, 3, 5])
 
 
 class Plane(NamedTuple):
-    """A plane that bounds the piece.
+    """A plane that bounds the meshed piece of the wall.
 
     Attributes
     ----------

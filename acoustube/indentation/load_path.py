@@ -126,7 +126,7 @@ class _Problem(NamedTuple):
 
 
 def spread(targets: Array, spacing: float) -> Array:
-    """Return targets at least a spacing apart, the last among them: those met first."""
+    """Return a subset of the target depths, at least a spacing apart, that includes the last."""
     kept = [targets[-1]]
     for target in targets[-2::-1]:
         if kept[-1] - target >= spacing * (1 - 1e-9):
@@ -135,7 +135,7 @@ def spread(targets: Array, spacing: float) -> Array:
 
 
 def _by_bisection(targets: Array, done: Sequence[_Increment]) -> list[float]:
-    """Return targets in the order in which each is nearest the middle of the widest gap left."""
+    """Return the target depths in bisection order: next, that nearest the widest gap's middle."""
     order, left, known = [], targets, np.array([each.depth for each in done])
     while len(left):
         above = np.searchsorted(known, left)
@@ -155,9 +155,9 @@ def _follow(
     progress: Progress | None,
     guide: Guide | None,
 ) -> tuple[list[_Increment], NewtonResult | None]:
-    """Return increments followed by those that lead to the last target and meet all of them.
+    """Extend the load path to the last target depth, with an increment at each target.
 
-    With the solution that failed, if one did however short the increment.
+    Also return the failed solution if Newton's method fails at the smallest increment, else None.
     """
     untouched, model, largest = problem.untouched, problem.model, problem.largest
     done, bore = list(done), untouched.tube.inner_diameter
@@ -188,7 +188,7 @@ def _follow(
 def _between(
     problem: _Problem, done: list[_Increment], depth: float, guide: Guide | None
 ) -> tuple[list[_Increment], NewtonResult | None]:
-    """Return increments with one at a depth between them added, and what :func:`_follow` does.
+    """Insert an increment at a depth between others; same results as :func:`_follow`.
 
     Where Newton's method fails from between the neighbours, a path from the lower one leads there;
     where that ends, so do the increments.
@@ -230,7 +230,7 @@ def _next_depth(targets: Array, reached: float, increment: float) -> float:
 def _ahead(
     model: Model, last: Sequence[_Increment], depth: float, guide: Guide | None
 ) -> list[Array]:
-    """Return guesses of the state at a depth beyond the last increments."""
+    """Return predictors of the state, extrapolated from the last increments to a depth."""
     # Of a low order as well: a high one overshoots where the contact grows unforeseen.
     guesses = [_interpolated(last[-n:], depth) for n in range(2, len(last) + 1)]
     if guide is not None:
@@ -241,9 +241,9 @@ def _ahead(
 def _solved(
     problem: _Problem, near: _Increment, guesses: Sequence[Array], depth: float
 ) -> NewtonResult:
-    """Return the solution from the guess of the lowest energy among those that do not cross.
+    """Return Newton's solution from the predictor of lowest energy without self-intersection.
 
-    If all cross themselves, from the last state before on the straight way from an increment.
+    If all intersect themselves, from the last state without on the line from an increment to each.
     """
     model, bodies = problem.model, bodies_at(problem.untouched, depth)
     here, points = near.solution.displacement, problem.model.mesh.points
@@ -267,7 +267,7 @@ def _interpolated(increments: Sequence[_Increment], depth: float) -> Array:
 
 
 def _corrected(guide: Guide, model: Model, increments: Sequence[_Increment], depth: float) -> Array:
-    """Return the guide's state at a depth with the polynomial through what increments differ."""
+    """Return the guide's state at a depth plus the interpolated differences of increments."""
     depths = [each.depth for each in increments]
     differences = [
         each.solution.displacement - guide.displacement(each.depth) * model.free

@@ -130,7 +130,7 @@ def minimise(
 def _factorised(
     model: Model, displacement: Array, bodies: tuple[Body, ...], order: Index
 ) -> tuple[linear_solver.Solve, bool]:
-    """Factorise the tangent, or a positive definite matrix near it, and say whether the former.
+    """Factorise the tangent, or else a nearby positive definite matrix; return whether the tangent.
 
     The second is the tangent without what makes it indefinite first, and with a part of its
     diagonal added where that is not enough ([2]_, section 3.4).

@@ -145,7 +145,7 @@ def indent(
 
 
 def _guide(untouched: Indentation, targets: Array, progress: Progress | None) -> Guide | None:
-    """Return the load path on a coarse mesh, or None where a coarse mesh is of no use."""
+    """Return the load path on a coarse mesh, or None if that does not exist or its press fails."""
     mesh = coarse_mesh(untouched.mesh, untouched.tube, untouched.indenters)
     if mesh is None:
         return None
@@ -312,7 +312,7 @@ def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -
     deepest = deepest_press(tube, layer)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
-        raise ConfigError(f"depth = {shown} m must be one or more rising depths above 0.")
+        raise ConfigError(f"depth = {shown} m must be positive and increasing depths.")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "

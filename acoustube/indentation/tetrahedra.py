@@ -234,7 +234,7 @@ def _tetrahedralised(
 
 
 def _in_child(**arguments: Any) -> tuple[Array, Index]:
-    """Return what pytetwild makes of its arguments, in a process of its own.
+    """Run pytetwild in a child process, and return its result.
 
     It keeps Python's lock, so that no interrupt would get through for minutes, writes a file into
     the current folder, and may crash.
@@ -248,7 +248,7 @@ def _in_child(**arguments: Any) -> tuple[Array, Index]:
             last = error.stderr.decode(errors="replace").strip().splitlines()[-1:]
             raise SimulationError(
                 f"the wall could not be filled with tetrahedra ({''.join(last) or 'a crash'}); "
-                "check that the surface has no faces through each other"
+                "check that the surface does not intersect itself"
             ) from error
         with np.load(Path(folder) / "out.npz") as made:
             return made["points"], made["tetrahedra"]

@@ -85,7 +85,7 @@ class _Kind:
         value = self.read(value)
         if not self.fits(value):
             raise ConfigError(
-                "is not allowed", setting=name, value=repr(value), advice=f"use {self.allowed}"
+                "is invalid", setting=name, value=repr(value), advice=f"use {self.allowed}"
             )
         return value
 

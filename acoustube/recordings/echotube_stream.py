@@ -131,7 +131,7 @@ class Decoder:
             self.n_garbled += 1
 
     def _finish(self) -> Frame | None:
-        """Return the frame that a zero has ended, or count a garbled one."""
+        """Return the frame that a zero byte has completed, or count a corrupted one."""
         payload = None if self._too_long else self._payload()
         known = self._too_long or not self._piece
         first, self._first, self._too_long = self._first, False, False
@@ -155,7 +155,7 @@ class Decoder:
 
 
 def encode(pulse_width: int, samples: ArrayLike) -> bytes:
-    """Return a frame as the board sends it, its zero included.
+    """Return a frame as bytes of the serial stream, with the terminating zero byte.
 
     Parameters
     ----------

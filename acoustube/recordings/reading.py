@@ -104,7 +104,7 @@ def _read(
     named, labels = separate_known(over.pop("labels", {}))
     if wrong := [name for name in named if name not in LABELS]:
         raise ConfigError(
-            f"{path}: the labels of its sidecar state {wrong[0]}, which is no label; rename it"
+            f"{path}: the labels of its sidecar state {wrong[0]}, which is not a label; rename it"
         )
     return assemble(path, known | named | over, others, labels, notes)
 

@@ -45,7 +45,7 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
     if surface.euler_number != 0:
         raise ConfigError(
             f"{path}: the surface has {1 - surface.euler_number // 2} holes through it; a tube "
-            "has one, its bore. Remove what is not the wall."
+            "has one, its bore. Remove all parts but the wall."
         )
     separate_walls(surface, str(path))
     return surface

@@ -271,7 +271,7 @@ def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
 def _taken(
     receiver: Receiver, duration: float | None, check: Callable[[], None]
 ) -> Iterator[tuple[float, Frame | None]]:
-    """Yield the cycles with their times, and None while none comes, until the stream ends."""
+    """Yield cycles with arrival times, or None after a time-out, until the stream ends."""
     end = np.inf if duration is None else time.perf_counter() + duration
     while True:
         check()

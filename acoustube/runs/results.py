@@ -322,7 +322,7 @@ def _checked(check: SpectralCheck | None) -> dict[str, Variable]:
 
 
 def _trusted(budget: Budget | SpectralBudget) -> dict[str, Variable]:
-    """Return the known errors of the sound."""
+    """Return the error budget of the sound as variables."""
     table = {
         "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
         "delay_bias": ("1", "error of the plane wave's group delay on the grid, relative"),

@@ -339,7 +339,7 @@ def band_of(pulse: Pulse) -> tuple[float, float]:
 
 
 def _duration(settings: SISettings, air: Air) -> float:
-    """Return a time in s that is long enough for the middle of an echo from the far end."""
+    """Return the duration in s of a recording: to the middle of an echo from the far end."""
     return 2 * settings.tube.length / air.sound_speed + 0.5 * settings.pulse.duration
 
 

@@ -78,8 +78,8 @@ def winding(
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):
         raise ConfigError(
-            f"{CM * start:.4g} to {CM * stop:.4g} cm is no part of a tube that is wound from "
-            f"{CM * helix.lead:.4g} to {CM * helix.tube_length:.4g} cm; take two distances there"
+            f"{CM * start:.4g} to {CM * stop:.4g} cm is not part of a tube wound from "
+            f"{CM * helix.lead:.4g} to {CM * helix.tube_length:.4g} cm; use distances in this range"
         )
     n_parts = ceil(abs(float(np.diff(helix.angle(ends))[0])) / (2 * np.pi))
     edges = np.linspace(start, stop, n_parts + 1)

@@ -50,11 +50,11 @@ class Frame:
     rotation: Array = field(default_factory=lambda: np.eye(3))
 
     def outwards(self, places: ArrayLike) -> Array:
-        """Return places of the arm, (..., 3), in the coordinates of the markers."""
+        """Transform points (..., 3) from the coordinates of the arm to those of the markers."""
         return np.asarray(places, float) @ self.rotation.T + self.origin
 
     def inwards(self, places: ArrayLike) -> Array:
-        """Return places of the markers, (..., 3), in the coordinates of the arm."""
+        """Transform points (..., 3) from the coordinates of the markers to those of the arm."""
         return np.asarray((np.asarray(places, float) - self.origin) @ self.rotation)
 
 

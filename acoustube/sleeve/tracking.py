@@ -164,7 +164,7 @@ class ContactTracker:
         if self._time is not None and not time > self._time:
             raise ConfigError(
                 f"does not follow {self._time:g} s", setting="time", value=time, unit="s",
-                advice="times must rise",
+                advice="times must increase",
             )  # fmt: skip
         step = 0.0 if self._time is None else time - self._time
         self._time = time

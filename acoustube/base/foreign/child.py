@@ -1,4 +1,4 @@
-"""Reading by libraries in C in a child process, whose crash is one sentence.
+"""Reading of files by C libraries in a child process, so that a crash becomes an error message.
 
 The child is started with the first such file, and reads all later ones. It has limits of memory and
 time, and sends plain arrays, no Python objects; a crash or a limit ends it, and the next file gets
@@ -43,7 +43,7 @@ class ReadingError(Exception):
 
 
 class MissingPackage(ReadingError):  # noqa: N818
-    """A package that a reader needs, and that is not installed or not whole."""
+    """A package that a reader needs, and that is missing or incomplete."""
 
 
 class _Child:

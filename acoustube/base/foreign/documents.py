@@ -47,7 +47,7 @@ def read_document(path: str | Path, kind: str = ".toml") -> dict[str, Any]:
     found = parsed(text, path, kind)
     if not isinstance(found, dict):
         raise ConfigError(
-            f"{path} is not valid {name}: it is no table of names and values; add them"
+            f"{path} is not valid {name}: it is not a table of names and values; add them"
         )
     return found
 
@@ -95,7 +95,7 @@ def _check(value: Any, source: str | Path, name: str, depth: int) -> None:
             _check(inner, source, name, depth + 1)
     elif isinstance(value, int) and value.bit_length() > 64:
         raise ConfigError(
-            f"{source}: {name} is a whole number of over 64 bits, the limit; correct it"
+            f"{source}: {name} is an integer of more than 64 bits, the limit; correct it"
         )
 
 

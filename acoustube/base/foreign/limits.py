@@ -1,4 +1,4 @@
-"""Limits of what is read from a file, and the sentence for a file that cannot be read.
+"""Limits on the content of files that are read, and error messages for unreadable files.
 
 ``--limits FACTOR``, or the environment variable ``ACOUSTUBE_LIMITS``, multiplies all of them but
 the nesting, which Python's stack bounds.
@@ -126,7 +126,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
 
 
 def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
-    """Raise if a file has more of something than a limit, which the factor multiplies.
+    """Raise if a file has more items than a limit, which the factor multiplies.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def reading(
     advice: str,
     errors: type[Exception] | tuple[type[Exception], ...] = Exception,
 ) -> Iterator[None]:
-    """Turn any failure of reading a file into one sentence, and silence libraries' warnings.
+    """Convert any failure to read a file to one error message, and suppress libraries' warnings.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _DIMENSION = b"This is a netCDF dimension"
 
 
 class Exceeded(Exception):  # noqa: N818
-    """Limit that a file exceeds, in words that follow its name in a sentence."""
+    """Error of a file that exceeds a limit; its message follows the file's name in a sentence."""
 
 
 class Missing(ImportError):  # noqa: N818
@@ -29,7 +29,7 @@ class Missing(ImportError):  # noqa: N818
 
 
 class Stored(NamedTuple):
-    """An array that lies in the file as it is in memory.
+    """An uncompressed, contiguous array in a file, which can be memory-mapped.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ def names(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
 
 
 def survey(path: str, most: int) -> Iterator[Entry]:
-    """Read an HDF5 file from end to end, and yield nothing."""
+    """Read an entire HDF5 file to test that it is readable; yield nothing."""
     import h5py
 
     with h5py.File(path) as file:
@@ -160,7 +160,7 @@ def _values(item: Any) -> Any:
 
 
 def _stored(item: Any) -> Any:
-    """Return where a dataset lies in its file, or its values where it is in pieces or packed."""
+    """Return a contiguous dataset's place in its file, or a chunked or compressed one's values."""
     if item.external or item.is_virtual:
         raise ValueError(f"{item.name} is stored in another file")
     offset = item.id.get_offset() if item.chunks is None and item.size else None
@@ -210,7 +210,7 @@ def _attributes(found: Mapping[str, Any]) -> Iterator[Entry]:
 
 
 def _variable(name: str, value: Any, attributes: Mapping[str, Any], values: Any) -> Entry:
-    """Return a variable; packed ones as what they stand for."""
+    """Return a variable, decoded by its scale, offset and fill value."""
     unit = attributes.get("units")
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
     label = {"name": name, "unit": unit if isinstance(unit, str) else None}
@@ -286,6 +286,6 @@ def vtp(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
     points = vtk_to_numpy(found.GetPoints().GetData()).astype(float)
     faces = vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3)
     if faces.min() < 0 or faces.max() >= len(points):
-        raise ValueError("its facets name points that it does not have")
+        raise ValueError("its facets refer to points that do not exist")
     yield {"name": "points"}, points
     yield {"name": "faces"}, faces.astype(np.int64)

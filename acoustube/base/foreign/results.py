@@ -37,7 +37,7 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
     with limits.reading(path, failure, advice):
         seal = seal_of(path)
         if seal is Seal.BROKEN:
-            raise ConfigError(f"{path} is damaged: its bytes are not those written; {advice}")
+            raise ConfigError(f"{path} is damaged: its checksum is wrong; {advice}")
         if seal is Seal.NONE:
             child.read("survey", Path(path), "result")
 

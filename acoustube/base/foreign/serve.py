@@ -49,7 +49,7 @@ def _limit(seconds: float, size: int) -> None:
 
 
 def _address_space() -> int:
-    """Return the address space in use in bytes, zero where the system does not tell it."""
+    """Return the address space in use in bytes, zero where the system does not report it."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123
             return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,4 +1,4 @@
-"""Studies of the sleeve paper as code: each gives its numbers beside the published ones.
+"""Studies of the sleeve paper as code: each compares simulated with published numbers.
 
 The sleeve paper is "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
 Localization and Force Sensing".

@@ -45,7 +45,7 @@ def sleeve() -> tuple[Helix, ...]:
 
 
 def rod_on_a_bend(diameter: float, curvature: float) -> float:
-    """Return the diameter of the rod whose gap to a straight tube equals another's to a bent one.
+    """Return the equivalent diameter, on a straight tube, of a rod that presses a bent tube.
 
     Parameters
     ----------

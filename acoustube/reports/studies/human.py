@@ -137,7 +137,7 @@ def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Con
 
 
 def forces_of(level: tuple[float, float]) -> Array:
-    """Return the forces in N at which a level is taken."""
+    """Return the forces in N that sample the range of a press level."""
     return level[0] + (level[1] - level[0]) * STATES
 
 

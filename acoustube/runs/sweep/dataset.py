@@ -158,7 +158,9 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
             )
         found |= contents.finished
     if not found:
-        raise ConfigError(f"{sweep[0]} holds no finished case; let acoustube sweep finish some")
+        raise ConfigError(
+            f"{sweep[0]} holds no finished case; run acoustube sweep until some are finished"
+        )
     cases = [(str(name), found[str(name)]) for name in open_dataset(sweep)["press"].values]
     size = max(1, CYCLES_PER_FILE // recipe.per_case)
     parts = {}

@@ -157,7 +157,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
                 "a number of cases"
             )
         if not -math.inf < values.low < values.high < math.inf:
-            raise ConfigError(f"{name} = {values} must rise")
+            raise ConfigError(f"{name} = {values} must have low < high")
     elif not values:
         raise ConfigError(f"{name} has no values and so the plan no cases; give one or more")
     elif not all(isinstance(value, int | float | str) for value in values):
@@ -167,7 +167,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
 
 
 def _sampled(plan: Plan) -> dict[str, Any]:
-    """Draw the values of a random plan; those of a list are taken equally often."""
+    """Draw the values of a random plan; each value of a list is drawn equally often."""
     import warnings
 
     import numpy as np

@@ -186,7 +186,7 @@ def _subtract_drag(weight, drag, integral, moved, x, y, begin, end):  # type: ig
 
 @_compiled
 def _wall_step(lossy, fields, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Turn the increment without the wall's thermal losses into that with them."""
+    """Add the wall's thermal losses to the pressure increment."""
     response, half = lossy.scalars[0], np.float32(0.5) * lossy.scalars[0]
     change, pressure, increment = fields.change, fields.pressure, fields.increment
     for k in range(begin, end):

@@ -332,7 +332,7 @@ def _fields(scheme: Scheme, state: State, lossy: LossCoefficients, dtype: Any) -
 
 
 def _twice(field: ArrayLike) -> Array:
-    """Return the array of a field at two times, the second of which is still unset."""
+    """Return an array for a field at two time levels, the second uninitialised."""
     field = np.asarray(field)
     both = np.zeros((2, *field.shape), field.dtype)
     both[0] = field

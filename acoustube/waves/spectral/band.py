@@ -34,7 +34,7 @@ def swept(
     k: Array,
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, Array, list[int]]:
-    """Return the richest space of each side, S, its errors, and sizes without the last shift."""
+    """Return the largest basis per parity, S, its errors, and basis sizes before the last shift."""
     for shift in basis.shifts:
         if float(shift) not in responses:
             responses[float(shift)] = respond(system, float(shift), KRYLOV_BLOCKS)

@@ -11,7 +11,7 @@ from acoustube.waves.spectral.polynomials import Array
 
 
 class Factors(NamedTuple):
-    """Elements without their interior unknowns, and their nodes eliminated from the last on.
+    """Factors of static condensation of the elements, then of block elimination of their nodes.
 
     Attributes
     ----------

@@ -65,7 +65,7 @@ def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
 
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
-    """Return f, from h, b and D; see the module's text. They are broadcast."""
+    """Return the filling function f of h, b and D (see the module's docstring), broadcast."""
     argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
     # Asymptotic to a relative 1e-7 where the air is many layers wide, as it mostly is.
     inverse = 1 / argument

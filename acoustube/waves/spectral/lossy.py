@@ -35,7 +35,7 @@ SAMPLE_GRADING = 1.6
 def with_layers(
     system: Discretisation, wall: Wall, edges: Array, degree: int, odd: bool | None, n_points: int
 ) -> Discretisation:
-    """Return a discretisation with the wall's integrals, for which fields are added to the span."""
+    """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
     points = wall_points(wall, edges, n_points)
     functions = wall_functions(points, polynomials(degree + DEGREE_INCREASE, odd))
     one = np.ones_like(points.area)

@@ -256,7 +256,7 @@ def _integrated(
     spaces: list[Reduced],
     before: Complex,
 ) -> tuple[Discretisation, list[Reduced], Complex, Array, int]:
-    """Return matrices of more points in the same fields, with S, and what the points change.
+    """Refine the axial quadrature for the same fields; return matrices, S, and its changes.
 
     Features of the wall that the points miss are not resolved by the elements either, so that all
     changes count, not only the last.
