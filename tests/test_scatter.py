@@ -233,7 +233,7 @@ def test_band_of_the_plane_mode_alone():
     assert found.modes == ("00",)
     assert np.all(np.abs(found.s[:, :, 0, 0, 0]).max(axis=1) > 0.5)
     for frequency in ([0.0, 1e3], [2e3, 1e3], 5.0):
-        with pytest.raises(ConfigError, match="^frequency "):
+        with pytest.raises(ConfigError, match=r"^frequency "):
             scatter(cells_of("A", 10), AIR, np.array(frequency))
 
 
