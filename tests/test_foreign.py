@@ -70,7 +70,7 @@ def test_dataset_that_claims_more_than_the_limit_is_not_read(tmp_path, monkeypat
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("signal", (30_000, 20_000), "i1", chunks=(1000, 1000), fillvalue=3)
     monkeypatch.setitem(limits.SIZES, "recording", 1_000_000)
-    with pytest.raises(ConfigError, match=r"claims to hold 600 MB, over the limit of 1 MB"):
+    with pytest.raises(ConfigError, match=r"declares 600 MB of arrays, over the limit of 1 MB"):
         read(tmp_path / "a.h5")
 
 
@@ -134,7 +134,7 @@ def changed(path, offset, content):
 def test_archives_that_claim_what_they_do_not_hold_are_refused(tmp_path, monkeypatch):
     path = tmp_path / "a.npz"
     eight_gb = archive(path, {"signal.npy": header((1_000_000, 4000)) + bytes(100)})
-    with pytest.raises(ConfigError, match=r"signal claims 8000000000 bytes and has 228"):
+    with pytest.raises(ConfigError, match=r"signal declares 8000000000 bytes and has 228"):
         read(eight_gb)
     monkeypatch.setitem(limits.SIZES, "recording", 10_000_000)
     zeros = archive(path, {"signal.npy": header((5000, 4000)) + bytes(40_000_000)})

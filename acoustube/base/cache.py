@@ -114,9 +114,9 @@ def key(kind: str, dependencies: Mapping[str, Any]) -> str:
     Parameters
     ----------
     kind : {"press", "scattering"}
-        What it is.
+        Kind of result.
     dependencies : mapping
-        Everything that the result depends on, in what JSON can hold. The source code that computes
+        Everything that the result depends on, as values of JSON. The source code that computes
         it is added here.
     """
     text = json.dumps(dict(dependencies) | {"code": _code(kind)}, sort_keys=True)
@@ -252,7 +252,7 @@ def recall(name: str) -> dict[str, NDArray[Any]] | None:
 
 
 def store(name: str, arrays: Arrays, label: str = "") -> None:
-    """Write an entry in one step; where that is impossible, nothing is cached.
+    """Write an entry atomically; where that is impossible, nothing is cached.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def has_kept() -> bool | None:
 
 
 def _write_in_one_step(name: str, content: bytes) -> bool:
-    """Write a file of the cache in one step; return whether the folder could be written."""
+    """Write a file of the cache atomically; return whether the folder could be written."""
     try:
         folder().mkdir(parents=True, exist_ok=True)
         part: dict[str, Any] = {"dir": folder(), "prefix": PREFIX, "suffix": ".part"}
@@ -356,8 +356,8 @@ def keep_compiled_code() -> None:
     """Let JAX keep in the cache what it compiles, in this process and those that it starts.
 
     Has to run before JAX is imported. Does nothing where the user has chosen a folder for JAX. The
-    code is kept for one kind of processor, since JAX would also load, with a line of log each time,
-    what another one cannot run.
+    code is kept for one kind of processor, since JAX would also load code compiled for another,
+    with a line of log each time.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return

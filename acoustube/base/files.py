@@ -1,4 +1,4 @@
-"""Output files and folders: checks before a run, and writing in one step."""
+"""Output files and folders: checks before a run, and atomic writing."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
     ConfigError
         If the folder is taken or cannot be made.
     DiskFullError
-        If there is no room for a file that :func:`write` writes to it.
+        If the disk is full.
     """
     folder = check_out(path)
     made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
@@ -186,7 +186,7 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
 
 
 def publish(partial: Path, path: str | Path) -> Path:
-    """Give a complete folder its name, in one step.
+    """Rename a complete temporary folder to its final name, atomically.
 
     Parameters
     ----------

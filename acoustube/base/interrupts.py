@@ -152,8 +152,8 @@ def exit_code() -> int:
 def end_in_time(clean: Callable[[], None]) -> None:
     """Let a thread end this process where an interrupt has not ended it in time.
 
-    Python's own handler in C tells the thread of a signal, wherever the main thread is: a library
-    may keep that for minutes, or may have taken the exception for one of its own.
+    Python's own handler in C notifies the thread of a signal even if the main thread cannot stop:
+    a library may block that for minutes, or may have caught the exception.
 
     Parameters
     ----------

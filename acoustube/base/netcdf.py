@@ -85,7 +85,7 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
 
 
 def write_dataset(dataset: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
-    """Write a dataset as a compressed netCDF-4 file, in one step.
+    """Write a dataset as a compressed netCDF-4 file, atomically.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) ->
     Raises
     ------
     DiskFullError
-        If there is no room for it.
+        If the disk is full.
     SimulationError
         If the name has been taken by another program; the file then has a number in its name.
     ConfigError

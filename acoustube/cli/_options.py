@@ -170,7 +170,7 @@ class Run:
     Attributes
     ----------
     config : Path
-        TOML file with settings; options win over it.
+        TOML file with settings, which options override.
     out : Path
         Folder to write, new or empty; COMMAND-1, COMMAND-2 and so on if not given.
     """

@@ -109,7 +109,7 @@ def _free_path(out: Path | None, name: str | None) -> Path:
 
 
 def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str) -> None:
-    """Check that closures have labels, and all cycles one rate and length."""
+    """Check that closures have labels, and all cycles the same sampling rate and length."""
     if "true_distance" not in closed:
         raise ConfigError(
             f"the blocked cycles of {blocked} have no label true_distance; give it in the file "

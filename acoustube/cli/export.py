@@ -49,7 +49,7 @@ def export(
         ``scatter`` wrote.
     kind : str
         Format. Of datasets wav (with a Parquet table; the default), csv (labels) or lerobot
-        (episodes as robot learners keep them); of simulate and indent stl (the lumen, at each
+        (episodes for robot learning); of simulate and indent stl (the lumen, at each
         depth; the default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps csv (the
         default), stl or vtp; of scatter csv.
     out : Path

@@ -62,7 +62,7 @@ class Choice(Checked):
     seed : int
         Random seed of a random plan.
     plan : Path
-        TOML file with the plan; options win over it.
+        TOML file with the plan, which options override.
     """
 
     vary: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None

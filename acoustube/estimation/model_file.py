@@ -65,7 +65,7 @@ def save(model: Model, path: str | Path, *, overwrite: bool = True) -> None:
     ConfigError
         If the file cannot be written.
     SimulationError
-        If there is no room for it, or it exists and is not to be replaced.
+        If the disk is full, or the file exists and `overwrite` is false.
     """
     header = {
         "kind": KIND,

@@ -116,7 +116,7 @@ class DepthPath:
     def at(self, depth: ArrayLike) -> Indentation:
         """Return an indentation with rows at given depths.
 
-        For what measures, draws or exports the rows of an indentation.
+        For functions that measure, draw or export the rows of an indentation.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class DepthPath:
         that is bridged there is twice as wide, so that displacements are about three times as
         accurate as estimated. Forces waver with the number of contact points, by 0.3 %, whatever
         the distance of the rows, and are off by up to twice the estimate. Between the last open and
-        the first closed row the force bends more than the rows tell.
+        the first closed row the slope of the force changes more than the rows resolve.
         """
         depth = self._checked(depth)
         rows = self.indentation.depth

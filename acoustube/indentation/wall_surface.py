@@ -72,7 +72,7 @@ def _part(surface: trimesh.Trimesh, chosen: Mask) -> trimesh.Trimesh:
 
 
 def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: float) -> Tube:
-    """Return the round tube that stands for an imported wall: its sizes and moduli.
+    """Return the equivalent round tube of an imported wall: its sizes and moduli.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def decimate_rings(
 
 
 def _most_informative_rings(rings: NDArray[np.float64], kept: set[int], count: int) -> list[int]:
-    """Return the numbers of the rings to keep: in turn the one farthest off its interpolation."""
+    """Return the numbers of the rings to keep, added by largest interpolation error."""
     while len(kept) < min(count, len(rings)):
         known = sorted(kept)
         right = np.clip(np.searchsorted(known, np.arange(len(rings))), 1, len(known) - 1)

@@ -90,8 +90,8 @@ class Decoder:
     Of the pulse width the higher byte comes first. So EchoTube's firmware packs it (`echotube.ino`
     of the repository ctejada10/echotube), into the first two of 2000 samples.
 
-    No more than one frame and a byte are kept. What grows longer without a zero is counted as
-    garbled at once, and the rest of it up to the next zero left out.
+    No more than one frame and a byte are kept. A longer piece without a zero is counted as
+    corrupted at once, and its rest up to the next zero is discarded.
     """
 
     def __init__(self, frame_bytes: int = FRAME_BYTES):

@@ -197,7 +197,7 @@ def follow(
 
 
 def _tracker(stream: Stream) -> Tracker:
-    """Return the processing of the stream's cycles, tested with a cycle of zeros."""
+    """Return the tracker that processes the stream's cycles, tested with a cycle of zeros."""
     known, settings = chosen(stream.calibration, stream.prominence)
     check_rate(stream.rate, known, Path(stream.port))
     settings = signals.without_aliased_template(settings, stream.rate)

@@ -60,7 +60,7 @@ def dataset(
     indentation : Indentation
     lumen : Lumen
     recordings, rangings : mapping of str
-        The recorded and the processed signal for each choice of the source end.
+        The recorded and the processed signal for each boundary condition at the source end.
     budget : Budget or SpectralBudget
         Known errors of the recordings.
     check : SpectralCheck or None
@@ -343,7 +343,7 @@ def _trusted(budget: Budget | SpectralBudget) -> dict[str, Variable]:
 
 
 def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
-    """Return envelope and estimate for each choice of the source end."""
+    """Return envelope and estimate for each boundary condition at the source end."""
     results = list(rangings.values())
     names = {
         "envelope": ("source_end time", "1", "envelope, relative to the send pulse"),

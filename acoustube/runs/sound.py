@@ -75,7 +75,7 @@ def tube_recordings(
     Returns
     -------
     recordings : dict of Recording
-        For each choice of the source end.
+        For each boundary condition at the source end.
     budget : Budget
         Known errors of the recordings.
     """
@@ -117,7 +117,7 @@ def scattered_recordings(
     Returns
     -------
     recordings : dict of Recording
-        For each choice of the source end.
+        For each boundary condition at the source end.
     budget : Budget or SpectralBudget
         Known errors of the recordings.
     note : str
@@ -282,7 +282,8 @@ def joined_recordings(
     Returns
     -------
     dict of Recording
-        For each choice of the source end. Spacing and shape of the grid are the first press's.
+        For each boundary condition at the source end, with spacing and shape of the first
+        press's grid.
     """
     air, probe = settings.air, settings.probe
     recordings: dict[SourceEnd, Recording] = {}
@@ -344,7 +345,7 @@ def _duration(settings: SISettings, air: Air) -> float:
 
 
 def locate(settings: SISettings, recording: Recording) -> signals.Ranging:
-    """Find the press in a recording by the settings' processing."""
+    """Estimate the distance of the press from a recording, with the settings' signal processing."""
     return signals.process(
         recording.time,
         recording.pressure[0],

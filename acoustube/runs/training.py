@@ -19,7 +19,7 @@ DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": 
 """Units of the tables, with the factors from SI."""
 BINS = {"depth": 0.5e-3, "true_distance": 0.05}
 """Widths in m of the bins of the table: the sleeve paper's steps of depth, and of its error map."""
-# Target, by what its cycles are chosen, from where to where in SI, how many, and their errors.
+# Target, label by which cycles are binned, the bin's limits in SI, number of cycles, errors.
 Row = tuple[str, str, float, float, int, estimation.Errors]
 
 
@@ -117,8 +117,8 @@ def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterat
     Yields
     ------
     tuple
-        The target; by what its cycles are chosen, and from where to where; how many they are; and
-        their errors, in SI units.
+        The target; the label by which cycles are binned, and the bin's limits; the number of
+        cycles; and their errors, in SI units.
     """
     for target in model.targets:
         if target not in table or not np.isfinite(table[target]).any():

@@ -47,7 +47,7 @@ def save(calibration: Calibration, path: str | Path) -> None:
     ConfigError
         If the file exists or cannot be written.
     SimulationError
-        If there is no room for it.
+        If the disk is full.
     """
     if os.path.lexists(path):
         raise ConfigError(f"{path} cannot be written, since it exists; name a new file")

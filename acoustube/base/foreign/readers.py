@@ -142,7 +142,7 @@ def _counted(item: Any, total: int, most: int) -> int:
     total += item.size * item.dtype.itemsize if item.size else 0
     if total > most:
         raise Exceeded(
-            f"claims to hold {total / 1e6:.4g} MB, over the limit of {most / 1e6:.4g} MB"
+            f"declares {total / 1e6:.4g} MB of arrays, over the limit of {most / 1e6:.4g} MB"
         )
     return total
 
@@ -243,7 +243,7 @@ def flac(path: str, most: int) -> Iterator[Entry]:
         kinds = {"PCM_S8": ("int16", 8), "PCM_16": ("int16", 0), "PCM_24": ("int32", 8)}
         dtype, shift = kinds[file.subtype]
         if file.frames * file.channels * np.dtype(dtype).itemsize > most:
-            raise Exceeded(f"claims {file.frames} samples, over the limit of {most / 1e6:.4g} MB")
+            raise Exceeded(f"declares {file.frames} samples, over the limit of {most / 1e6:.4g} MB")
         samples = file.read(dtype=dtype, always_2d=True)
         if len(samples) < file.frames:
             raise EOFError(f"it ends after {len(samples)} of {file.frames} samples")

@@ -1,4 +1,4 @@
-"""Figures of recorded cycles and of calibrations. Each draws on axes that it is given."""
+"""Figures of recorded cycles and of calibrations. Each draws on given matplotlib axes."""
 
 from __future__ import annotations
 

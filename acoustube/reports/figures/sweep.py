@@ -1,4 +1,4 @@
-"""Figures of a sweep. Each draws on axes that it is given, cases along ``press``."""
+"""Figures of a sweep. Each draws on given axes, from cases along ``press``."""
 
 from __future__ import annotations
 

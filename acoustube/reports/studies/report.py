@@ -88,7 +88,7 @@ class Row:
     coarser : float or None
         Ours on a coarser mesh and grid; None where neither matters, or it was not computed.
     why : str
-        Why the two differ, or what ours is.
+        Why the two differ, or how the computed number is defined.
     """
 
     quantity: str

@@ -210,7 +210,7 @@ def load_plan(
         ``[sweep.over]`` with settings that vary, or a list of ``[[sweep.case]]``; ``[sweep]`` may
         have ``count``, ``sampler`` and ``seed``.
     over : mapping of str to sequence of str, optional
-        Settings that vary, as :func:`parsed` reads them; they win over the file. One value alone
+        Settings that vary, as :func:`parsed` reads them; they override the file. One value alone
         is shared by all cases.
     **given
         ``count``, ``sampler``, ``seed``; None means not given.

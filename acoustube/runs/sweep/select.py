@@ -44,7 +44,7 @@ def usual(cases: xr.Dataset) -> xr.Dataset:
 
 
 def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
-    """Process the recording of a case once more.
+    """Estimate the distance of a case again from its stored recording.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
 
 
 def envelope_of(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distances in m of an envelope, and the envelope."""
+    """Return the distance in m of each sample of an envelope, and the envelope."""
     settings, recording, ranging = ranged(case)
     delay = recording.time - float(ranging.send_time)
     away = signals.distance(delay, settings.temperature) + settings.probe

@@ -127,7 +127,7 @@ class Task:
 class Workers:
     """Pool of local processes, started on demand, and restarted when one is lost.
 
-    They stay until they are ended: what one has imported and compiled serves the next run too.
+    They persist until ended, so that imported modules and compiled code are reused by later runs.
     """
 
     def __init__(self, count: int) -> None:
@@ -214,8 +214,8 @@ def run_tasks(
     Notes
     -----
     A task whose worker is lost is tried again, and the last time alone, so that one which kills
-    its worker takes no other with it. What follows from a task goes before what waits: results are
-    written as soon as they can be.
+    its worker takes no other with it. Follow-up tasks go before waiting ones, so that results
+    are written as soon as possible.
     """
     waiting: deque[Task] = deque(tasks)
     running: dict[Future[Any], Task] = {}

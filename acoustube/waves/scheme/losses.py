@@ -86,11 +86,12 @@ class Losses(NamedTuple):
     decay, gain : tuple of Array
         Coefficients of the relaxations per step, n scalars.
     wall, bulk : tuple of Array
-        Weights of the relaxations in y, and in the lagging part of the pressure, n scalars.
+        Weights of the relaxations in the half-integral y of the pressure, and in the air's
+        bulk absorption, n scalars.
     response : Array
-        Response of y to a pressure within a step, scalar.
+        Response of the half-integral y to the pressure of the same step, scalar.
     rate : Array
-        Fraction of the pressure's change per step that is added to it, scalar.
+        Coefficient of the pressure's change per step in the bulk absorption, scalar.
     weight : Array
         Weight of the air's absorption in each layer, (1, 1, nz).
     """

@@ -125,7 +125,7 @@ def _curvature(points: WallPoints) -> Array:
 
 
 def gap_widths(points: WallPoints, narrow: float) -> Array:
-    """Return the diameter in m of the greatest circle in the section that touches each point.
+    """Return the diameter in m of the largest inscribed circle tangent to the wall at each point.
 
     Of sections wider and higher than `narrow` it is taken as the less of these two sizes.
     """
@@ -170,7 +170,7 @@ def lossy_ends(
     kz : ndarray
         In 1/m, (n, n_modes).
     flux : ndarray
-        What the flux of each lossy mode has of the lossless ones, (n, n_modes, n_modes).
+        Components of each lossy mode's flux along the lossless modes, (n, n_modes, n_modes).
 
     Notes
     -----

@@ -60,7 +60,7 @@ def wall_of(lumen: Rings) -> Wall:
     Raises
     ------
     ConfigError
-        If the ends are not straight or not alike, or the lumen is the same all along.
+        If the ends are not straight or differ in section, or the whole lumen is straight.
 
     Notes
     -----

@@ -75,7 +75,7 @@ class Polynomials:
         return int(np.sum(self.i + self.j <= degree))
 
     def values(self, x: Array, y: Array) -> Array:
-        """Return the functions (n, ...) at points of the box."""
+        """Return the polynomials' values (n, ...) at points of the bounding box."""
         p, q = legendre(self.degree, x), legendre(self.degree, y)
         return np.tensordot(self.mix, p[self.i] * q[self.j], 1)
 

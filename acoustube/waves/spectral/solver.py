@@ -303,7 +303,7 @@ def _at_reference(
 def _adapted(
     task: _Task, odd: bool | None, basis: Basis, wanted: float
 ) -> tuple[Discretisation, Basis, dict[float, list[Response]]]:
-    """Raise the degree and split elements until both errors at the probes are as wanted."""
+    """Raise the degree and split elements until both errors at test shifts are within tolerance."""
     shifts = basis.shifts
     probes = shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
     for _ in range(MAX_ADAPTATIONS):
