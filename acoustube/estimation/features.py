@@ -139,9 +139,7 @@ def feature_table(
         As :func:`acoustube.signals.process`.
     """
     if missing := {"time", "signal", "temperature"} - {str(name) for name in cycles.variables}:
-        raise ConfigError(
-            f"the cycles have no variable {min(missing)}; use a dataset of recorded cycles"
-        )
+        raise ConfigError(f"the cycles have no {min(missing)}; give a dataset of recordings")
     time, signal = cycles["time"].values, cycles["signal"].values
     temperatures, count = cycles["temperature"].values, cycles.sizes["cycle"]
     processing = without_aliased_template(settings.processing, sampling_rate(time))
