@@ -2,13 +2,20 @@
 
 from dataclasses import replace
 
+import ipctk
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
 from acoustube.indentation.reference_element import TET10, TRI6
-from acoustube.indentation.self_contact import STEP_SAFETY_FACTOR, self_contact, triangulated
+from acoustube.indentation.self_contact import (
+    BARRIER_STIFFNESS,
+    STEP_SAFETY_FACTOR,
+    gap_at_pressure,
+    self_contact,
+    triangulated,
+)
 from acoustube.tube import Tube
 
 TUBE = Tube()
@@ -319,3 +326,33 @@ def test_another_wall_may_be_sampled(quarter):
     outer = TUBE.outer_diameter / 2
     radius = np.hypot(vertices[:, 0], vertices[:, 1])
     assert radius == pytest.approx(outer, rel=(np.pi / 16) ** 4 / 8)
+
+
+def test_pressure_of_a_gap_is_that_between_level_plates():
+    """Of one side 1 in 8 by 8 squares; weights of the pairs add up to half as much, or nothing."""
+    n, distance, modulus = 9, 2.5e-3, 1.0
+    x, z = (part.ravel() for part in np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij"))
+    number = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (
+        number[i : n - 1 + i, j : n - 1 + j].ravel() for i, j in ((0, 0), (1, 0), (0, 1), (1, 1))
+    )
+    lower = np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])
+    faces = np.concatenate([lower, lower[:, ::-1] + n * n]).astype(np.int32)
+    for pressure in (0.05, 0.5):
+        gap = gap_at_pressure(pressure, distance, modulus)
+        rest, near = (
+            np.asfortranarray(
+                np.stack([np.tile(x, 2), np.repeat([0, y], n * n), np.tile(z, 2)], -1)
+            )
+            for y in (1.0, gap)
+        )
+        mesh = ipctk.CollisionMesh(rest, ipctk.edges(faces), faces)
+        pairs = ipctk.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.collision_set_type = ipctk.NormalCollisions.CollisionSetType.IMPROVED_MAX_APPROX
+        pairs.build(mesh, near, distance)
+        barrier = ipctk.BarrierPotential(
+            distance, BARRIER_STIFFNESS * modulus, use_physical_barrier=True
+        )
+        force = barrier.gradient(pairs, mesh, near).reshape(-1, 3)[n * n :, 1].sum()
+        assert 0.9 * pressure < abs(force) < 1.7 * pressure

@@ -26,6 +26,7 @@ from typing import Any
 import ipctk
 import numpy as np
 from scipy import sparse
+from scipy.optimize import brentq
 from scipy.spatial import KDTree
 
 from acoustube.base.types import Array, Index
@@ -281,6 +282,38 @@ def self_contact(
     stiffness = BARRIER_STIFFNESS * shear_modulus
     barrier = ipctk.BarrierPotential(distance / length, stiffness, use_physical_barrier=True)
     return SelfContact(sampling, faces, collision_mesh, barrier, length)
+
+
+def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> float:
+    """Return the gap of level walls at which the barrier exerts a contact pressure.
+
+    Parameters
+    ----------
+    pressure : float
+        In Pa.
+    distance : float
+        Activation distance of the barrier in m.
+    shear_modulus : float
+        Of the wall, in Pa.
+
+    Returns
+    -------
+    float
+        In m.
+
+    Notes
+    -----
+    The derivative of the barrier's energy per area d_hat K (r^2 - 1)^2 ln(1 / r^2), r the gap over
+    d_hat and K its stiffness. The areas by which pairs of triangles are weighted make the pressure
+    of a mesh up to 1.5 times as high.
+    """
+
+    def excess(r: float) -> float:
+        square = r**2 - 1
+        slope = 4 * r * square * np.log(r**2) + 2 * square**2 / r
+        return float(BARRIER_STIFFNESS * shear_modulus * slope - pressure)
+
+    return float(distance * brentq(excess, 1e-6, 1.0)) if pressure > 0 else distance
 
 
 def _collision_mesh(rest: Array, faces: Index) -> Any:

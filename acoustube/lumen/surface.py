@@ -14,6 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.indentation import Indentation, Mesh
+from acoustube.indentation.self_contact import gap_at_pressure
 from acoustube.lumen.profiles import INCREMENT, check_increment
 from acoustube.lumen.straightening import straighten
 
@@ -21,6 +22,9 @@ FACETS_PER_ELEMENT = 6
 """Facets around per element: 240 for the default mesh, an area 1.5e-4 below the circle's."""
 RINGS_PER_ELEMENT = 6
 """Rings along the tube per element."""
+SEALING_PRESSURE = 1e3
+"""Contact pressure in Pa above which soft walls seal: far above that of the sound, and a tenth or
+less of what half a barrier distance exerts in silicone."""
 STRAIGHTENING_ROOM = 1.02
 """Largest ratio of the length of a straightened pressed part to its undeformed length."""
 
@@ -40,12 +44,16 @@ class Lumen:
         Position of the indenter along z, in m.
     symmetric : bool
         True if the lumen is symmetric about x = 0.
+    sealing_gap : float
+        Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`, and which pass
+        no sound: the barrier of the self-contact keeps them open.
     """
 
     rings: Array
     outer_rings: Array
     position: float
     symmetric: bool = True
+    sealing_gap: float = 0.0
 
     @property
     def surface(self) -> trimesh.Trimesh:
@@ -175,7 +183,13 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
         _with_ends(wall, ring, position, ends, tube.length)
         for wall, ring in zip(walls, round_rings, strict=True)
     ]
-    return Lumen(rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0])
+    sealing_gap = gap_at_pressure(
+        SEALING_PRESSURE, indentation.barrier_distance, tube.shear_modulus
+    )
+    return Lumen(
+        rings=rings[0], outer_rings=rings[1], position=position, symmetric=mesh.halved[0],
+        sealing_gap=sealing_gap,
+    )  # fmt: skip
 
 
 @checked(indentation=Indentation, increment=INCREMENT)

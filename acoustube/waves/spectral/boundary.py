@@ -29,6 +29,8 @@ class WallPoints(NamedTuple):
         Wall area that each point stands for, per length along z, in m, (n_sections, n_points).
     halved : bool
         Whether the points are those of x > 0, and stand for their mirror images too.
+    sealing_gap : float
+        Gaps up to this height in m pass no sound.
     """
 
     z: Array
@@ -37,6 +39,7 @@ class WallPoints(NamedTuple):
     normal: Array
     area: Array
     halved: bool
+    sealing_gap: float = 0.0
 
 
 class WallFunctions(NamedTuple):
@@ -58,7 +61,9 @@ def wall_points(wall: Wall, edges: Array, n_points: int) -> WallPoints:
     turned = contours.x_t * contours.y_z - contours.y_t * contours.x_z
     normal = np.stack([contours.y_t, -contours.x_t, turned])
     size = np.sqrt((normal**2).sum(axis=0))
-    return WallPoints(z, contours, boxes, normal / size, size * contours.weight, wall.symmetric)
+    return WallPoints(
+        z, contours, boxes, normal / size, size * contours.weight, wall.symmetric, wall.sealing_gap
+    )
 
 
 def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:

@@ -15,7 +15,8 @@ the other, the wall takes
 where h is the diameter of the greatest circle in the section that touches the wall there. So the
 matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
 correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
-the place and one of the frequency, by singular values.
+the place and one of the frequency, by singular values. Where the walls are pressed together, f D
+is h / 2: the gap that the mechanics leaves there is sealed.
 """
 
 from __future__ import annotations
@@ -96,6 +97,9 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     both = np.stack(
         [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
     )
+    # Viscous layers that fill a gap wholly leave no air that could move along it.
+    sealed = width.ravel() < points.sealing_gap
+    both[: len(sampled), sealed] = width.ravel()[sealed] / (2 * layers[0][:, None])
     rows = np.concatenate([both.real, both.imag])
     # Of the small side: the points are many.
     square, turned = np.linalg.eigh(rows @ rows.T)

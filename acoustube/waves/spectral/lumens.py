@@ -50,7 +50,8 @@ def wall_of(lumen: Rings) -> Wall:
     ----------
     lumen : Rings
         Its first and last rings equal, as those of a tube beyond a press. If it has an attribute
-        `same`, rings and mirror images count as equal up to that distance in m.
+        `same`, rings and mirror images count as equal up to that distance in m; if `sealing_gap`,
+        gaps up to that height are sealed, with losses.
 
     Returns
     -------
@@ -96,6 +97,7 @@ def wall_of(lumen: Rings) -> Wall:
         symmetric=lumen.symmetric,
         reversible=bool(first + last == len(rings) - 1 and mirrored.max() < same),
         circular=radius is not None,
+        sealing_gap=getattr(lumen, "sealing_gap", 0.0),
     )
 
 

@@ -72,6 +72,8 @@ class Wall:
         In m.
     circular : bool
         False if the ends are straight, but not round.
+    sealing_gap : float
+        Gaps up to this height in m pass no sound, with losses.
     """
 
     lines: Callable[[Array], tuple[Array, Array, Array, Array]]
@@ -82,6 +84,7 @@ class Wall:
     reversible: bool = False
     middle: float = 0.0
     circular: bool = True
+    sealing_gap: float = 0.0
 
     def contours(self, z: Array, degree: int) -> Contours:
         """Return the contours at heights z (n,) in m, as cubic splines through their points.
