@@ -340,11 +340,9 @@ def test_pressure_of_a_gap_is_that_between_level_plates():
     faces = np.concatenate([lower, lower[:, ::-1] + n * n]).astype(np.int32)
     for pressure in (0.05, 0.5):
         gap = gap_at_pressure(pressure, distance, modulus)
+        heights = (np.repeat([0, y], n * n) for y in (1.0, gap))
         rest, near = (
-            np.asfortranarray(
-                np.stack([np.tile(x, 2), np.repeat([0, y], n * n), np.tile(z, 2)], -1)
-            )
-            for y in (1.0, gap)
+            np.asfortranarray(np.stack([np.tile(x, 2), y, np.tile(z, 2)], -1)) for y in heights
         )
         mesh = ipctk.CollisionMesh(rest, ipctk.edges(faces), faces)
         pairs = ipctk.NormalCollisions()

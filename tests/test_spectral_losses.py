@@ -112,3 +112,13 @@ def test_walls_that_are_pressed_together_pass_no_sound():
     )
     assert np.all(np.abs(leaking) > 1.2e-3)
     assert np.all(np.abs(tight) < 0.25 * np.abs(leaking))
+
+
+def test_one_frequency_has_the_losses_of_a_band():
+    def passed(frequency):
+        tube = straight(RADIUS, 2e-3)
+        return spectral.scatter_spectral(tube, AIR, frequency, symmetric_only=True).s[:, 1, 0, 0, 0]
+
+    band = passed(FREQUENCY)
+    for i in (0, 3):
+        np.testing.assert_allclose(passed(FREQUENCY[i : i + 1]), band[i], atol=1e-5)

@@ -119,6 +119,7 @@ def lossy_scattering(
         )
         # Where the fields sampled are farthest away.
         few = np.unique((sampled[:-1] + sampled[1:])[1::2] // 2)
+        few = few if len(few) else sampled
         poorer = lossy_model(space.first(n), [part.first(n) for part in wall])
         checks = [_direct(part, band.at(few), kz_all[few]) for part in (model, poorer)]
         both = travels[few][:, :, None] & travels[few][:, None]
