@@ -277,7 +277,7 @@ _KEPT: set[bool] = set()
 
 
 def has_kept() -> bool | None:
-    """Return whether all results that this process could use again are in the cache.
+    """Return whether all reusable results of this process were written to the cache.
 
     None if it has had none of the kinds that are cached.
     """

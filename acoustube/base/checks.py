@@ -153,7 +153,7 @@ class Complex:
 
 @dataclass(frozen=True)
 class Instance:
-    """An object of some classes.
+    """Rule for an instance of given classes.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class Flag:
-    """True or False."""
+    """Rule for a Boolean, True or False."""
 
     def check(self, name: str, value: Any) -> None:
         """Raise unless the value is a Boolean, of Python or of NumPy.
@@ -197,7 +197,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Optional:
-    """A rule, or None.
+    """Rule for a value that obeys another rule, or None.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ class Optional:
 
 @dataclass(frozen=True)
 class Either:
-    """An object of some classes, or a value that obeys a rule.
+    """Rule for an instance of given classes, or a value that obeys another rule.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class Either:
 
 @dataclass(frozen=True)
 class Several:
-    """A sequence of values, each of which obeys a rule.
+    """Rule for a sequence of values, each of which obeys another rule.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def _deaf(frame: FrameType | None) -> bool:
 def watched_interrupts(
     before: Any = signal.default_int_handler,
 ) -> Iterator[Callable[[], None]]:
-    """Let interrupts wait for the end of an import, and raise those again that were lost.
+    """Delay interrupts until the end of an import, and raise lost ones again.
 
     Python ignores an exception in a hook of its garbage collection, of which JAX has one, in a
     destructor, and in a function that a library such as VTK calls.

@@ -61,7 +61,7 @@ class _Moved(MetaPathFinder, Loader):
 
 
 def announce() -> None:
-    """Let former addresses be imported."""
+    """Make modules importable under their former names."""
     if not any(isinstance(finder, _Moved) for finder in sys.meta_path):
         sys.meta_path.append(_Moved())
 

@@ -131,7 +131,7 @@ def _to_disk(path: Path, content: bytes) -> None:
 
 
 def to_disk(folder: Path) -> None:
-    """Let the names in a folder survive a power cut, where the system can.
+    """Flush a folder's directory entries to the disk, where the system supports it.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Datas
     if len(rates) > 1 or len(lengths) > 1:
         raise ConfigError(
             f"{', '.join(map(str, paths))}: the recordings differ in sampling rate or length; use "
-            "ones that are alike in both"
+            "recordings with the same"
         )
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 

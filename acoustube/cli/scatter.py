@@ -132,7 +132,7 @@ def scatter(
         Grid cells across the ends.
     method : {"march", "spectral"}
         Time-domain march on a grid, or the spectral solver, which takes seconds and estimates its
-        error; a lumen that it cannot take is marched.
+        error; a lumen outside its range is marched.
     tolerance : float
         Largest error of a coefficient that the spectral solver aims at.
     out : Path

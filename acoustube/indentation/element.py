@@ -243,7 +243,7 @@ def _moduli(
 def _contracted(
     count: int, gradients: Any, modes: Any, moduli: Any, cofactors: Any, stiffness: Any
 ) -> Any:  # pragma: no cover - compiled
-    """Contract shape gradients with what :func:`_moduli` returns to element matrices.
+    """Return element matrices: shape gradients contracted with the moduli of :func:`_moduli`.
 
     A node's components are next to
     each other in rows and columns; the blocks below the diagonal follow by symmetry.

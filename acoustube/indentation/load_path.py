@@ -222,7 +222,7 @@ def _results_at_first_touch(model: Model, untouched: Indentation) -> Equilibrium
 
 
 def _next_depth(targets: Array, reached: float, increment: float) -> float:
-    """Return the depth of the next increment; one ending just short of a target meets it."""
+    """Return the depth of the next increment, extended to a target that is just beyond."""
     target = float(targets[np.searchsorted(targets, reached, side="right")])
     return target if reached + 1.05 * increment >= target else reached + increment
 

@@ -194,7 +194,7 @@ def sweep(
 
 
 def _graded_turn(turn: Array, size: MeshSize) -> Array:
-    """Return circumferential stations, as fractions of half a turn, graded by fold and touch."""
+    """Return circumferential stations, as fractions of half a turn, refined at fold and contact."""
     sides, all_four = (size.fold - size.touch) / 2, (size.fold + size.touch) / 2
     wave = 2 * np.pi * turn
     return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
@@ -223,7 +223,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return sinh-graded stations from 0 to `length`, at first as fine as for the whole reach."""
+    """Return sinh-graded stations from 0 to `length`, with the first spacing of the whole reach."""
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

@@ -312,7 +312,7 @@ def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -
     deepest = deepest_press(tube, layer)
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
-        raise ConfigError(f"depth = {shown} m must be positive and increasing depths.")
+        raise ConfigError(f"depth = {shown} m must be one or more positive, increasing depths.")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
             f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "

@@ -197,7 +197,7 @@ def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
-    """Return the samples: the array named so, or else the only numeric one of most axes."""
+    """Return the samples: the array ``signal``, or else the only numeric one of most dimensions."""
     if "signal" in known:
         return _real(path, known["signal"])
     arrays = {name: np.asarray(value) for name, value in others.items()}
@@ -270,7 +270,7 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
 
 
 def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
-    """Return the sampling rate that is given, or else the time axis's, once they agree."""
+    """Return the given sampling rate, or else that of the time axis; raise if they disagree."""
     given = _single(path, "sampling rate", known.get("sampling_rate"))
     axis = None
     if "time" in known:
@@ -344,7 +344,7 @@ def _number(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _words(path: Path, name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Return the values of a label of any name, once they are numbers or words."""
+    """Return the values of a label; raise unless they are numbers or words."""
     if values.dtype.kind not in "biufU":
         raise ConfigError(f"{path}: {name} is neither numbers nor words; give one value per cycle")
     return values
@@ -364,7 +364,7 @@ def _of_length(others: Named, n: int, notes: list[str]) -> Named:
 
 
 def _too_long(labels: Named) -> list[str]:
-    """Return warnings of labels longer than plausible in m."""
+    """Return warnings of labels with implausibly large lengths in m."""
     return [
         f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in {unit}, call it "
         f"{name}_{unit}."

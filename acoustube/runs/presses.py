@@ -125,7 +125,7 @@ def press_in_words(settings: SIPress) -> str:
 
 
 def _content(path: Path) -> str:
-    """Return the hash of a file's content; one that cannot be read is rejected when it is read."""
+    """Return the hash of a file's content; an unreadable file is reported by its reader later."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:

@@ -180,7 +180,7 @@ def _receive(child: _Child, target: memoryview) -> None:
 
 
 def _death(child: _Child) -> str:
-    """Return why the child has ended."""
+    """Return the reason why the child process has ended."""
     code = -child.process.wait()
     if code in (getattr(signal, "SIGXCPU", None), getattr(signal, "SIGKILL", None)):
         return "it takes longer than any good file of its size"

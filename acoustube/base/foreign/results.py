@@ -16,7 +16,7 @@ FAILURE = "cannot be read as a result"
 
 
 def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
-    """Raise if a result is damaged, or no netCDF-4 file.
+    """Raise if a result is damaged, or not a netCDF-4 file.
 
     Files with a seal (:mod:`acoustube.base.netcdf`) are hashed. Others, of earlier versions or of
     other programs, are read once from end to end in the child process.

@@ -213,7 +213,7 @@ def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
 
 
 def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
-    """Plot the lumen's area along the tube at every depth, in its colour."""
+    """Plot the lumen's area along the tube at every depth, coloured by depth."""
     z, area = MM * dataset["z"].values, MM2 * dataset["lumen_area_profile"].values
     depth = MM * dataset["depth"].values
     shades = ScalarMappable(Normalize(0, depth[-1]), "viridis_r")

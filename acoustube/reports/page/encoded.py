@@ -42,17 +42,17 @@ class Arrays:
         self._numbers: dict[bytes, int] = {}
 
     def real(self, values: Any) -> int:
-        """Keep an array in single precision, and return its number."""
+        """Store an array in single precision, and return its index."""
         return self._keep(np.asarray(values, "<f4").ravel(), "f4", 1.0)
 
     def coarse(self, values: Any) -> int:
-        """Keep an array in steps of 1/32767 of its largest value, and return its number."""
+        """Store an array in steps of 1/32767 of its largest value, and return its index."""
         values = np.asarray(values, float).ravel()
         scale = float(np.abs(values).max(initial=0.0)) / FINEST or 1.0
         return self._keep(np.round(values / scale).astype("<i2"), "i2", scale)
 
     def whole(self, values: Any) -> int:
-        """Keep an array of natural numbers, and return its number."""
+        """Store an array of natural numbers, and return its index."""
         values = np.asarray(values).ravel()
         small = values.max(initial=0) < 1 << 16
         return self._keep(values.astype("<u2" if small else "<u4"), "u2" if small else "u4", 1.0)

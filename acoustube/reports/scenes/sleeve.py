@@ -183,7 +183,7 @@ def _add(plotter: Any, points: Array, radius: float, colour: str) -> None:
 
 
 def _side(picture: Picture) -> Array:
-    """Return the direction across the arm from which its contacts are seen, a unit vector."""
+    """Return the unit vector from the arm's axis to the viewer, on the side of the contacts."""
     places = [
         picture.tubes[i].point(picture.tubes[i].height(distance))[:2]
         for i, distance in picture.contacts
@@ -196,7 +196,7 @@ def _side(picture: Picture) -> Array:
 
 
 def _look(plotter: Any, tube: Helix, side: Array) -> None:
-    """Look at the arm from a side and a little from its start, which is on the left."""
+    """Set the camera to one side of the arm, turned a little towards its start on the left."""
     size = tube.length + 4 * float(np.max(tube.radius_at([0.0, tube.length])))
     plotter.camera.focal_point = (0, 0, 0.45 * tube.length)
     plotter.camera.position = size * (1.1 * side + [0, 0, -0.3]) + [0, 0, 0.45 * tube.length]

@@ -140,7 +140,7 @@ def _cycles(
     n_cycles: int,
     report: Reporter,
 ) -> xr.Dataset:
-    """Sweep, record and process."""
+    """Return the cycles of a sweep, recorded and processed."""
     cases = swept(work / "sweep", over, level, scale, report)
     recipe = Recipe(n_cycles=n_cycles)
     run_dataset([work / "sweep"], work / "cycles", recipe, report=report, workers=scale.workers)

@@ -251,7 +251,7 @@ def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
 
 
 def peaks(table: xr.Dataset) -> Array:
-    """Return the mean highest peak of each located press, and nan of others."""
+    """Return the mean amplitude of the strongest echo of each located press; nan for others."""
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values
     good = ranged.located(table)

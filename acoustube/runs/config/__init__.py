@@ -1,4 +1,4 @@
-"""Settings in the units that people type, checked before anything is computed; then in SI units.
+"""User settings in practical units, validated before any computation, and converted to SI units.
 
 Read `settings`, then `checks`, `config`, `document`, and `si`, which converts them.
 """

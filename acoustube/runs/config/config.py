@@ -52,7 +52,7 @@ class Mechanics:
             check_depth(self.tube, self.indentation)
         elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
             raise ConfigError(
-                f"is of a round tube, and surface = {self.tube.surface} is meshed by its own size",
+                f"applies to round tubes, not to surface = {self.tube.surface}",
                 setting="mesh", value=self.indentation.mesh, advice="use mesh usual",
             )  # fmt: skip
 

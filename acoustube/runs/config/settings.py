@@ -1,4 +1,4 @@
-"""User settings in the units that people type, checked before anything is computed.
+"""User settings in practical units, validated before any computation.
 
 Each section is a frozen dataclass whose fields carry their own rule (range or choice), so that one
 check serves them all; :class:`Config` adds the checks that need more than one section. This module

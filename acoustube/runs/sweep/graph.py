@@ -168,7 +168,7 @@ def _group(cases: tuple[Case, ...]) -> Group:
 
 
 def _reference(temperature: float) -> float:
-    """Return the temperature in degC at which scattering is computed for air at another."""
+    """Return the reference temperature in degC of the scattering that serves air at another one."""
     return min(REFERENCE_TEMPERATURES, key=lambda t: abs(t - temperature))
 
 

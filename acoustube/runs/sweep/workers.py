@@ -81,7 +81,7 @@ def _connected(client: Callable[..., Any], address: str) -> Any:
 
 
 def _reach(address: str) -> None:
-    """Connect to a scheduler briefly: the client itself reports a failure twice, and late."""
+    """Test the connection to a scheduler: the client itself reports a failure twice, and late."""
     place = urlsplit(address if "//" in address else f"//{address}")
     if place.scheme in ("", "tcp", "tls"):
         socket.create_connection((place.hostname, place.port or 8786), SCHEDULER_TIMEOUT).close()

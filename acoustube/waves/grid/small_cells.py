@@ -155,7 +155,7 @@ def _opposite(side: _Side) -> _Side:
 
 
 def _axial_move(open_z: Array, ratio: Array, side: _Side) -> Array:
-    """Return the change of the axial faces for volumes moved across one side."""
+    """Return the change of the axial face areas due to volume borrowed across one side."""
     padded = np.pad(ratio, ((0, 0), (0, 0), (1, 1)), mode="edge")
     mean = 0.5 * (padded[..., 1:] + padded[..., :-1])
     moved = np.where(open_z > 0.0, mean * _neighbour(open_z, side), 0.0)

@@ -1,4 +1,4 @@
-"""The degree, the elements and the shifts that a solution begins with."""
+"""Initial discretisation of a solution: polynomial degree, elements and frequency shifts."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Basis:
 
 
 def first_basis(wall: Wall, odd: bool | None, k: Array, blocks: int) -> Basis:
-    """Return the basis to begin with, by the wavelength and the bore.
+    """Return the initial discretisation, chosen by the wavelength and the bore.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def gap_widths(points: WallPoints, narrow: float) -> Array:
 def lossy_ends(
     k: Complex, modes: PortModes, radius: float, rim: Rim, frequency: Array, air: Air
 ) -> tuple[Complex, Complex]:
-    """Return the axial wavenumbers of the ends' modes with layers, and their fluxes.
+    """Return the axial wavenumbers of the ends' modes with boundary layers, and their fluxes.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ class Polynomials:
         return len(self.i)
 
     def count(self, degree: int) -> int:
-        """Return the number of functions, which come first, up to a total degree."""
+        """Return the number of polynomials up to a total degree, which are the first ones."""
         return int(np.sum(self.i + self.j <= degree))
 
     def values(self, x: Array, y: Array) -> Array:

@@ -126,7 +126,7 @@ def _orthonormal(new: Array, old: Array) -> Array:
 
 
 class LossyModel(NamedTuple):
-    """A lumen with layers in the coordinates of its lossless modes.
+    """Matrices of a lumen with boundary layers, in the basis of its lossless modes.
 
     At a wavenumber k its matrix is diag(`square`) - k^2 less the walls' parts times their losses.
 
@@ -170,7 +170,7 @@ class LossyBand(NamedTuple):
 
 
 def lossy_model(reduced: Reduced, wall: list[Reduced]) -> LossyModel:
-    """Return a lumen with layers from its lossless part and its wall's integrals."""
+    """Return a lumen's matrices with boundary layers, from its lossless part and wall integrals."""
     square, vector = eigh(
         *((part + part.T) / 2 for part in (reduced.stiffness, reduced.mass)), check_finite=False
     )

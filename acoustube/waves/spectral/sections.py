@@ -135,7 +135,7 @@ def _even(loop: Array, n: int) -> Array:
 
 
 def _straightened(rings: Array, same: float) -> tuple[Array, Array]:
-    """Return the two first and the two last rings, alike where the ends are alike."""
+    """Return the first and last two rings, made equal where both ends have the same section."""
     first, last = rings[[0, 1]].copy(), rings[[-2, -1]].copy()
     if np.abs(first[0, :, :2] - last[1, :, :2]).max() < same:
         last[..., :2] = first[:1, :, :2]
