@@ -48,7 +48,7 @@ def _plain_console() -> type[Console]:
             return super().render_str(readable(text), **options | {"markup": False, "emoji": False})
 
         def on_broken_pipe(self) -> None:
-            """Discard further messages once their reader has gone; files are still written."""
+            """Discard further messages after a broken pipe; files are still written."""
             self.quiet = True
             with Path(os.devnull).open("w") as nowhere:
                 os.dup2(nowhere.fileno(), self.file.fileno())

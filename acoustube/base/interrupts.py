@@ -1,4 +1,4 @@
-"""Signal handling: a request to stop ends a computation at any moment, in order and in time."""
+"""Signal handling: an interrupt ends a computation at any moment, promptly and without loss."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from acoustube.base.errors import ConfigError
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number within bounds, both included.
+    """Rule for a finite number within bounds, both included.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several allowed words.
+    """Rule for one of several allowed words.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class File:
-    """The name of a file.
+    """Rule for the name of a file.
 
     Parameters
     ----------

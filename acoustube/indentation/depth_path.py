@@ -131,7 +131,7 @@ class DepthPath:
         """
         depth = np.atleast_1d(self._checked(depth))
         if depth.ndim > 1 or np.any(np.diff(depth) <= 0):
-            raise ConfigError("depth must be a row of rising numbers.")
+            raise ConfigError("depth must be a 1-D array of increasing numbers.")
         given = self.indentation
         others: dict[str, Any] = {
             name: PchipInterpolator(given.depth, getattr(given, name))(depth)

@@ -122,7 +122,7 @@ def _place(case: xr.Dataset, time: Any) -> Any:
 
 
 def _limit(case: xr.Dataset) -> float:
-    """Return the limit of the axis: the send pulse, often a hundred times the echo, is cut."""
+    """Return the limit of the axis; it cuts off the send pulse, often a hundred times the echo."""
     echo = float(case["echo_amplitude"])
     return float(np.clip(2.5 * echo, 0.02, 1.1)) if np.isfinite(echo) else 0.05
 

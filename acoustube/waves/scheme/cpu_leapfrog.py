@@ -162,8 +162,8 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
             if not isinstance(error, RuntimeError):
                 raise
             raise SimulationError(
-                f"the waves could not start {n_threads} threads ({error}); set the environment "
-                "variable NUMBA_NUM_THREADS to 1"
+                f"the wave solver could not start {n_threads} threads ({error}); set the "
+                "environment variable NUMBA_NUM_THREADS to 1"
             ) from error
         for job in jobs:
             job.result()
