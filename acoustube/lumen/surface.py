@@ -23,8 +23,8 @@ FACETS_PER_ELEMENT = 6
 RINGS_PER_ELEMENT = 6
 """Rings along the tube per element."""
 SEALING_PRESSURE = 1e3
-"""Contact pressure in Pa above which soft walls seal: far above that of the sound, and a tenth or
-less of what half a barrier distance exerts in silicone."""
+"""Contact pressure in Pa above which soft walls seal: far above that of the sound, and under a
+hundredth of what the barrier exerts at half its distance in silicone."""
 STRAIGHTENING_ROOM = 1.02
 """Largest ratio of the length of a straightened pressed part to its undeformed length."""
 
