@@ -14,6 +14,7 @@ from acoustube.waves.scattering import ModalScattering
 from acoustube.waves.spectral import boundary, layers
 from acoustube.waves.spectral.discretisation import discretise, respond
 from acoustube.waves.spectral.ports import axial_wavenumbers, changed_scattering, scattering_of
+from acoustube.waves.spectral.quadrature import axial_rule
 
 RADIUS = 3.95e-3
 AIR = Air(sound_speed=343.2, density=1.204)
@@ -310,8 +311,8 @@ def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():
         return a * np.sin(t), -b * np.cos(t), 0 * z, 0 * z
 
     flat = spectral.analytic_wall(lines, ends=(0.0, 1e-3), radius=a, n_points=240)
-    points = boundary.wall_points(flat, np.array([0.0, 1e-3]), 2)
-    width = layers.gap_widths(points, 1e-3)[0]
+    points = boundary.wall_points(flat, axial_rule(np.array([0.0, 1e-3]), 1, np.zeros(0)))
+    width = layers.gap_widths(points.contours, points.boxes, True, 1e-3)[0]
     np.testing.assert_allclose(width[0], 2 * b, rtol=1e-3)
     assert width.min() == pytest.approx(2 * b**2 / a, rel=0.1)
 

@@ -17,6 +17,7 @@ through the extent of the wall at Gauss-Lobatto points, so that it is continuous
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +26,12 @@ from acoustube.waves.spectral.polynomials import (
     Array,
     Index,
     Polynomials,
-    gauss,
     gauss_lobatto,
     gram,
     lobatto,
     moments,
 )
+from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
 BOX_POINTS = 5
@@ -68,33 +69,25 @@ class Elements:
     last: Array
 
 
-def assemble(
-    wall: Wall, edges: Array, basis: Polynomials, layout: Layout, n_points: int
-) -> Elements:
+def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) -> Elements:
     """Integrate the stiffness and mass of all elements of a lumen.
 
     Parameters
     ----------
     wall : Wall
-    edges : ndarray
-        Boundaries of the elements along z in m, (n_elements + 1,), increasing.
+    rule : AxialRule
+        Quadrature along the elements.
     basis : Polynomials
     layout : Layout
-    n_points : int
-        Gauss points along an element.
 
     Returns
     -------
     Elements
     """
-    points, weights = gauss(n_points)
-    step = np.diff(edges)
-    z = (edges[:-1, None] + step[:, None] * (points + 1) / 2).ravel()
-    boxes, first, last = element_boxes(wall, edges, points)
-    mass, along, across = section_matrices(wall.contours(z, basis.degree), boxes, basis)
-    stiffness = along_elements(step, layout, (points, weights), mass, along, across)
-    inertia = along_elements(step, layout, (points, weights), None, None, mass)
-    return Elements(stiffness, inertia, first, last)
+    boxes, first, last = element_boxes(wall, rule)
+    mass, along, across = section_matrices(wall.contours(rule.z, basis.degree), boxes, basis)
+    stiffness = along_elements(rule, layout, mass, along, across)
+    return Elements(stiffness, along_elements(rule, layout, None, None, mass), first, last)
 
 
 class Layout(NamedTuple):
@@ -137,72 +130,67 @@ class Layout(NamedTuple):
             [j * self.n + np.arange(self.n), self.n_basis + j * more + np.arange(more)]
         )
 
-    def ordered(self, matrix: Array) -> Array:
-        """Return matrices (n_elements, n_j, n_j, n_all, n_all) in this order, two-dimensional."""
-        n, n_j, ends = self.n, self.order + 1, np.cumsum([0, self.n_basis, self.n_higher, self.n])
-        low, high, lower, last = slice(n), slice(n, None), slice(n_j), slice(n_j, None)
-        groups = list(zip((lower, lower, last), (low, high, low), ends[:-1], ends[1:], strict=True))
-        found = np.empty((len(matrix), self.size, self.size))
-        for j, i, a, b in groups:
-            for k, m, c, d in groups:
-                part = matrix[:, j, k, i, m].transpose(0, 1, 3, 2, 4)
-                found[:, a:b, c:d].reshape(part.shape)[...] = part
-        return found
+
+@lru_cache(maxsize=8)
+def _places(layout: Layout) -> Index:
+    """Return where the entries of an element's matrix are in one (n_j, n_j, n_all, n_all)."""
+    n, n_all, n_j = layout.n, layout.n_all, layout.order + 1
+    low, high = np.arange(n), np.arange(n, n_all)
+    rows = [(j, i) for part in (low, high) for j in range(n_j) for i in part]
+    j, i = np.array(rows + [(n_j, i) for i in low]).T
+    first, second = (j[:, None] * (n_j + 1) + j), (i[:, None] * n_all + i)
+    return np.asarray(first * n_all**2 + second)
 
 
 def along_elements(
-    step: Array,
-    layout: Layout,
-    rule: tuple[Array, Array],
-    slopes: Array | None,
-    mixed: Array | None,
-    values: Array,
+    rule: AxialRule, layout: Layout, slopes: Array | None, mixed: Array | None, values: Array
 ) -> Array:
     """Integrate products of the functions L_j and of their slopes along elements.
 
     Parameters
     ----------
-    step : ndarray
-        Lengths of the elements in m, (n_elements,).
+    rule : AxialRule
     layout : Layout
-    rule : tuple of ndarray
-        Points from -1 to 1 and weights, (n_points,).
     slopes, mixed, values : ndarray
         Factors of L_j' L_k', of L_j' L_k (and of its mirror image) and of L_j L_k at all points,
-        (n_elements n_points, n_all, n_all); the first two may be none.
+        (n_points, n_all, n_all); the first two may be none.
 
     Returns
     -------
     ndarray
         (n_elements, size, size).
     """
-    points, weights = rule
     n_j = layout.order + 2
-    value, slope = lobatto(n_j - 1, points)
-    half = (step / 2)[:, None, None]
+    value, slope = lobatto(n_j - 1, rule.point)
+    weighted = value * rule.weight, slope * rule.weight
+    found = np.empty((len(rule.step), layout.size, layout.size))
+    places = _places(layout)
+    for number, half in enumerate(rule.step / 2):
+        here = rule.of(number)
 
-    def pairs(f: Array, g: Array) -> Array:
-        return np.asarray((f[:, None] * g * weights).reshape(n_j**2, -1))
+        def pairs(f: Array, g: Array, here: slice = here) -> Array:
+            return (f[:, None, here] * g[:, here]).reshape(n_j**2, -1)
 
-    def flat(part: Array) -> Array:
-        return part.reshape(len(step), len(points), -1)
+        def flat(part: Array, here: slice = here) -> Array:
+            return part[here].reshape(-1, layout.n_all**2)
 
-    terms = [(pairs(value, value), half * flat(values))]
-    if slopes is not None:
-        terms.append((pairs(slope, slope), flat(slopes) / half))
-    if mixed is not None:
-        terms.append((pairs(slope, value), flat(mixed)))
-        terms.append((pairs(value, slope), flat(mixed.swapaxes(1, 2))))
-    factors, parts = zip(*terms, strict=True)
-    total = np.matmul(np.concatenate(factors, axis=1), np.concatenate(parts, axis=1))
-    return layout.ordered(total.reshape(len(step), n_j, n_j, layout.n_all, layout.n_all))
+        terms = [(half * pairs(weighted[0], value), flat(values))]
+        if slopes is not None:
+            terms.append((pairs(weighted[1], slope) / half, flat(slopes)))
+        if mixed is not None:
+            terms.append((pairs(weighted[1], value), flat(mixed)))
+            terms.append((pairs(weighted[0], slope), flat(mixed.swapaxes(1, 2))))
+        factors, parts = zip(*terms, strict=True)
+        total = np.concatenate(factors, axis=1) @ np.concatenate(parts)
+        found[number] = total.ravel()[places]
+    return found
 
 
-def element_boxes(wall: Wall, edges: Array, points: Array) -> tuple[Boxes, Array, Array]:
-    """Return the boxes at points (n,) of each element, from -1 to 1, and those at both ends."""
+def element_boxes(wall: Wall, rule: AxialRule) -> tuple[Boxes, Array, Array]:
+    """Return the boxes at the points of a rule, and those at both ends."""
     nodes = gauss_lobatto(BOX_POINTS)
-    step = np.diff(edges)
-    z = (edges[:-1, None] + step[:, None] * (nodes + 1) / 2).ravel()
+    step = rule.step
+    z = (rule.edges[:-1, None] + step[:, None] * (nodes + 1) / 2).ravel()
     x, y, *_ = wall.lines(z)
     low = np.stack([x.min(axis=1), y.min(axis=1)])
     high = np.stack([x.max(axis=1), y.max(axis=1)])
@@ -211,11 +199,13 @@ def element_boxes(wall: Wall, edges: Array, points: Array) -> tuple[Boxes, Array
         middle[0] = 0.0
     extent = np.stack([middle[0], half[0], middle[1], half[1]]).reshape(4, len(step), -1)
     vander = np.polynomial.legendre.legvander
-    value = vander(points, BOX_POINTS - 1) @ np.linalg.inv(vander(nodes, BOX_POINTS - 1))
+    inverse = np.linalg.inv(vander(nodes, BOX_POINTS - 1))
     change = np.polynomial.legendre.legder(np.eye(BOX_POINTS), axis=0)
-    slope = vander(points, BOX_POINTS - 2) @ change @ np.linalg.inv(vander(nodes, BOX_POINTS - 1))
-    at = (extent @ value.T).reshape(4, -1)
-    along = (extent @ slope.T * (2 / step)[:, None]).reshape(4, -1)
+    value = vander(rule.point, BOX_POINTS - 1) @ inverse
+    slope = vander(rule.point, BOX_POINTS - 2) @ change @ inverse
+    own = extent[:, rule.element]
+    at = (own * value).sum(axis=-1)
+    along = (own * slope).sum(axis=-1) * (2 / step)[rule.element]
     return Boxes(*at, *along), extent[:, 0, 0], extent[:, -1, -1]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.waves.spectral.discretisation import (
-    LAYER_BLOCKS,
     Discretisation,
     Response,
     respond,
@@ -20,7 +19,7 @@ from acoustube.waves.spectral.ports import (
 )
 from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance
 
-KRYLOV_BLOCKS = 3
+KRYLOV_BLOCKS = 4
 """Number of blocks of the Krylov space at each shift."""
 ADAPTATION_TOLERANCE = 0.25
 """Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
@@ -38,14 +37,15 @@ def swept(
     for shift in basis.shifts:
         if float(shift) not in responses:
             responses[float(shift)] = respond(system, float(shift), KRYLOV_BLOCKS)
-    fields = [[r[side].fields for r in responses.values()] for side in range(len(system.sides))]
-    n_blocks = KRYLOV_BLOCKS + LAYER_BLOCKS * (system.layers is not None)
-    kept = (n_blocks - 1) * fields[0][0].shape[-1] // n_blocks
-    spaces = [extended(system, None, _side_by_side(f, slice(None, kept))) for f in fields]
+    n_sides = len(system.sides)
+    spaces = [
+        extended(system, None, _side_by_side([r[side].fields for r in responses.values()]))
+        for side in range(n_sides)
+    ]
     before = scattering_at(system, spaces, k)
     spaces = [
-        extended(system, space, _side_by_side(f, slice(kept, None)))
-        for space, f in zip(spaces, fields, strict=True)
+        extended(system, space, _side_by_side([r[side].last for r in responses.values()]))
+        for side, space in enumerate(spaces)
     ]
     now = scattering_at(system, spaces, k)
     for _ in range(MAX_EXTRA_SHIFTS):
@@ -54,16 +54,15 @@ def swept(
         responses[shift] = respond(system, shift, KRYLOV_BLOCKS)
         before, sizes = now, [space.size for space in spaces]
         spaces = [
-            extended(system, space, response.fields)
+            extended(system, space, _side_by_side([response.fields, response.last]))
             for space, response in zip(spaces, responses[shift], strict=True)
         ]
         now = scattering_at(system, spaces, k)
         if difference(system, now, before, k).max() <= ADAPTATION_TOLERANCE * tolerance:
             break
-    corrections = [[r[side].correction for r in responses.values()] for side in range(len(spaces))]
     spaces = [
-        corrected(system, space, _side_by_side(c, slice(None)))
-        for space, c in zip(spaces, corrections, strict=True)
+        corrected(system, space, _side_by_side([r[side].correction for r in responses.values()]))
+        for side, space in enumerate(spaces)
     ]
     richest = scattering_at(system, spaces, k)
     lacking = difference(system, richest, now, k)
@@ -71,8 +70,8 @@ def swept(
     return spaces, richest, error, sizes
 
 
-def _side_by_side(fields: list[Array], columns: slice) -> Array:
-    return np.concatenate([field[..., columns] for field in fields], axis=-1)
+def _side_by_side(fields: list[Array]) -> Array:
+    return np.concatenate(fields, axis=-1)
 
 
 def _worst(k: Array, doubt: Array, shifts: Array) -> float:

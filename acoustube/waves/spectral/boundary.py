@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.waves.spectral.assembly import Boxes, Layout, along_elements, element_boxes
-from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss, polynomials
+from acoustube.waves.spectral.polynomials import Array, Polynomials, polynomials
+from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
 WALL_DEGREE = 4
@@ -19,8 +20,8 @@ class WallPoints(NamedTuple):
 
     Attributes
     ----------
-    z : ndarray
-        Heights of the sections in m, (n_sections,).
+    rule : AxialRule
+        Heights of the sections, with weights.
     contours : Contours
     boxes : Boxes
     normal : ndarray
@@ -33,7 +34,7 @@ class WallPoints(NamedTuple):
         Gaps up to this height in m pass no sound.
     """
 
-    z: Array
+    rule: AxialRule
     contours: Contours
     boxes: Boxes
     normal: Array
@@ -51,19 +52,15 @@ class WallFunctions(NamedTuple):
     p_z: Array
 
 
-def wall_points(wall: Wall, edges: Array, n_points: int) -> WallPoints:
-    """Return the wall at Gauss points (n_points to an element) along the tube."""
-    points, _ = gauss(n_points)
-    step = np.diff(edges)
-    z = (edges[:-1, None] + step[:, None] * (points + 1) / 2).ravel()
-    boxes, _, _ = element_boxes(wall, edges, points)
-    contours = wall.contours(z, WALL_DEGREE)
+def wall_points(wall: Wall, rule: AxialRule, degree: int = WALL_DEGREE) -> WallPoints:
+    """Return the wall at the points of a rule along the tube."""
+    boxes, _, _ = element_boxes(wall, rule)
+    contours = wall.contours(rule.z, degree)
     turned = contours.x_t * contours.y_z - contours.y_t * contours.x_z
     normal = np.stack([contours.y_t, -contours.x_t, turned])
     size = np.sqrt((normal**2).sum(axis=0))
-    return WallPoints(
-        z, contours, boxes, normal / size, size * contours.weight, wall.symmetric, wall.sealing_gap
-    )
+    area = size * contours.weight
+    return WallPoints(rule, contours, boxes, normal / size, area, wall.symmetric, wall.sealing_gap)
 
 
 def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:
@@ -73,20 +70,15 @@ def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:
     y = (points.contours.y - boxes.y0) / boxes.b
     p = basis.values(x, y)
     other = None if basis.odd is None else not basis.odd
-    p_x = np.tensordot(basis.dx, polynomials(basis.degree, other).values(x, y), 1) / boxes.a
+    partner = polynomials(basis.degree, other).values(x, y)
+    p_x = np.tensordot(basis.dx, partner, 1) / boxes.a
     p_y = np.tensordot(basis.dy, p, 1) / boxes.b
     p_z = -(boxes.x0_z + boxes.a_z * x) * p_x - (boxes.y0_z + boxes.b_z * y) * p_y
     return WallFunctions(*(part.swapaxes(0, 1) for part in (p, p_x, p_y, p_z)))
 
 
 def wall_matrices(
-    points: WallPoints,
-    functions: WallFunctions,
-    edges: Array,
-    layout: Layout,
-    weight: Array,
-    *,
-    tangential: bool,
+    points: WallPoints, functions: WallFunctions, layout: Layout, weight: Array
 ) -> tuple[Array, Array]:
     """Integrate over the wall with a weight.
 
@@ -94,13 +86,9 @@ def wall_matrices(
     ----------
     points : WallPoints
     functions : WallFunctions
-    edges : ndarray
-        Borders of the elements in m.
     layout : Layout
     weight : ndarray
         (n_sections, n_points).
-    tangential : bool
-        Whether only gradients along the wall count.
 
     Returns
     -------
@@ -109,20 +97,55 @@ def wall_matrices(
     """
     p, p_x, p_y, p_z = functions
     share = (weight * points.area)[:, None]
+    mass = _product(p * share, p)
+    values = _product(p_x * share, p_x) + _product(p_y * share, p_y) + _product(p_z * share, p_z)
+    stiffness = along_elements(points.rule, layout, mass, _product(p * share, p_z), values)
+    return stiffness, along_elements(points.rule, layout, None, None, mass)
+
+
+class TangentialFunctions(NamedTuple):
+    """Polynomials at points of a wall, and their gradients along it, at fixed L_j.
+
+    Attributes
+    ----------
+    p, around, along : ndarray
+        Values and derivatives along the contour and at right angles to it,
+        (n_sections, n, n_points).
+    rise : ndarray
+        Component along the tube of the latter direction, (n_sections, 1, n_points).
+    """
+
+    p: Array
+    around: Array
+    along: Array
+    rise: Array
+
+
+def tangential_functions(points: WallPoints, functions: WallFunctions) -> TangentialFunctions:
+    """Return polynomials with their gradients along a wall."""
+    p, p_x, p_y, p_z = functions
+    contours = points.contours
+    speed = np.hypot(contours.x_t, contours.y_t)
+    t_x, t_y = ((part / speed)[:, None] for part in (contours.x_t, contours.y_t))
     n_x, n_y, n_z = (part[:, None] for part in points.normal)
+    rise = n_x * t_y - n_y * t_x
+    along = n_z * (t_x * p_y - t_y * p_x) + rise * p_z
+    return TangentialFunctions(p, t_x * p_x + t_y * p_y, along, rise)
 
-    def product(a: Array, b: Array) -> Array:
-        return np.matmul(a * share, b.swapaxes(1, 2))
 
-    mass = product(p, p)
-    values = product(p_x, p_x) + product(p_y, p_y) + product(p_z, p_z)
-    mixed, slopes = product(p, p_z), mass
-    if tangential:
-        across = n_x * p_x + n_y * p_y + n_z * p_z
-        values -= product(across, across)
-        mixed = mixed - product(n_z * p, across)
-        slopes = product((1 - n_z**2) * p, p)
-    n_points = len(points.z) // (len(edges) - 1)
-    step, rule = np.diff(edges), gauss(n_points)
-    stiffness = along_elements(step, layout, rule, slopes, mixed, values)
-    return stiffness, along_elements(step, layout, rule, None, None, mass)
+def tangential_matrices(
+    points: WallPoints, functions: TangentialFunctions, layout: Layout, weight: Array
+) -> tuple[Array, Array]:
+    """Integrate as :func:`wall_matrices` with gradients along the wall."""
+    share = (weight * points.area)[:, None]
+    p, around, along, rise = functions
+    weighted = p * share
+    mass = _product(weighted, p)
+    values = _product(around * share, around) + _product(along * share, along)
+    mixed, slopes = _product(weighted * rise, along), _product(weighted * rise**2, p)
+    stiffness = along_elements(points.rule, layout, slopes, mixed, values)
+    return stiffness, along_elements(points.rule, layout, None, None, mass)
+
+
+def _product(a: Array, b: Array) -> Array:
+    return np.matmul(a, b.swapaxes(1, 2))

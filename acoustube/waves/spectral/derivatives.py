@@ -16,16 +16,15 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import eigh
 
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
 from acoustube.waves.spectral.discretisation import Discretisation
-from acoustube.waves.spectral.polynomials import Array, Polynomials
+from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, changed_scattering
-from acoustube.waves.spectral.reduction import Reduced, reassembled
+from acoustube.waves.spectral.reduction import Reduced, projected
 from acoustube.waves.spectral.walls import Wall
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
@@ -36,9 +35,6 @@ def moved_scattering(
     system: Discretisation,
     spaces: list[Reduced],
     wall: Wall,
-    edges: Array,
-    n_points: int,
-    basis: Polynomials,
     velocity: Velocity,
     k: Array,
     kz: Complex,
@@ -50,11 +46,6 @@ def moved_scattering(
     system : Discretisation
     spaces : list of Reduced
     wall : Wall
-    edges : ndarray
-        Borders of the elements in m.
-    n_points : int
-        Along an element.
-    basis : Polynomials
     velocity : callable
     k : ndarray
         In 1/m, (n,).
@@ -66,27 +57,28 @@ def moved_scattering(
     list of ndarray
         At the ports, (n, n_ports n_modes, n_ports n_modes), per unit of the parameter.
     """
-    points = wall_points(wall, edges, n_points)
-    x, y = velocity(points.z[:, None], points.contours.t)
+    points = wall_points(wall, system.rule)
+    x, y = velocity(points.rule.z[:, None], points.contours.t)
     outwards = x * points.normal[0] + y * points.normal[1]
-    stiffness, mass = wall_matrices(
-        points, wall_functions(points, basis), edges, system.layout, outwards, tangential=False
-    )
-    moving = replace(system, stiffness=stiffness, mass=mass)
+    functions = wall_functions(points, system.functions)
+    parts = wall_matrices(points, functions, system.layout, outwards)
     found = []
     for space in spaces:
-        response, change = _changed_impedance(space, reassembled(moving, space), k)
+        stiffness, mass = (projected(system, part, space) for part in parts)
+        response, change = _changed_impedance(space, stiffness, mass, k)
         found.append(changed_scattering(response, change, kz))
     return found
 
 
-def _changed_impedance(space: Reduced, moving: Reduced, k: Array) -> tuple[Array, Array]:
+def _changed_impedance(
+    space: Reduced, stiffness: Array, mass: Array, k: Array
+) -> tuple[Array, Array]:
     """Return Z and its derivative, (n, n_ports n_modes, n_ports n_modes)."""
     square, vector = eigh(
         *((part + part.T) / 2 for part in (space.stiffness, space.mass)), check_finite=False
     )
     ports = vector.T @ space.ports
     fields = ports / (square - k[:, None] ** 2)[:, :, None]
-    stiffness, mass = (vector.T @ part @ vector for part in (moving.stiffness, moving.mass))
+    stiffness, mass = (vector.T @ part @ vector for part in (stiffness, mass))
     pushed = stiffness @ fields - k[:, None, None] ** 2 * (mass @ fields)
     return np.matmul(ports.T, fields), -np.matmul(fields.swapaxes(1, 2), pushed)

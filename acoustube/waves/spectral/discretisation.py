@@ -1,6 +1,6 @@
 """Discretisation of a lumen in a basis and in an enriched one, for the error estimate.
 
-All matrices are those of the enriched basis: polynomials of a total degree higher by
+The enriched basis has polynomials of a total degree higher by
 `DEGREE_INCREASE`, and along each element one degree more. The basis itself consists of the first
 functions of each.
 """
@@ -13,32 +13,66 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.waves.spectral.assembly import Elements, Layout, assemble
-from acoustube.waves.spectral.elimination import factor, solve
+from acoustube.waves.spectral.boundary import TangentialFunctions, WallPoints
+from acoustube.waves.spectral.elimination import Chain, factor, inner_modes, solve
 from acoustube.waves.spectral.ends import Rim, end_functions, end_modes, rim_of
-from acoustube.waves.spectral.polynomials import Array, Index, polynomials
+from acoustube.waves.spectral.polynomials import Array, Index, Polynomials, polynomials
 from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes
+from acoustube.waves.spectral.quadrature import AxialRule, axial_rule
 from acoustube.waves.spectral.walls import Wall
 
 DEGREE_INCREASE = 2
 """Difference of total degree between the richer basis and the basis."""
 LAYER_RATIO = 0.476
 """(gamma - 1) / sqrt(Pr): effect of the thermal layer relative to the viscous one."""
+ACTIVE_MARGIN = 0.6
+"""Margin of j' over k R up to which modes have more than one block, and corrections."""
 LAYER_BLOCKS = 2
 """Number of powers of the layers' operator that extend a Krylov space."""
-SPARE_POINTS = 3
-"""Number of Gauss points along an element, in excess of its degree."""
+
+
+class Layers(NamedTuple):
+    """The wall of a lumen, for losses there.
+
+    Attributes
+    ----------
+    points : WallPoints
+    functions : TangentialFunctions
+        Of the enriched basis.
+    stiffness, mass : ndarray
+        Of an even layer in the basis, (n_elements, n_basis, n_basis).
+    """
+
+    points: WallPoints
+    functions: TangentialFunctions
+    stiffness: Array
+    mass: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
     """Matrices of a lumen between its ports, for one symmetry about x = 0.
 
+    The unknowns inside an element are the coefficients of its modes; see
+    :mod:`acoustube.waves.spectral.elimination`.
+
     Attributes
     ----------
-    stiffness, mass : ndarray
-        Of the elements in the enriched basis, (n_elements, size, size).
+    low, high : Chain
+        Matrices of the basis, and of the functions across the tube that it lacks.
+    cross : tuple of ndarray
+        Stiffness and mass of the functions that the basis lacks (those across the tube, then those
+        along it) with the basis, (n_elements, size - n_basis, n_basis).
+    rest : tuple of ndarray
+        Those of the functions that it lacks, (n_elements, size - n_basis, size - n_basis).
+    turns : tuple of ndarray
+        Coefficients of the inner modes in the inner functions, of `low` and of `high`.
     layout : Layout
-        Order of their unknowns.
+        Order of the unknowns.
+    rule : AxialRule
+        Quadrature along the elements.
+    functions : Polynomials
+        Of the enriched basis.
     modes : PortModes
         Of the ports.
     ports : ndarray
@@ -51,20 +85,25 @@ class Discretisation:
         Products of the modes along the contour of an end.
     halved : bool
         Whether it is the half beyond the plane about which the lumen is symmetric, with one port.
-    layers : tuple of ndarray, optional
-        Stiffness and mass of the wall, in whose response the Krylov space has one more block.
+    layers : Layers, optional
+        Of the wall; the Krylov space then has more blocks.
     """
 
-    stiffness: Array
-    mass: Array
+    low: Chain
+    high: Chain
+    cross: tuple[Array, Array]
+    rest: tuple[Array, Array]
+    turns: tuple[Array, Array]
     layout: Layout
+    rule: AxialRule
+    functions: Polynomials
     modes: PortModes
     ports: Array
     heights: tuple[float, float]
     radius: float
     rim: Rim
     halved: bool
-    layers: tuple[Array, Array] | None = None
+    layers: Layers | None = None
 
     @property
     def sides(self) -> tuple[bool, ...]:
@@ -75,11 +114,29 @@ class Discretisation:
     def load(self) -> Array:
         """Load vectors of the modes of all ports, (n_elements, size, n_ports n_modes)."""
         m = len(self.modes)
-        load = np.zeros((*self.mass.shape[:2], m * len(self.ports)))
+        load = np.zeros((len(self.low.mass), self.layout.size, m * len(self.ports)))
         load[-1, self.layout.end(1), -m:] = self.ports[-1]
         if not self.halved:
             load[0, self.layout.end(0), :m] = self.ports[0]
         return load
+
+    def in_polynomials(self, fields: Array, corrections: Array) -> tuple[Array, Array]:
+        """Return fields of the basis and of what it lacks with the polynomials' coefficients."""
+        found: list[Array] = []
+        for part, turn in zip((fields, corrections), self.turns, strict=True):
+            own = part.copy()
+            n = turn.shape[1]
+            end = (self.layout.n_basis, self.layout.n_higher)[len(found)]
+            own[:, end - n : end] = turn @ part[:, end - n : end]
+            found.append(own)
+        return found[0], found[1]
+
+    def in_modes(self, matrix: Array) -> Array:
+        """Return matrices of the basis, (n_elements, n_basis, n_basis), between these unknowns."""
+        turn = self.turns[0]
+        n = self.layout.n_basis - turn.shape[1]
+        beside = np.concatenate([matrix[:, :, :n], matrix[:, :, n:] @ turn], axis=2)
+        return np.concatenate([beside[:, :n], turn.swapaxes(1, 2) @ beside[:, n:]], axis=1)
 
 
 class Response(NamedTuple):
@@ -87,12 +144,12 @@ class Response(NamedTuple):
 
     Attributes
     ----------
-    fields : ndarray
-        Blocks of a Krylov space in the basis, the response itself among them,
+    fields, last : ndarray
+        Blocks of a Krylov space in the basis, the response itself among them, and its last block,
         (n_elements, n_basis, n_columns).
     correction : ndarray
         First-order correction of the response by the other functions of the enriched basis,
-        (n_elements, size - n_basis, n_ports n_modes).
+        (n_elements, size - n_basis, n_columns).
     impedance : ndarray
         Z in 1/m, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
@@ -102,6 +159,7 @@ class Response(NamedTuple):
     """
 
     fields: Array
+    last: Array
     correction: Array
     impedance: Array
     by_degree: Array
@@ -109,14 +167,7 @@ class Response(NamedTuple):
 
 
 def discretise(
-    wall: Wall,
-    edges: Array,
-    degree: int,
-    order: int,
-    odd: bool | None,
-    wavenumber: float,
-    *,
-    spare_points: int = SPARE_POINTS,
+    wall: Wall, edges: Array, degree: int, order: int, odd: bool | None, wavenumber: float
 ) -> Discretisation:
     """Assemble a lumen.
 
@@ -131,13 +182,12 @@ def discretise(
         Symmetry about x = 0; None for all modes.
     wavenumber : float
         Highest wavenumber of interest in 1/m.
-    spare_points : int
-        Number of Gauss points along an element, in excess of its degree.
     """
     halved = wall.reversible
     basis = polynomials(degree + DEGREE_INCREASE, odd)
     layout = Layout(basis.count(degree), basis.size, order)
-    elements = assemble(wall, edges, basis, layout, order + spare_points)
+    rule = axial_rule(edges, order + 1, wall.knots)
+    elements = assemble(wall, rule, basis, layout)
     reach = MARGIN + wavenumber * wall.radius
     modes = end_modes(wall, reach, odd)
     far = end_modes(wall, reach + FARTHEST, odd, lowest=reach)
@@ -148,10 +198,16 @@ def discretise(
         _add_far_modes(
             elements, (element, layout.end(end)), functions, far, wall.radius, wavenumber
         )
+    low, high, cross, rest, turns = _in_inner_modes(elements, layout)
     return Discretisation(
-        stiffness=elements.stiffness,
-        mass=elements.mass,
+        low=low,
+        high=high,
+        cross=cross,
+        rest=rest,
+        turns=turns,
         layout=layout,
+        rule=rule,
+        functions=basis,
         modes=modes,
         ports=np.stack([end_functions(wall, modes, basis, box) for box in boxes]),
         heights=(2 * wall.middle - edges[-1] if halved else edges[0], edges[-1]),
@@ -159,6 +215,34 @@ def discretise(
         rim=rim_of(wall, modes, odd),
         halved=halved,
     )  # fmt: skip
+
+
+def _in_inner_modes(
+    elements: Elements, layout: Layout
+) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
+    """Return the matrices of :class:`Discretisation` with modes inside the elements."""
+    n, more = layout.n_basis, layout.n_higher
+    chains, turns = [], []
+    for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):
+        ends, inner = slice(start, start + 2 * width), slice(start + 2 * width, stop)
+        stiff, heavy = elements.stiffness, elements.mass
+        square, modes = inner_modes(stiff[:, inner, inner], heavy[:, inner, inner])
+        turn = modes.swapaxes(1, 2)
+        pull, drag = (turn @ part[:, inner, ends] for part in (stiff, heavy))
+        chains.append(Chain(square, stiff[:, ends, ends], heavy[:, ends, ends], pull, drag))
+        turns.append(modes)
+    cross, rest = [], []
+    (a, b), low = (turn.shape[1] for turn in turns), slice(n)
+    for matrix in (elements.stiffness, elements.mass):
+        part, own = matrix[:, n:, low].copy(), matrix[:, n:, n:].copy()
+        inner, ends = slice(more - b, more), slice(n - a, n)
+        part[:, :, ends] = part[:, :, ends] @ turns[0]
+        part[:, inner] = turns[1].swapaxes(1, 2) @ part[:, inner]
+        own[:, :, inner] = own[:, :, inner] @ turns[1]
+        own[:, inner] = turns[1].swapaxes(1, 2) @ own[:, inner]
+        cross.append(part)
+        rest.append(own)
+    return chains[0], chains[1], (cross[0], cross[1]), (rest[0], rest[1]), (turns[0], turns[1])
 
 
 def _add_far_modes(
@@ -194,45 +278,49 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     list of Response
         One per parity along z; for a lumen that is not symmetric along z, one.
     """
-    layout, n = system.layout, system.layout.n_basis
-    low, high = slice(n), slice(n, n + layout.n_higher)
-    last = slice(n + layout.n_higher, None)
-
-    def matrix(a: slice, b: slice) -> Array:
-        return np.asarray(system.stiffness[:, a, b] - shift * system.mass[:, a, b])
-
-    factors = factor(matrix(low, low), layout.n)
+    n, more = system.layout.n_basis, system.layout.n_higher
+    factors = factor(system.low, shift)
     sides = system.sides
     load = np.concatenate([system.load] * len(sides), axis=-1)
     held = np.repeat(sides, system.load.shape[-1])
-    response = solve(factors, load[:, low], held)
+    response = solve(factors, load[:, :n], held)
+    # Modes far below their cut-on respond almost alike at all shifts.
+    reach = np.sqrt(max(shift, 0.0)) * system.radius + ACTIVE_MARGIN
+    active = np.tile(
+        system.modes.zeros < max(reach, 1.01 * system.modes.zeros[0]),
+        len(load[0, 0]) // len(system.modes),
+    )
+    driven, kept = response[..., active], held[active]
     fields = [response]
     if system.layers is not None:
-        stiff, heavy = (part[:, low, low] for part in system.layers)
-        layer = stiff + LAYER_RATIO * shift * heavy
+        layer, ahead = system.layers.stiffness + LAYER_RATIO * shift * system.layers.mass, response
         for _ in range(LAYER_BLOCKS):
-            fields.insert(0, solve(factors, layer @ _normalised(fields[0], len(sides)), held))
-        fields.append(fields.pop(LAYER_BLOCKS))
+            ahead = solve(factors, layer @ _normalised(ahead, len(sides)), held)
+            fields.append(ahead)
     for _ in range(blocks - 1):
-        ahead = system.mass[:, low, low] @ _normalised(fields[-1], len(sides))
-        fields.append(solve(factors, ahead, held))
-    ahead = load[:, high] - matrix(high, low) @ response
-    step = solve(factor(matrix(high, high), layout.n_all - layout.n), ahead, held)
-    bubble = -matrix(last, low) @ response
-    bubble_step = np.linalg.solve(matrix(last, last), bubble)
+        driven = solve(factors, system.low.times_mass(_normalised(driven, len(sides))), kept)
+        fields.append(driven)
+    missing = (system.cross[0] - shift * system.cross[1]) @ response
+    ahead = load[:, n : n + more] - missing[:, :more]
+    step = solve(factor(system.high, shift), ahead, held)
+    bubble = -missing[:, more:]
+    own = [part[:, more:, more:] for part in system.rest]
+    bubble_step = np.linalg.solve(own[0] - shift * own[1], bubble)
     parts = (np.split(part, len(sides), axis=-1) for part in (
-        load[:, low], response, ahead, step, bubble, bubble_step
+        load[:, :n], response, ahead, step, bubble, bubble_step
     ))  # fmt: skip
+    which = active[: len(active) // len(sides)]
     split = [np.split(field, len(sides), axis=-1) for field in fields]
     return [
         Response(
-            fields=np.concatenate(blocks_of_side, axis=-1),
-            correction=np.concatenate([higher_step, inner_step], axis=1),
+            fields=np.concatenate([side_fields[0], *side_fields[1:-1]], axis=-1),
+            last=side_fields[-1],
+            correction=np.concatenate([higher_step, inner_step], axis=1)[..., which],
             impedance=_dot(side_load, own),
             by_degree=_dot(higher_load, higher_step),
             by_element=inner_load.swapaxes(1, 2) @ inner_step,
         )
-        for blocks_of_side, side_load, own, higher_load, higher_step, inner_load, inner_step in zip(
+        for side_fields, side_load, own, higher_load, higher_step, inner_load, inner_step in zip(
             zip(*split, strict=True), *parts, strict=True
         )
     ]

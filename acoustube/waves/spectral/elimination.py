@@ -1,4 +1,14 @@
-"""Direct solution of K - s M along the tube: static condensation, then block elimination."""
+"""Direct solution of K - s M along the tube: condensation of the elements, then elimination.
+
+The inner unknowns of an element, those that vanish at both of its ends, are the coefficients of its
+own modes with zero pressure at the ends, of which K and M are diagonal. With s, only diagonal
+matrices have then to be inverted in an element [1]_.
+
+References
+----------
+.. [1] Craig, R. R., Bampton, M. C. C. (1968). Coupling of substructures for dynamic analyses. AIAA
+   Journal 6, 1313-1319. doi:10.2514/3.4741
+"""
 
 from __future__ import annotations
 
@@ -6,55 +16,148 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from acoustube.waves.spectral.polynomials import Array
 
+DEPENDENCE = 1e-12
+"""Relative eigenvalue of scaled M below which functions count as linearly dependent."""
 
-class Factors(NamedTuple):
-    """Factors of static condensation of the elements, then of block elimination of their nodes.
+SURPLUS = 1e30
+"""Squared wavenumber in 1/m2 given to modes that are zero."""
+
+
+class Chain(NamedTuple):
+    """Matrices of a chain of elements in the coordinates of :func:`chain`.
 
     Attributes
     ----------
-    matrix : ndarray
-        Of the elements, (n_elements, n_j n, n_j n).
+    square : ndarray
+        Squared wavenumbers of the elements' modes in 1/m2, (n_elements, n_inner); their M is one.
+    stiffness, mass : ndarray
+        Of the ends, (n_elements, 2 n, 2 n).
+    pull, drag : ndarray
+        Stiffness and mass between modes and ends, (n_elements, n_inner, 2 n).
+    """
+
+    square: Array
+    stiffness: Array
+    mass: Array
+    pull: Array
+    drag: Array
+
+    def times_mass(self, field: Array) -> Array:
+        """Return M times fields (n_elements, n_j n, n_fields)."""
+        border = self.mass.shape[-1]
+        ends, inner = field[:, :border], field[:, border:]
+        return np.concatenate(
+            [self.mass @ ends + self.drag.swapaxes(1, 2) @ inner, self.drag @ ends + inner], axis=1
+        )
+
+    def projected(self, left: Array, right: Array) -> tuple[Array, Array]:
+        """Return the products of fields (n_elements, n_j n, ...) with K, and with M, between."""
+        border = self.mass.shape[-1]
+        a, b = left[:, border:], right[:, border:]
+        a_ends, b_ends = left[:, :border], right[:, :border]
+        found = []
+        for own, cross, inner in (
+            (self.stiffness, self.pull, self.square[..., None] * b),
+            (self.mass, self.drag, b),
+        ):
+            ends = own @ b_ends + cross.swapaxes(1, 2) @ b
+            found.append(product(a_ends, ends) + product(a, inner + cross @ b_ends))
+        return found[0], found[1]
+
+
+class Factors(NamedTuple):
+    """Elements without their inner unknowns, and their nodes eliminated from the last on.
+
+    Attributes
+    ----------
+    chain : Chain
+    shift : float
+        k^2 in 1/m2.
     inside : ndarray
-        Inverses of the elements' inner blocks, (n_elements, n_inner, n_inner).
-    follow : ndarray
-        Negative response of the interior unknowns to those of the two ends,
-        (n_elements, n_inner, 2 n).
+        Inverses of the inner diagonals, (n_elements, n_inner, 1).
+    coupling : ndarray
+        Between modes and ends, (n_elements, n_inner, 2 n).
     nodes : ndarray
         Inverses of the nodes' blocks, (n_elements + 1, n, n).
     onwards : ndarray
         Negative response of each node but the first to the one before it, (n_elements, n, n).
     """
 
-    matrix: Array
+    chain: Chain
+    shift: float
     inside: Array
-    follow: Array
+    coupling: Array
     nodes: Array
     onwards: Array
 
 
-def factor(matrix: Array, n: int) -> Factors:
-    """Factor the matrix of a chain of elements.
+def product(a: Array, b: Array) -> Array:
+    """Return the products of all fields (n_elements, n, n_fields) with others."""
+    flat = a.shape[0] * a.shape[1]
+    return np.asarray(a.reshape(flat, a.shape[-1]).T @ b.reshape(flat, b.shape[-1]))
+
+
+def inner_modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
+    """Return the modes of the inner unknowns of elements.
 
     Parameters
     ----------
-    matrix : ndarray
-        K - s M, (n_elements, n_j n, n_j n); the first two groups of n unknowns are the ends'.
-    n : int
-        Number of functions across the tube.
+    stiffness, mass : ndarray
+        (n_elements, n, n).
+
+    Returns
+    -------
+    square, modes : ndarray
+        (n_elements, n) in 1/m2, and (n_elements, n, n), with columns of unit M. Of functions that
+        are linearly dependent, the surplus modes are zero, with `square` as `SURPLUS`.
+    """
+    scale = 1 / np.sqrt(np.einsum("eii->ei", mass))
+    stiffness, mass = (part * scale[:, None] * scale[:, :, None] for part in (stiffness, mass))
+    square, modes = np.empty_like(scale), np.empty_like(mass)
+    for number, (k, m) in enumerate(zip(stiffness, mass, strict=True)):
+        square[number], modes[number] = _modes(k, m)
+    return square, modes * scale[:, :, None]
+
+
+def _modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
+    """Return the modes of one element, from matrices with M scaled to a diagonal of ones."""
+    try:
+        root = np.linalg.cholesky(mass)
+        healthy = np.diag(root).min() ** 2 > DEPENDENCE
+    except np.linalg.LinAlgError:
+        healthy = False
+    if healthy:
+        half = solve_triangular(root, stiffness, lower=True, check_finite=False)
+        whole = solve_triangular(root, half.T, lower=True, check_finite=False)
+        square, modes = np.linalg.eigh(whole)
+        return square, solve_triangular(root, modes, trans=1, lower=True, check_finite=False)
+    weight, turned = np.linalg.eigh(mass)
+    kept = weight > DEPENDENCE * weight[-1]
+    turned = turned[:, kept] / np.sqrt(weight[kept])
+    own, modes = np.linalg.eigh(turned.T @ stiffness @ turned)
+    square = np.full(len(mass), SURPLUS)
+    square[: len(own)] = own
+    found = np.zeros_like(mass)
+    found[:, : len(own)] = turned @ modes
+    return square, found
+
+
+def factor(chain: Chain, shift: float) -> Factors:
+    """Factor K - s M.
 
     Notes
     -----
     By explicit inverses, which makes all that follows products of stacks of matrices. The first
     node is the last to be eliminated, so that it can be held or free with the same factors.
     """
-    border = 2 * n
-    coupling = matrix[:, border:, :border]
-    inside = np.linalg.inv(matrix[:, border:, border:])
-    follow = inside @ coupling
-    ends = matrix[:, :border, :border] - coupling.swapaxes(1, 2) @ follow
+    n = chain.mass.shape[-1] // 2
+    coupling = chain.pull - shift * chain.drag
+    inside = 1 / (chain.square - shift)[..., None]
+    ends = chain.stiffness - shift * chain.mass - coupling.swapaxes(1, 2) @ (inside * coupling)
     nodes = np.zeros((len(ends) + 1, n, n))
     nodes[:-1] += ends[:, :n, :n]
     nodes[1:] += ends[:, n:, n:]
@@ -64,7 +167,7 @@ def factor(matrix: Array, n: int) -> Factors:
         coupled = ends[number, :n, n:]
         onwards[number] = nodes[number + 1] @ coupled.T
         nodes[number] = np.linalg.inv(nodes[number] - coupled @ onwards[number])
-    return Factors(matrix, np.asarray(inside), np.asarray(follow), nodes, onwards)
+    return Factors(chain, shift, inside, coupling, nodes, onwards)
 
 
 def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
@@ -82,19 +185,10 @@ def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
     -------
     ndarray
         Of the loads' shape; the value at a node is repeated in both of its elements.
-
-    Notes
-    -----
-    With one step of iterative refinement, without which inverses leave rough errors in the fields.
     """
-    found = _solve_once(factors, load, held)
-    return found + _solve_once(factors, load - factors.matrix @ found, held)
-
-
-def _solve_once(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
     n_elements, n = len(load), factors.nodes.shape[-1]
-    inner = load[:, 2 * n :]
-    border = load[:, : 2 * n] - factors.follow.swapaxes(1, 2) @ inner
+    inner = factors.inside * load[:, 2 * n :]
+    border = load[:, : 2 * n] - factors.coupling.swapaxes(1, 2) @ inner
     nodal = np.zeros((n_elements + 1, n, load.shape[-1]))
     nodal[:-1] += border[:, :n]
     nodal[1:] += border[:, n:]
@@ -105,4 +199,4 @@ def _solve_once(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array
     for number in range(n_elements):
         nodal[number + 1] -= factors.onwards[number] @ nodal[number]
     both = np.concatenate([nodal[:-1], nodal[1:]], axis=1)
-    return np.concatenate([both, factors.inside @ inner - factors.follow @ both], axis=1)
+    return np.concatenate([both, inner - factors.inside * (factors.coupling @ both)], axis=1)

@@ -27,11 +27,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
+from acoustube.waves.spectral.assembly import Boxes
 from acoustube.waves.spectral.boundary import WallPoints
 from acoustube.waves.spectral.ends import Rim, Section
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, PortModes
 from acoustube.waves.spectral.sound import Air
+from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
 """Heights of a section, in viscous layers, under which the gaps are measured point by point."""
@@ -92,8 +94,10 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     if len(frequency) > 1:
         sampled = np.geomspace(frequency[0], frequency[-1], SAMPLES)
     layers = layer_thickness(sampled, air)
-    width = gap_widths(points, NARROW_SECTION * float(np.abs(layers[0][0])))
-    roundness = np.clip(_curvature(points) * width / 2, 0.0, 1.0)
+    width = gap_widths(
+        points.contours, points.boxes, points.halved, NARROW_SECTION * float(np.abs(layers[0][0]))
+    )
+    roundness = np.clip(_curvature(points.contours) * width / 2, 0.0, 1.0)
     both = np.stack(
         [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
     )
@@ -121,25 +125,23 @@ def _between(sampled: Array, values: Complex, frequency: Array) -> Complex:
     return np.asarray(CubicSpline(np.log(sampled), values)(np.log(frequency)))
 
 
-def _curvature(points: WallPoints) -> Array:
+def _curvature(contours: Contours) -> Array:
     """Return the curvature of the sections' contours in 1/m, positive where they are convex."""
-    contours = points.contours
     angle = np.unwrap(np.arctan2(contours.y_t, contours.x_t), axis=1)
     return np.asarray(np.gradient(angle, contours.t, axis=1) / np.hypot(contours.x_t, contours.y_t))
 
 
-def gap_widths(points: WallPoints, narrow: float) -> Array:
+def gap_widths(contours: Contours, boxes: Boxes, halved: bool, narrow: float) -> Array:
     """Return the diameter in m of the largest inscribed circle tangent to the wall at each point.
 
     Of sections wider and higher than `narrow` it is taken as the less of these two sizes.
     """
-    contours, boxes = points.contours, points.boxes
     width = np.tile(2 * np.minimum(boxes.a, boxes.b)[:, None], (1, contours.x.shape[1]))
     for section in np.flatnonzero(width[:, 0] < narrow):
         here = np.stack([contours.x[section], contours.y[section]])
         inwards = np.stack([-contours.y_t[section], contours.x_t[section]])
         inwards /= np.hypot(*inwards)
-        there = np.concatenate([here, here * [[-1.0], [1.0]]], axis=1) if points.halved else here
+        there = np.concatenate([here, here * [[-1.0], [1.0]]], axis=1) if halved else here
         away = there[:, None] - here[:, :, None]
         ahead = np.einsum("pij,pi->ij", away, inwards)
         square = (away**2).sum(axis=0)
@@ -210,7 +212,5 @@ def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
     """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
     contours, boxes = section.contours, section.boxes
     halved = section.basis.odd is not None
-    nothing = np.zeros_like(contours.x)
-    points = WallPoints(np.zeros(1), contours, boxes, nothing[None], nothing, halved)
-    width = gap_widths(points, NARROW_SECTION * thickness)
-    return width[0], np.clip(_curvature(points) * width / 2, 0.0, 1.0)[0]
+    width = gap_widths(contours, boxes, halved, NARROW_SECTION * thickness)
+    return width[0], np.clip(_curvature(contours) * width / 2, 0.0, 1.0)[0]

@@ -9,11 +9,19 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.ndimage import maximum_filter1d
 
-from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
-from acoustube.waves.spectral.discretisation import DEGREE_INCREASE, Discretisation
+from acoustube.waves.spectral.assembly import Layout
+from acoustube.waves.spectral.boundary import (
+    TangentialFunctions,
+    tangential_functions,
+    tangential_matrices,
+    wall_functions,
+    wall_points,
+)
+from acoustube.waves.spectral.discretisation import Discretisation, Layers
 from acoustube.waves.spectral.layers import LayerSeries, layer_series, lossy_ends
-from acoustube.waves.spectral.polynomials import Array, polynomials
+from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, scattering_of
+from acoustube.waves.spectral.quadrature import axial_rule
 from acoustube.waves.spectral.reduction import (
     LossyBand,
     LossyModel,
@@ -21,58 +29,58 @@ from acoustube.waves.spectral.reduction import (
     lossy_fields,
     lossy_impedance,
     lossy_model,
-    reassembled,
+    projected,
 )
 from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Wall
 
-SAMPLES_PER_RESONANCE, SPARE_SAMPLES = 4.0, 12
+SAMPLES_PER_RESONANCE, SPARE_SAMPLES = 1.6, 8
 """Fields from directly solved frequencies per resonance of the lumen, and further frequencies."""
+LOSSY_BLOCKS = 3
+"""Number of blocks of the Krylov space at each of them."""
+CHECKS = 12
+"""Number of frequencies at which the error is estimated."""
+SPARSE = 6
+"""One in so many of the sampled frequencies has fields of evanescent modes too."""
+LAYER_DEGREE = 3
+"""Degree that limits the number of points round the tube."""
+NO_KNOTS = np.zeros(0)
+"""Losses are small corrections: no point more where the wall is rough."""
 SAMPLE_GRADING = 1.6
 """They are even in this power of the frequency."""
 
 
-def with_layers(
-    system: Discretisation, wall: Wall, edges: Array, degree: int, odd: bool | None, n_points: int
-) -> Discretisation:
+def with_layers(system: Discretisation, wall: Wall) -> Discretisation:
     """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
-    points = wall_points(wall, edges, n_points)
-    functions = wall_functions(points, polynomials(degree + DEGREE_INCREASE, odd))
-    one = np.ones_like(points.area)
-    layers = wall_matrices(points, functions, edges, system.layout, one, tangential=True)
-    return replace(system, layers=layers)
+    rule = axial_rule(system.rule.edges, system.layout.order, NO_KNOTS)
+    points, n = wall_points(wall, rule, LAYER_DEGREE), system.layout.n
+    functions = tangential_functions(points, wall_functions(points, system.functions))
+    low = TangentialFunctions(*(part[:, :n] for part in functions))
+    layout = Layout(n, n, system.layout.order)
+    even = tangential_matrices(points, low, layout, np.ones_like(points.area))
+    n = system.layout.n_basis
+    stiffness, mass = (system.in_modes(part[:, :n, :n]) for part in even)
+    return replace(system, layers=Layers(points, functions, stiffness, mass))
 
 
 def wall_projections(
-    system: Discretisation,
-    spaces: list[Reduced],
-    wall: Wall,
-    edges: Array,
-    degree: int,
-    odd: bool | None,
-    n_points: int,
-    frequency: Array,
-    air: Air,
-) -> tuple[LayerSeries, list[list[Reduced]]]:
-    """Return the wall's losses over a band, and their integrals in the space of each side."""
-    points = wall_points(wall, edges, n_points)
-    functions = wall_functions(points, polynomials(degree + DEGREE_INCREASE, odd))
-    series = layer_series(points, frequency, air)
-    found: list[list[Reduced]] = [[] for _ in spaces]
+    system: Discretisation, layers: Layers, spaces: list[Reduced], frequency: Array, air: Air
+) -> tuple[LayerSeries, list[list[tuple[Array, Array]]]]:
+    """Return the losses at the wall, and its integrals (K, M) in the space of each side."""
+    series = layer_series(layers.points, frequency, air)
+    found: list[list[tuple[Array, Array]]] = [[] for _ in spaces]
     for weight in series.weights:
-        stiffness, mass = wall_matrices(
-            points, functions, edges, system.layout, weight, tangential=True
-        )
-        part = replace(system, stiffness=stiffness, mass=mass)
+        parts = tangential_matrices(layers.points, layers.functions, system.layout, weight)
         for side, space in zip(found, spaces, strict=True):
-            side.append(reassembled(part, space))
+            stiffness, mass = (projected(system, part, space) for part in parts)
+            side.append((stiffness, mass))
     return series, found
 
 
 def lossy_scattering(
     system: Discretisation,
     spaces: list[Reduced],
-    walls: list[list[Reduced]],
+    walls: list[list[tuple[Array, Array]]],
     series: LayerSeries,
     frequency: Array,
     air: Air,
@@ -113,34 +121,43 @@ def lossy_scattering(
     found = []
     for space, wall, n in zip(spaces, walls, sizes, strict=True):
         model = lossy_model(space, wall)
-        sampled = _sampled(model, k)
-        s = scattering_of(
-            lossy_impedance(model, band, lossy_fields(model, band.at(sampled))), kz_all
-        )
+        sampled = _sampled(model, k, system.modes.zeros / system.radius)
+        fields = lossy_fields(model, band.at(sampled), LOSSY_BLOCKS)
+        # Modes far below their cut-on respond almost alike at all frequencies.
+        columns = [
+            block[:, there]
+            for blocks, there in zip(fields, travels[sampled], strict=True)
+            for block in blocks
+        ]
+        columns += list(fields[::SPARSE, 0])
+        s = scattering_of(lossy_impedance(model, band, np.concatenate(columns, axis=1)), kz_all)
         # Where the fields sampled are farthest away.
-        few = np.unique((sampled[:-1] + sampled[1:])[1::2] // 2)
-        few = few if len(few) else sampled
-        poorer = lossy_model(space.first(n), [part.first(n) for part in wall])
+        between = np.unique((sampled[:-1] + sampled[1:]) // 2)
+        between = between if len(between) else sampled
+        few = between[np.unique(np.linspace(0, len(between) - 1, CHECKS).astype(int))]
+        poorer = lossy_model(space.first(n), [(k[:n, :n], m[:n, :n]) for k, m in wall])
         checks = [_direct(part, band.at(few), kz_all[few]) for part in (model, poorer)]
         both = travels[few][:, :, None] & travels[few][:, None]
         change = np.abs(checks[1] - checks[0]) + np.abs(checks[0] - s[few])
         change = np.where(both, change, 0.0).max(axis=(1, 2))
-        between = np.interp(frequency, frequency[few], maximum_filter1d(change, 3))
-        lacking = np.maximum(lacking, between)
+        change = np.interp(frequency, frequency[few], maximum_filter1d(change, 3))
+        lacking = np.maximum(lacking, change)
         found.append(s)
     return found, kz, lacking
 
 
-def _sampled(model: LossyModel, k: Complex) -> NDArray[np.intp]:
+def _sampled(model: LossyModel, k: Complex, cut_ons: Array) -> NDArray[np.intp]:
     """Return the numbers of the frequencies at which the equations are solved directly."""
     resonances = np.sum(model.square < k.real[-1] ** 2)
     count = SPARE_SAMPLES + int(np.ceil(SAMPLES_PER_RESONANCE * resonances / model.ports.shape[1]))
     # Resonances are dense where many modes propagate.
     grades = np.linspace(k.real[0] ** SAMPLE_GRADING, k.real[-1] ** SAMPLE_GRADING, count)
-    return np.unique(np.abs(k.real - grades[:, None] ** (1 / SAMPLE_GRADING)).argmin(axis=1))
+    within = cut_ons[(cut_ons > k.real[0]) & (cut_ons < k.real[-1])]
+    wanted = np.concatenate([grades ** (1 / SAMPLE_GRADING), within])
+    return np.unique(np.abs(k.real - wanted[:, None]).argmin(axis=1))
 
 
 def _direct(model: LossyModel, band: LossyBand, kz: Complex) -> Complex:
     """Return S of directly solved frequencies."""
     fields = lossy_fields(model, band)
-    return scattering_of((model.ports @ band.flux).swapaxes(1, 2) @ fields, kz)
+    return scattering_of((model.ports @ band.flux).swapaxes(1, 2) @ fields[:, 0], kz)

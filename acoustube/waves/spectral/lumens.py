@@ -91,6 +91,7 @@ def wall_of(lumen: Rings) -> Wall:
     heights = rings[..., 2]
     return Wall(
         lines=lines,
+        knots=heights[first - 1 : last + 2].mean(axis=1),
         ends=(float(heights[first - 1].min()), float(heights[last + 1].max())),
         radius=_effective_radius(rings[0]) if radius is None else radius,
         breaks=(float(heights[first].min()), float(heights[last].max())),

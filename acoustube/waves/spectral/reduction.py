@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, solve, solve_triangular, svd
+from scipy.linalg import eigh, lu_factor, lu_solve, solve_triangular, svd
 
 from acoustube.waves.spectral.discretisation import Discretisation
+from acoustube.waves.spectral.elimination import product
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
-DEPENDENCE_TOLERANCE = 1e-9
+DEPENDENCE_TOLERANCE = 1e-12
 """Relative norm of a field's component outside the span below which it is dropped."""
 
-SAMPLE_TOLERANCE = 1e-8
+SAMPLE_TOLERANCE = 1e-5
 """The same for the span of solutions with losses at some frequencies."""
 MAX_MATRICES = 32
 """Number of frequencies whose matrices are held at a time."""
@@ -63,49 +64,39 @@ def extended(system: Discretisation, before: Reduced | None, fields: Array) -> R
     old = fields[..., :0] if before is None else before.fields
     new = _orthonormal(fields, old)
     everything = np.concatenate([old, new], axis=-1)
-    found = []
-    for number, matrix in enumerate((system.stiffness, system.mass)):
-        own = _product(everything, matrix[:, :n, :n] @ new)
-        if before is not None:
-            # Only what the new fields add is computed.
-            known, size = (before.stiffness, before.mass)[number], old.shape[-1]
-            own = np.block([[known, own[:size]], [own[:size].T, own[size:]]])
-        found.append(own)
-    ports = _product(everything, system.load[:, :n])
+    found = list(system.low.projected(everything, new))
+    if before is not None:
+        # Only what the new fields add is computed.
+        size = old.shape[-1]
+        found = [
+            np.block([[known, own[:size]], [own[:size].T, own[size:]]])
+            for known, own in zip((before.stiffness, before.mass), found, strict=True)
+        ]
+    ports = product(everything, system.load[:, :n])
     return Reduced(everything, nothing, found[0], found[1], ports)
 
 
 def corrected(system: Discretisation, before: Reduced, corrections: Array) -> Reduced:
     """Add corrections (n_elements, size - n_basis, n_corrections) to a projection without any."""
     new = _orthonormal(corrections, corrections[..., :0])
-    return reassembled(system, before._replace(corrections=new))
+    n = before.fields.shape[1]
+    found = []
+    for known, cross, rest in zip(
+        (before.stiffness, before.mass), system.cross, system.rest, strict=True
+    ):
+        beside = product(new, cross @ before.fields)
+        found.append(np.block([[known, beside.T], [beside, product(new, rest @ new)]]))
+    ports = np.concatenate([before.ports, product(new, system.load[:, n:])])
+    return Reduced(before.fields, new, found[0], found[1], ports)
 
 
-def reassembled(system: Discretisation, space: Reduced) -> Reduced:
-    """Return the projection of another discretisation onto the same fields."""
-    n = space.fields.shape[1]
-    found = [
-        _projected(matrix, space.fields, space.corrections)
-        for matrix in (system.stiffness, system.mass)
-    ]
-    load = system.load
-    ports = [_product(space.fields, load[:, :n]), _product(space.corrections, load[:, n:])]
-    return Reduced(space.fields, space.corrections, found[0], found[1], np.concatenate(ports))
-
-
-def _projected(matrix: Array, fields: Array, corrections: Array) -> Array:
-    n = fields.shape[1]
-    own = _product(fields, matrix[:, :n, :n] @ fields)
-    cross = _product(fields, matrix[:, :n, n:] @ corrections)
-    return np.block(
-        [[own, cross], [cross.T, _product(corrections, matrix[:, n:, n:] @ corrections)]]
-    )
-
-
-def _product(a: Array, b: Array) -> Array:
-    """Return the products of all fields (n_elements, n, n_fields) with others."""
-    flat = a.shape[0] * a.shape[1]
-    return np.asarray(a.reshape(flat, a.shape[-1]).T @ b.reshape(flat, b.shape[-1]))
+def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
+    """Return the projection (r, r) of other matrices of the elements, (n_elements, size, size)."""
+    fields, corrections = system.in_polynomials(space.fields, space.corrections)
+    everything = np.zeros((*matrix.shape[:2], space.size))
+    n, count = system.layout.n_basis, fields.shape[-1]
+    everything[:, :n, :count], everything[:, n:, count:] = fields, corrections
+    return product(everything, matrix @ everything)
 
 
 def _orthonormal(new: Array, old: Array) -> Array:
@@ -114,10 +105,11 @@ def _orthonormal(new: Array, old: Array) -> Array:
     flat = new.reshape(-1, new.shape[-1])
     known = old.reshape(len(flat), old.shape[-1])
     flat = flat / np.linalg.norm(flat, axis=0)
-    flat, triangle = np.linalg.qr(flat - known @ (known.T @ flat))
+    flat -= known @ (known.T @ flat)
     # Not by the diagonal of R: a field dropped there would be missing from later ones.
-    turned, size, _ = np.linalg.svd(triangle)
-    flat = flat @ turned[:, size > DEPENDENCE_TOLERANCE]
+    _, size, turned = np.linalg.svd(np.linalg.qr(flat, mode="r"))
+    kept = size > DEPENDENCE_TOLERANCE
+    flat = flat @ (turned[kept].T / size[kept])
     flat -= known @ (known.T @ flat)
     # The second time by the Gram matrix, which is several times as fast.
     factor = np.linalg.cholesky(flat.T @ flat)
@@ -169,42 +161,51 @@ class LossyBand(NamedTuple):
         return LossyBand(*(part[which] for part in self))
 
 
-def lossy_model(reduced: Reduced, wall: list[Reduced]) -> LossyModel:
-    """Return a lumen's matrices with boundary layers, from its lossless part and wall integrals."""
+def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel:
+    """Return a lumen's matrices with boundary layers, from those without and its wall's (K, M)."""
     square, vector = eigh(
         *((part + part.T) / 2 for part in (reduced.stiffness, reduced.mass)), check_finite=False
     )
     stiffness, mass = (
-        np.stack([vector.T @ part @ vector for part in parts])
-        for parts in ([q.stiffness for q in wall], [q.mass for q in wall])
+        np.stack([vector.T @ part @ vector for part in parts]) for parts in zip(*wall, strict=True)
     )
     return LossyModel(square, vector.T @ reduced.ports, stiffness, mass)
 
 
-def lossy_fields(model: LossyModel, band: LossyBand) -> Complex:
-    """Return the fields (n_frequencies, r, n_ports n_modes) of the loads of the lossy modes."""
-    found = np.empty((len(band.wavenumber), *model.ports.shape), complex)
+def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex:
+    """Return the fields of the loads of the lossy modes, and further blocks of their Krylov spaces.
+
+    Returns
+    -------
+    ndarray
+        (n_frequencies, blocks, r, n_ports n_modes).
+    """
+    found = np.empty((len(band.wavenumber), blocks, *model.ports.shape), complex)
     diagonal = np.diag_indices(len(model.square))
+    flat = np.concatenate([model.stiffness, model.mass]).reshape(2 * len(model.mass), -1)
     for number, (k, viscous, thermal, flux) in enumerate(zip(*band, strict=True)):
-        matrix = -np.tensordot(viscous, model.stiffness, 1)
-        matrix -= np.tensordot(k**2 * thermal, model.mass, 1)
+        matrix = (-np.concatenate([viscous, k**2 * thermal]) @ flat).reshape(model.mass.shape[1:])
         matrix[diagonal] += model.square - k**2
-        found[number] = solve(matrix, model.ports @ flux, check_finite=False, overwrite_a=True)
+        factors = lu_factor(matrix, check_finite=False, overwrite_a=True)
+        load = model.ports @ flux
+        for block in range(blocks):
+            # M is one in these coordinates.
+            load = lu_solve(factors, load / np.linalg.norm(load) ** (block > 0), check_finite=False)
+            found[number, block] = load
     return found
 
 
-def lossy_impedance(model: LossyModel, band: LossyBand, fields: Complex) -> Complex:
+def lossy_impedance(model: LossyModel, band: LossyBand, columns: Complex) -> Complex:
     """Return the response matrix between the ports' lossy modes in 1/m, (n_frequencies, n, n).
 
     Parameters
     ----------
     model : LossyModel
     band : LossyBand
-    fields : ndarray
-        Solutions at sample frequencies, (n_samples, r, n), which span the reduced basis of a
+    columns : ndarray
+        Solutions at sample frequencies, (r, n_columns), which span the reduced basis of a
         Galerkin projection; the system matrix is symmetric, so that they serve as test functions.
     """
-    columns = fields.transpose(1, 0, 2).reshape(len(model.square), -1)
     turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
     span = turned[:, size > SAMPLE_TOLERANCE * size[0]]
     load = span.T @ model.ports

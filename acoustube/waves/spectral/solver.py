@@ -22,23 +22,18 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from acoustube.waves.spectral.band import (
-    ADAPTATION_TOLERANCE,
     KRYLOV_BLOCKS,
-    difference,
-    scattering_at,
     swept,
 )
 from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
-    DEGREE_INCREASE,
-    SPARE_POINTS,
     Discretisation,
     Response,
     discretise,
@@ -48,14 +43,13 @@ from acoustube.waves.spectral.ends import end_modes
 from acoustube.waves.spectral.first_basis import Basis, first_basis
 from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
 from acoustube.waves.spectral.partition import split
-from acoustube.waves.spectral.polynomials import Array, polynomials
+from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import (
     Complex,
     axial_wavenumbers,
     changed_scattering,
     of_both_ports,
 )
-from acoustube.waves.spectral.reduction import Reduced, reassembled
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
@@ -69,6 +63,10 @@ COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
 ROUGHNESS_RATIO = 0.25
 """Elements are split whose integrals change by so much of the largest change with more points."""
+ERROR_SAFETY = 2.0
+"""Ratio of the estimate to the changes of S, whose own error is not all that is lacking."""
+LEAST_ERROR = 3e-6
+"""Error of the integrals over walls that are given by rings, with a safety factor."""
 ERROR_WINDOW = 5
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
 MAX_POINT_DOUBLINGS = 2
@@ -210,77 +208,35 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     basis, wanted = first_basis(wall, odd, k, KRYLOV_BLOCKS), tolerance
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = _adapted(task, odd, basis, wanted)
-        spaces, rough, error, sizes = swept(system, basis, responses, k, tolerance)
+        spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        finer, fine, s, by_points, spare = _integrated(task, odd, basis, system, spaces, rough)
-        error = maximum_filter1d(error + by_points, 2 * ERROR_WINDOW + 1)
+        error = _estimated(error, wall)
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
         # Resonances amplify errors that are small at the probes.
         wanted *= 0.5 * tolerance / typical
-        if np.quantile(by_points, ERROR_QUANTILE) > ADAPTATION_TOLERANCE * tolerance:
-            change = np.linalg.norm(finer.stiffness - system.stiffness, axis=(1, 2))
-            basis = replace(
-                basis, edges=split(basis.edges, change > ROUGHNESS_RATIO * change.max())
-            )
     kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
     if task.lossy:
-        series, walls = wall_projections(
-            finer, fine, wall, basis.edges, basis.degree, odd, ELEMENT_DEGREE + SPARE_POINTS,
-            task.frequency, task.air,
-        )  # fmt: skip
-        sides, kz, lacking = lossy_scattering(
-            finer, fine, walls, series, task.frequency, task.air, sizes
+        assert system.layers is not None
+        series, walls = wall_projections(system, system.layers, spaces, task.frequency, task.air)
+        sides, kz, error = lossy_scattering(
+            system, spaces, walls, series, task.frequency, task.air, sizes
         )
-        s, error = of_both_ports(sides), lacking + by_points
+        s, error = of_both_ports(sides), _estimated(error, wall)
     moved = np.zeros_like(s)
     if task.velocity is not None:
-        where = (
-            basis.edges,
-            ELEMENT_DEGREE + spare,
-            polynomials(basis.degree + DEGREE_INCREASE, odd),
-        )
         all_kz = np.tile(kz, (1, len(system.ports)))
-        moved = of_both_ports(moved_scattering(finer, fine, wall, *where, task.velocity, k, all_kz))
+        moved = of_both_ports(moved_scattering(system, spaces, wall, task.velocity, k, all_kz))
     s, moved, names, zeros = _at_reference(s, moved, kz, system, task)
     n_fields = spaces[0].size
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 
-def _integrated(
-    task: _Task,
-    odd: bool | None,
-    basis: Basis,
-    system: Discretisation,
-    spaces: list[Reduced],
-    before: Complex,
-) -> tuple[Discretisation, list[Reduced], Complex, Array, int]:
-    """Refine the axial quadrature for the same fields; return matrices, S, and its changes.
-
-    Features of the wall that the points miss are not resolved by the elements either, so that all
-    changes count, not only the last.
-    """
-    spare, largest = SPARE_POINTS, np.zeros(len(task.k))
-    for _ in range(MAX_POINT_DOUBLINGS):
-        spare += ELEMENT_DEGREE + spare
-        finer = discretise(
-            task.wall,
-            basis.edges,
-            basis.degree,
-            ELEMENT_DEGREE,
-            odd,
-            float(task.k[-1]),
-            spare_points=spare,
-        )
-        fine = [reassembled(finer, space) for space in spaces]
-        s = scattering_at(finer, fine, task.k)
-        change = difference(system, s, before, task.k)
-        largest = np.maximum(largest, change)
-        if np.quantile(change, ERROR_QUANTILE) <= ADAPTATION_TOLERANCE * task.tolerance:
-            break
-        before = s
-    return finer, fine, s, largest, spare
+def _estimated(change: Array, wall: Wall) -> Array:
+    """Return the estimated error at each frequency from the changes of S in richer spaces."""
+    least = LEAST_ERROR if len(wall.knots) else 0.0
+    return least + ERROR_SAFETY * maximum_filter1d(change, 2 * ERROR_WINDOW + 1)
 
 
 def _at_reference(
@@ -311,8 +267,7 @@ def _adapted(
             task.wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(task.k[-1])
         )
         if task.lossy:
-            where = basis.edges, basis.degree, odd, ELEMENT_DEGREE + SPARE_POINTS
-            system = with_layers(system, task.wall, *where)
+            system = with_layers(system, task.wall)
         responses = {float(shift): respond(system, float(shift), KRYLOV_BLOCKS) for shift in probes}
         by_degree, by_element = _errors(system, responses)
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
@@ -331,7 +286,7 @@ def _adapted(
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
     """Return the changes of S at the shifts for a higher degree across, and along each element."""
-    by_degree, by_element = 0.0, np.zeros(len(system.mass))
+    by_degree, by_element = 0.0, np.zeros(len(system.low.mass))
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():
         k = np.sqrt([shift])

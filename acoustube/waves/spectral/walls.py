@@ -8,7 +8,7 @@ ends are straight and round, about x = y = 0.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import factorial
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from acoustube.waves.spectral.polynomials import Array, gauss
 
-LEAST_POINTS, MOST_POINTS = 2, 8
+LEAST_POINTS, MOST_POINTS = 1, 8
 """Number of Gauss points between two neighbouring points of a contour."""
 
 
@@ -74,6 +74,8 @@ class Wall:
         False if the ends are straight, but not round.
     sealing_gap : float
         Gaps up to this height in m pass no sound, with losses.
+    knots : ndarray
+        Heights z in m between which the wall is smooth.
     """
 
     lines: Callable[[Array], tuple[Array, Array, Array, Array]]
@@ -85,6 +87,7 @@ class Wall:
     middle: float = 0.0
     circular: bool = True
     sealing_gap: float = 0.0
+    knots: Array = field(default_factory=lambda: np.zeros(0))
 
     def contours(self, z: Array, degree: int) -> Contours:
         """Return the contours at heights z (n,) in m, as cubic splines through their points.

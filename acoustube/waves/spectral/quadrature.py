@@ -1,0 +1,76 @@
+"""Gauss rules along a lumen whose wall is smooth between knots only."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.waves.spectral.polynomials import Array, Index, gauss
+
+LEAST_POINTS = 3
+"""Gauss points between two knots, at least: a cubic wall there, and slopes of it."""
+SPARE_POINTS = 2
+"""Gauss points between two knots in excess of the polynomial degree there."""
+MOST_PIECES = 24
+"""Largest number of pieces of an element; of more knots, some are passed over."""
+
+
+class AxialRule(NamedTuple):
+    """Quadrature along the elements of a lumen.
+
+    Attributes
+    ----------
+    z : ndarray
+        Heights in m, rising, (n_points,).
+    point, weight : ndarray
+        Place from -1 to 1 in the element, and weight there, (n_points,).
+    element : ndarray of int
+        Number of the element, (n_points,).
+    edges : ndarray
+        Borders of the elements in m, (n_elements + 1,).
+    """
+
+    z: Array
+    point: Array
+    weight: Array
+    element: Index
+    edges: Array
+
+    def of(self, number: int) -> slice:
+        """Return where the points of an element are."""
+        low, high = np.searchsorted(self.element, [number, number + 1])
+        return slice(int(low), int(high))
+
+    @property
+    def step(self) -> Array:
+        """Lengths of the elements in m, (n_elements,)."""
+        return np.diff(self.edges)
+
+
+def axial_rule(edges: Array, degree: int, knots: NDArray[np.float64]) -> AxialRule:
+    """Return the Gauss rule for products of two polynomials of a degree and a smooth wall.
+
+    Parameters
+    ----------
+    edges : ndarray
+        Borders of the elements in m, rising, (n_elements + 1,).
+    degree : int
+        Of a polynomial along an element.
+    knots : ndarray
+        Heights in m between which the wall is smooth, in any order.
+    """
+    found = []
+    for number, (low, high) in enumerate(pairwise(edges)):
+        close = 1e-3 * (high - low)
+        inner = np.unique(knots[(knots > low + close) & (knots < high - close)])
+        inner = inner[:: 1 + len(inner) // MOST_PIECES]
+        borders = (np.concatenate([[low], inner, [high]]) - low) * 2 / (high - low) - 1
+        for start, stop in pairwise(borders):
+            n = SPARE_POINTS + int(np.ceil((degree + 1) * (stop - start) / 2 - 1e-9))
+            point, weight = gauss(max(n, LEAST_POINTS), float(start), float(stop))
+            found.append((low + (high - low) * (point + 1) / 2, point, weight, 0 * point + number))
+    z, point, weight, element = (np.concatenate(part) for part in zip(*found, strict=True))
+    return AxialRule(z, point, weight, element.astype(int), edges)
