@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat, wavfile
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign import child
 from acoustube.recordings import find, read, read_all, write
 from acoustube.recordings.formats import KINDS
 
@@ -247,6 +248,19 @@ def test_large_files_are_mapped_not_copied(tmp_path, suffix):
     data = read(path, rate=RATE, temperature=20, samples=LENGTH)
     assert mapped(data["signal"].values)
     np.testing.assert_array_equal(data["signal"], signal)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "f8"])
+def test_large_arrays_of_mat_are_mapped_from_where_they_lie(tmp_path, dtype):
+    """Columns first; and one that is packed comes through the pipe."""
+    signal = np.random.default_rng(0).integers(0, 4096, (300, 4000)).astype(dtype)
+    savemat(tmp_path / "a.mat", {"signal": signal, "rate": RATE})
+    savemat(tmp_path / "b.mat", {"signal": signal, "rate": RATE}, do_compression=True)
+    for name, in_place in (("a.mat", True), ("b.mat", False)):
+        found = {label["name"]: v for label, v in child.read("mat", tmp_path / name, "recording")}
+        assert mapped(found["signal"]) is in_place
+        assert found["signal"].dtype == np.dtype(dtype)
+        np.testing.assert_array_equal(found["signal"], signal)
 
 
 def test_npz_with_a_changed_byte_is_refused(tmp_path):

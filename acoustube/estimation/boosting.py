@@ -13,7 +13,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, offsets
+from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of, offsets
 from acoustube.estimation.splits import folds
 from acoustube.estimation.trees import export_trees, predict_trees
 
@@ -97,7 +97,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         check_settings(self)
         x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
-        fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed)
 
         def report(part: float, fraction: float) -> None:
             if progress is not None:

@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, check_settings
+from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of
 from acoustube.estimation.splits import folds
 
 
@@ -98,7 +98,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
             raise ConfigError(
                 f"the force network has one target, not {targets.shape[1]}; train one for each"
             )
-        fold = folds(np.arange(len(x)) if groups is None else groups, self.n_folds, self.seed)
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed)
         self.networks_ = network.train(
             x, targets, fold, epochs=self.epochs, batch_size=self.batch_size,
             learning_rate=self.learning_rate, weight_decay=self.weight_decay, seed=self.seed,

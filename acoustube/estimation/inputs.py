@@ -46,6 +46,23 @@ def check_settings(estimator: Any) -> None:
             check_argument(name, value, SETTINGS[name])
 
 
+def groups_of(groups: Any, rows: Array) -> Any:
+    """Return the groups of rows; each row on its own where none are given.
+
+    Raises
+    ------
+    ConfigError
+        If there is not one group for each row.
+    """
+    if groups is None:
+        return np.arange(len(rows))
+    if np.shape(groups) != (len(rows),):
+        raise ConfigError(
+            f"groups has shape {np.shape(groups)} and X {rows.shape}; give one group for each row"
+        )
+    return groups
+
+
 def is_constant(values: Array) -> bool:
     """Return whether a target is equal in all rows, to rounding."""
     return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))

@@ -123,6 +123,7 @@ def clutter(
     mode) their sum is ``sum r_i T_i^2 exp(-2j kz z_i)``, with T_i the transmission of the presses
     before reflector i. Multiple reflections between a press and a reflector are neglected, too.
     """
+    frequency = np.atleast_1d(frequency)
     n = int(length / REFLECTOR_SPACING)
     reflectors = np.random.default_rng(tube_seed).normal(
         0.0, np.sqrt(density * REFLECTOR_SPACING), n

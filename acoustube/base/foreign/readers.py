@@ -6,6 +6,7 @@ its readers import is the time that a first file takes longer.
 
 from __future__ import annotations
 
+import mmap
 import warnings
 from collections.abc import Iterator, Mapping
 from math import prod
@@ -17,6 +18,8 @@ Entry = tuple[dict[str, Any], Any]
 
 BLOCK = 1 << 28
 """Bytes of a piece of a dataset that are read at a time."""
+LARGE, SAMPLE = 1_000_000, 256
+"""Bytes of an array that is looked for in its file, and of its start, by which it is found."""
 _DIMENSION = b"This is a netCDF dimension"
 
 
@@ -55,9 +58,30 @@ def mat(path: str, most: int) -> Iterator[Entry]:
 
     # Without mat_dtype, MATLAB's doubles are read as the integers that they are packed into.
     tree = loadmat(path, mat_dtype=True, simplify_cells=True)
+    with open(path, "rb") as file:  # noqa: PTH123
+        content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     for name, value in _flat(tree).items():
         if (plain := _plain(value)) is not None:
-            yield {"name": name}, plain
+            stored = _located(content, plain)
+            turned = {} if stored is None else {"turned": not plain.flags.c_contiguous}
+            yield {"name": name} | turned, plain if stored is None else stored
+
+
+def _located(content: mmap.mmap, array: Any) -> Stored | None:
+    """Return where a large array lies in a file as it is in memory, columns first or rows first."""
+    flat = array if array.flags.c_contiguous else array.T
+    if array.nbytes < LARGE or not flat.flags.c_contiguous:
+        return None
+    values = flat.reshape(-1).view(np.uint8)
+    offset = content.find(values[:SAMPLE].tobytes())
+    if not 0 <= offset <= len(content) - values.size:
+        return None
+    there = np.frombuffer(content, np.uint8, values.size, offset)
+    whole = values.size // 8 * 8  # compared by eight
+    same = np.array_equal(there[:whole].view(np.uint64), values[:whole].view(np.uint64))
+    if not same or not np.array_equal(there[whole:], values[whole:]):
+        return None
+    return Stored(offset, flat.dtype.str, flat.shape)
 
 
 def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
