@@ -17,6 +17,7 @@ from acoustube.base import cache, interrupts, remnants, writing
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import partial_folder, publish
 from acoustube.base.writing import DiskFullError, write, write_all
+from acoustube.cli import cite, main
 from acoustube.reports.export import vtu
 
 resource = pytest.importorskip("resource")
@@ -211,6 +212,19 @@ def test_second_interrupt_while_a_lost_one_is_raised_again_is_not_lost(monkeypat
         threading.Event().wait(5)
     assert sent
     assert "ignored" not in capfd.readouterr().err
+
+
+def test_interrupt_that_a_library_takes_for_an_error_is_one(monkeypatch, capsys):
+    def damaged(_):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            threading.Event().wait(5)
+        except KeyboardInterrupt as error:
+            raise ConfigError("a.nc is damaged") from error
+
+    monkeypatch.setattr(cite, "references", damaged)
+    assert main(["cite"]) == 130
+    assert capsys.readouterr().err.startswith("acoustube: interrupted")
 
 
 def test_nothing_is_written_after_an_interrupt_that_was_lost():

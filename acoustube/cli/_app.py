@@ -62,8 +62,14 @@ def main(tokens: Sequence[str] | None = None) -> int:
         with watched_interrupts() as check, _limits_of_one_command():
             if not words or words[0] not in (*COMMANDS, "cache"):
                 _load_commands()
-            code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-            sys.stdout.flush()
+            try:
+                code = app(
+                    tokens, exit_on_error=False, print_error=False, result_action="return_value"
+                )
+                sys.stdout.flush()
+            except Exception:
+                check()  # whether a library took an interrupt for an error of its own
+                raise
             check()
     except CycloptsError as error:
         return _fail(_in_one_sentence(error), 2)
