@@ -89,7 +89,7 @@ def test_rows_at_any_depth_are_measured_like_solved_ones(solved, path):
 def test_depths_beyond_the_rows_and_too_few_rows_are_refused(solved, path):
     for depth in (-1e-6, [1e-3, 3.1e-3], np.nan):
         refused(lambda depth=depth: path.displacement(depth), setting="depth")
-    with pytest.raises(ConfigError, match="rising"):
+    with pytest.raises(ConfigError, match="increasing"):
         path.at([2e-3, 1e-3])
     with pytest.raises(ConfigError, match="has 4 rows"):
         DepthPath(rows_of(solved, [0, 4, 8, 12]))

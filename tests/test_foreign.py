@@ -320,7 +320,7 @@ def test_one_changed_bit_of_a_result_is_found_before_hdf5_opens_it(tmp_path_fact
     # But for the mark at the end, without which a file is one of an earlier version.
     content[int(share * (len(content) - len(MARK) - 32))] ^= 1 << bit
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"cycles-1\.nc is damaged: its bytes are not those wr"):
+    with pytest.raises(ConfigError, match=r"cycles-1\.nc is damaged: its checksum is wrong"):
         open_dataset(path)
 
 

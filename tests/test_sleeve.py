@@ -185,7 +185,7 @@ def test_a_tip_on_the_arm_is_refused():
 def test_places_of_another_shape_and_no_tube_are_refused():
     with pytest.raises(ConfigError, match=r"places = .* has shape \(5, 2\)"):
         nearest([Helix(**FOREARM)], np.zeros((5, 2)))
-    with pytest.raises(ConfigError, match=r"tubes = \[\] is too short"):
+    with pytest.raises(ConfigError, match=r"tubes = \[\] has only 0 entries"):
         nearest([], np.zeros(3))
 
 

@@ -56,9 +56,13 @@ def groups_of(groups: Any, rows: Array) -> Any:
     """
     if groups is None:
         return np.arange(len(rows))
-    if np.shape(groups) != (len(rows),):
+    try:
+        shape = np.shape(groups)
+    except ValueError as error:  # rows of different length
+        raise ConfigError("groups is not an array; give one group for each row") from error
+    if shape != (len(rows),):
         raise ConfigError(
-            f"groups has shape {np.shape(groups)} and X {rows.shape}; give one group for each row"
+            f"groups has shape {shape} and X {rows.shape}; give one group for each row"
         )
     return groups
 
