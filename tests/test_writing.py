@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,22 @@ def test_interrupt_that_a_library_takes_for_an_error_is_one(monkeypatch, capsys)
             raise ConfigError("a.nc is damaged") from error
 
     monkeypatch.setattr(cite, "references", damaged)
+    assert main(["cite"]) == 130
+    assert capsys.readouterr().err.startswith("acoustube: interrupted")
+
+
+def test_interrupt_during_the_last_import_is_not_too_late(monkeypatch, capsys, tmp_path):
+    """The command ends before it would be raised; it ends as interrupted all the same."""
+    (tmp_path / "importing.py").write_text(
+        "import os\nos.kill(os.getpid(), 2)\nx = sum(range(9))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def cited(_):
+        import_module("importing")
+        return []
+
+    monkeypatch.setattr(cite, "references", cited)
     assert main(["cite"]) == 130
     assert capsys.readouterr().err.startswith("acoustube: interrupted")
 

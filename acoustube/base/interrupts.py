@@ -40,12 +40,10 @@ class _Interrupt:
     ----------
     number : int
         The last signal that asked to stop; 0 before the first.
-    raised : bool
-        Whether KeyboardInterrupt was raised.
     """
 
     def __init__(self) -> None:
-        self.number, self.raised = 0, False
+        self.number = 0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         if number in REQUESTS:
@@ -54,7 +52,6 @@ class _Interrupt:
             self.again()
             return
         signal.setitimer(signal.ITIMER_REAL, 0)
-        self.raised = True
         raise KeyboardInterrupt
 
     def again(self) -> None:
@@ -63,8 +60,9 @@ class _Interrupt:
         signal.setitimer(signal.ITIMER_REAL, RETRY)
 
     def check(self) -> None:
-        """Raise again an interrupt that was raised before."""
-        if self.raised:
+        """Raise an interrupt that was lost, or that still waits for the end of an import."""
+        if self.number:
+            signal.setitimer(signal.ITIMER_REAL, 0)
             raise KeyboardInterrupt
 
 
@@ -95,7 +93,7 @@ def watched_interrupts(
     Yields
     ------
     callable
-        Raises KeyboardInterrupt again if it was raised before.
+        Raises KeyboardInterrupt if there was an interrupt, lost or still waiting.
     """
     in_main = threading.current_thread() is threading.main_thread()
     found = {n: signal.getsignal(n) for n in REQUESTS if in_main}
