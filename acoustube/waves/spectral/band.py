@@ -9,7 +9,7 @@ from acoustube.waves.spectral.discretisation import (
     Response,
     respond,
 )
-from acoustube.waves.spectral.first_basis import Basis
+from acoustube.waves.spectral.first_basis import KRYLOV_BLOCKS, Basis
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import (
     Complex,
@@ -19,8 +19,6 @@ from acoustube.waves.spectral.ports import (
 )
 from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance
 
-KRYLOV_BLOCKS = 4
-"""Number of blocks of the Krylov space at each shift."""
 ADAPTATION_TOLERANCE = 0.25
 """Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
 MAX_EXTRA_SHIFTS = 8
@@ -34,9 +32,10 @@ def swept(
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, Array, list[int]]:
     """Return the largest basis per parity, S, its errors, and basis sizes before the last shift."""
+    blocks = KRYLOV_BLOCKS[system.layers is not None]
     for shift in basis.shifts:
         if float(shift) not in responses:
-            responses[float(shift)] = respond(system, float(shift), KRYLOV_BLOCKS)
+            responses[float(shift)] = respond(system, float(shift), blocks)
     n_sides = len(system.sides)
     spaces = [
         extended(system, None, _side_by_side([r[side].fields for r in responses.values()]))
@@ -51,7 +50,7 @@ def swept(
     for _ in range(MAX_EXTRA_SHIFTS):
         doubt = difference(system, now, before, k)
         shift = _worst(k, doubt, np.array(list(responses)))
-        responses[shift] = respond(system, shift, KRYLOV_BLOCKS)
+        responses[shift] = respond(system, shift, blocks)
         before, sizes = now, [space.size for space in spaces]
         spaces = [
             extended(system, space, _side_by_side([response.fields, response.last]))

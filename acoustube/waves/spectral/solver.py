@@ -28,10 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from acoustube.waves.spectral.band import (
-    KRYLOV_BLOCKS,
-    swept,
-)
+from acoustube.waves.spectral.band import swept
 from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
 from acoustube.waves.spectral.discretisation import (
     Discretisation,
@@ -40,7 +37,7 @@ from acoustube.waves.spectral.discretisation import (
     respond,
 )
 from acoustube.waves.spectral.ends import end_modes
-from acoustube.waves.spectral.first_basis import Basis, first_basis
+from acoustube.waves.spectral.first_basis import KRYLOV_BLOCKS, Basis, first_basis
 from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
 from acoustube.waves.spectral.partition import split
 from acoustube.waves.spectral.polynomials import Array
@@ -205,7 +202,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    basis, wanted = first_basis(wall, odd, k, KRYLOV_BLOCKS), tolerance
+    basis, wanted = first_basis(wall, odd, k, lossy=task.lossy), tolerance
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = _adapted(task, odd, basis, wanted)
         spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
@@ -268,7 +265,8 @@ def _adapted(
         )
         if task.lossy:
             system = with_layers(system, task.wall)
-        responses = {float(shift): respond(system, float(shift), KRYLOV_BLOCKS) for shift in probes}
+        blocks = KRYLOV_BLOCKS[task.lossy]
+        responses = {float(shift): respond(system, float(shift), blocks) for shift in probes}
         by_degree, by_element = _errors(system, responses)
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
         if not (too_low or too_long):
