@@ -14,6 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import xarray as xr
+from commands import run_process
 from wave_lumens import BORE, pinched_tube
 
 import acoustube
@@ -219,6 +220,17 @@ def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
     monkeypatch.setattr(distributed, "Client", lambda address, **_: real(address, timeout=1))
     assert main(["sweep", *SMALL, "--out", "new", "--dask", "tcp://127.0.0.1:9"]) == 2
     assert "no scheduler answers there" in capsys.readouterr().err
+
+
+def test_a_process_without_its_cluster_ends_with_the_sentence_alone():
+    """No traceback of the library follows, and no folder is made."""
+    told = run_process("sweep", *SMALL, "--out", "new", "--dask", "tcp://127.0.0.1:9")
+    assert told.returncode == 2
+    assert told.stderr == (
+        "acoustube: dask = tcp://127.0.0.1:9: no scheduler answers there; start one with `dask "
+        "scheduler` and workers with `dask worker`\n"
+    )
+    assert not os.path.lexists("new")
 
 
 @pytest.mark.long

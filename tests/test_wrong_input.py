@@ -143,6 +143,16 @@ CASES = {
 }
 
 
+@pytest.mark.parametrize(
+    "words", [["process"], ["cite"], ["export", "--out", "o"], ["scatter", "--out", "o.nc"]]
+)
+def test_file_name_that_is_not_in_utf_8_is_printed_by_its_codes(words, capsys):
+    assert main([*words, "\udcff.nc"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") <= 2
+    assert "\\udcff.nc" in told
+
+
 @pytest.mark.parametrize("words", CASES)
 def test_what_is_wrong_is_said_in_one_sentence(words, files, capsys):
     before = content(files)

@@ -319,7 +319,7 @@ def _value(chance: Random) -> str:
             return "9" * 6000
     if kind < 0.65:
         return chance.choice(
-            ("good.npz", "lumen.stl", "o", "o.nc", "o.csv", "o.png", ".", "/", "/dev/null")
+            ("good.npz", "lumen.stl", "o", "o.nc", "o.csv", "o.png", ".", "/etc", "/dev/null")
         )
     if kind < 0.8:
         return ":".join(
