@@ -49,6 +49,14 @@ def _in_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.fixture(autouse=True)
+def _as_a_new_process(monkeypatch):
+    """Forget which results of earlier tests the cache has kept, which the advice for a full disk
+    tells of.
+    """
+    monkeypatch.setattr(cache, "_KEPT", set())
+
+
 @pytest.fixture
 def double_precision():
     """Compute walls as presses are computed: in float64, and with sums in a fixed order."""
