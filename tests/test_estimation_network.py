@@ -197,8 +197,8 @@ def test_estimator_follows_scikit_learns_conventions():
 @pytest.mark.parametrize(
     ("x", "y", "words"),
     [
-        (np.zeros((30, 2)), np.arange(30.0), "30 rows are too few"),
-        (np.zeros((80, 2)), np.ones(80), "target 0 is 1 in all rows"),
+        (np.zeros((30, 2)), np.arange(30.0), "X has 30 rows, too few"),
+        (np.zeros((80, 2)), np.ones(80), "target 0 of y is 1 in all rows"),
         (np.full((80, 2), np.nan), np.arange(80.0), "80 of 80 rows have an input that is not fini"),
         (np.zeros((80, 2)), np.full(80, np.inf), "80 of 80 rows have a target that is not finite"),
         (np.zeros((80, 2)), np.arange(79.0), "one row of targets for each row"),

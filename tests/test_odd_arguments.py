@@ -65,7 +65,11 @@ def test_odd_argument_is_named_or_the_answer_is_finite(name, data):
         ("press.indent", "depth", -1e-3), ("press.indent", "depth", np.nan),
         ("fields.propagate", "duration", np.inf), ("fields.cut_cells", "spacing", 0.0),
         ("fields.stable_step", "air", 343.0), ("estimators.network.fit", "X", "words"),
-        ("estimators.load_config", "depth_mm", -1),
+        ("estimators.load_config", "depth_mm", -1), ("estimators.load_plan", "count", None),
+        ("estimators.echo.fit", "X", np.full((60, 2), np.nan)),
+        ("estimators.boosting.fit", "y", np.full(60, np.nan)),
+        ("estimators.network.fit", "y", np.ones(60)), ("estimators.network.fit", "n_folds", 60),
+        ("waves.modes_below", "sound_speed", 1.0), ("waves.cut_ons_in_band", "sound_speed", 1.0),
     ],
 )  # fmt: skip
 def test_nonsense_is_refused_with_the_name_of_the_argument(name, argument, value):

@@ -31,7 +31,7 @@ SETTINGS = {
 
 
 def check_settings(estimator: Any) -> None:
-    """Raise unless the parameters of an estimator are within their ranges.
+    """Raise unless the parameters of an estimator are within their ranges; 3.0 folds become 3.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def check_settings(estimator: Any) -> None:
     """
     for name, value in estimator.get_params().items():
         if name in SETTINGS:
-            check_argument(name, value, SETTINGS[name])
+            setattr(estimator, name, check_argument(name, value, SETTINGS[name]))
 
 
 def groups_of(groups: Any, rows: Array) -> Any:
@@ -90,18 +90,18 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
         )
     if bad := int(np.sum(~np.isfinite(targets).all(axis=1))):
         raise ConfigError(
-            f"{bad} of {len(targets)} rows have a target that is not finite; leave them out"
+            f"y has a target that is not finite in {bad} of {len(targets)} rows; leave them out"
         )
     if len(x) < MIN_ROWS:
         raise ConfigError(
-            f"{len(x)} rows are too few to train with; record {MIN_ROWS} cycles with an echo or "
-            "more"
+            f"X has {len(x)} rows, too few to train with; record {MIN_ROWS} cycles with an echo "
+            "or more"
         )
     for column, values in enumerate(targets.T):
         if is_constant(values):
             raise ConfigError(
-                f"target {column} is {values[0]:g} in all rows, so that it cannot be estimated; "
-                "record different values"
+                f"target {column} of y is {values[0]:g} in all rows, so that it cannot be "
+                "estimated; record different values"
             )
     return x, targets
 
@@ -121,7 +121,7 @@ def check_inputs(X: Any, columns: int | None = None) -> Array:
         raise ConfigError(f"X has shape {x.shape}; give {wanted}")
     if bad := int(np.sum(~np.isfinite(x).all(axis=1))):
         raise ConfigError(
-            f"{bad} of {len(x)} rows have an input that is not finite; leave them out"
+            f"X has an input that is not finite in {bad} of {len(x)} rows; leave them out"
         )
     return x
 

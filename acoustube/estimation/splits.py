@@ -52,11 +52,14 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     return np.asarray(np.unique(np.stack(columns), axis=1, return_inverse=True)[1].ravel())
 
 
-@checked(
-    groups=Reals(ndim=1, kinds="iufbU"),
-    count=Number(-1e9, 1e9, "folds", whole=True),
-    seed=SEED,
-)
+RULES = {
+    "groups": Reals(ndim=1, kinds="iufbU"),
+    "count": Number(-1e9, 1e9, "folds", whole=True),
+    "seed": SEED,
+}
+
+
+@checked(**RULES)
 def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     """Return folds of whole groups with about equal numbers of rows.
 
@@ -84,12 +87,19 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     The groups are shuffled, then taken from the largest to the smallest, each into the fold that
     has the fewest rows: groups of one row make folds that differ by one row at most.
     """
+    return named_folds(groups, count, seed, "count")
+
+
+@checked(**RULES)
+def named_folds(groups: ArrayLike, count: int, seed: int, name: str) -> Index:
+    """Return the folds of :func:`folds`, whose count an error calls by the name of a parameter."""
     _, member, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if not 2 <= count <= len(sizes):
         raise ConfigError(
-            f"count = {count} folds cannot be made of {len(sizes)} groups of cycles; use 2 to "
-            f"{len(sizes)} folds, or record more"
-        )
+            f"cannot be made of {len(sizes)} groups of cycles", setting=name, value=count,
+            unit="folds", allowed=(2, len(sizes)),
+            advice=f"use 2 to {len(sizes)} folds, or record more",
+        )  # fmt: skip
     shuffled = np.random.default_rng(seed).permutation(len(sizes))
     fold = np.empty(len(sizes), np.intp)
     if sizes.max() == 1:

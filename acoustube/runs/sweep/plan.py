@@ -153,8 +153,8 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
     if isinstance(values, Interval):
         if not random:
             raise ConfigError(
-                f"{name} = {values} is a range without a step; give {values}:STEP, or --random and "
-                "a number of cases"
+                f"{name} = {values} is a range without a step; give {values}:STEP, or count, the "
+                "number of cases of a random plan, with --random"
             )
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")
@@ -243,8 +243,8 @@ def load_plan(
     for name in ("sampler", "seed"):
         if name in numbers and "count" not in numbers:
             raise ConfigError(
-                f"{name} = {numbers[name]} is of a random plan; give --random and a number of "
-                "cases, or leave it out"
+                f"{name} = {numbers[name]} is of a random plan; give count, its number of cases, "
+                "with --random, or leave it out"
             )
     for section, defaults in DEFAULTS.items():
         shared[section] = defaults | shared.get(section, {})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi, sqrt
+from math import acos, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from acoustube.base.checks import FREQUENCY, LENGTH, SPEED, WAVES, Reals, checke
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 
-MOST_WAVES = 1000
+MOST_WAVES = 300
 """Largest circumference of a bore in wavelengths for which modes are counted."""
 
 
@@ -77,18 +77,17 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
     highest = 2.0 * pi * frequency * radius / sound_speed
     if highest > MOST_WAVES:
         raise ConfigError(
-            f"frequency = {frequency:g} Hz in a bore of radius = {radius:g} m has too many modes; "
-            f"use at most {MOST_WAVES * frequency / highest:.3g} Hz"
+            f"frequency = {frequency:g} Hz in a bore of radius = {radius:g} m at sound_speed = "
+            f"{sound_speed:g} m/s has too many modes; use at most "
+            f"{MOST_WAVES * frequency / highest:.3g} Hz"
         )
     modes = [Mode(m=0, n=0, cut_on=0.0)]
-    # j'm1 > m bounds the search in m, and zeros of one order are more than pi/2 apart.
-    for m in range(int(highest) + 1):
-        zeros = jnp_zeros(m, int(2.0 * highest / pi) + 1)
-        modes += [
-            Mode(m=m, n=n, cut_on=cut_on_frequency(m, n, radius, sound_speed))
-            for n, zero in enumerate(np.asarray(zeros), start=1)
-            if zero < highest
-        ]
+    for m in range(int(highest) + 1):  # j'm1 > m
+        # Near x, J'm is a cosine of this phase (Debye); one zero more, for the error near x = m.
+        phase = sqrt(highest**2 - m**2) - m * acos(m / highest) if highest else 0.0
+        zeros = np.asarray(jnp_zeros(m, int(phase / pi) + 2))
+        cut_ons = zeros[zeros < highest] * (sound_speed / (2.0 * pi * radius))
+        modes += [Mode(m=m, n=n, cut_on=float(f)) for n, f in enumerate(cut_ons, start=1)]
     return sorted(modes, key=lambda mode: mode.cut_on)
 
 
