@@ -217,10 +217,11 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     if task.lossy:
         assert system.layers is not None
         series, walls = wall_projections(system, system.layers, spaces, task.frequency, task.air)
-        sides, kz, error = lossy_scattering(
+        sides, kz, lacking = lossy_scattering(
             system, spaces, walls, series, task.frequency, task.air, sizes
         )
-        s, error = of_both_ports(sides), _estimated(error, wall)
+        # What the basis lacks at the cut-ons, it lacks with losses too.
+        s, error = of_both_ports(sides), np.maximum(error, _estimated(lacking, wall))
     moved = np.zeros_like(s)
     if task.velocity is not None:
         all_kz = np.tile(kz, (1, len(system.ports)))
