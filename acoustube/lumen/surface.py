@@ -173,7 +173,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     room = min(position, tube.length - position)
     if not reach < room:
         raise ConfigError(
-            f"is too near an end of the {tube.length:.3f} m long tube", setting="position",
+            f"is too near an end of the tube with length = {tube.length:g} m", setting="position",
             value=position, unit="m", advice=f"use {reach:.3f} m or more from both ends.",
         )  # fmt: skip
     # Within one more outer diameter the section is joined to the undeformed circle.
@@ -245,7 +245,7 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
         moved = rings + shift
         if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
             raise ConfigError(
-                f"is too near an end of the {length:.3f} m long tube", setting="position",
+                f"is too near an end of the tube with length = {length:g} m", setting="position",
                 value=position, unit="m",
                 advice=f"use {part.position:.3f} m or more from both ends.",
             )  # fmt: skip
