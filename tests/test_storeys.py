@@ -11,7 +11,7 @@ import acoustube
 PACKAGE = Path(acoustube.__file__).parent
 STAGES = (
     "tube", "air", "indentation", "lumen", "waves", "ranging", "recordings", "signals",
-    "estimation", "sleeve",
+    "estimation", "inversion", "sleeve",
 )  # fmt: skip
 STOREYS = ("base", *STAGES, "runs", "reports", "cli")
 """From the ground up: a room imports rooms that stand before it."""

@@ -22,8 +22,8 @@ from acoustube.base.version import __version__
 from acoustube.base.writing import FULL, DiskFullError
 
 COMMANDS = (
-    "simulate", "sweep", "dataset", "show", "export", "indent", "scatter", "process", "live",
-    "calibrate", "train", "evaluate", "reproduce", "sleeve", "check", "cite",
+    "simulate", "sweep", "dataset", "library", "show", "export", "indent", "scatter", "process",
+    "live", "calibrate", "train", "evaluate", "reproduce", "sleeve", "check", "cite",
 )  # fmt: skip
 """Modules of this package that hold a command of their name."""
 SETTLED = ("simulate", "indent", "sweep")

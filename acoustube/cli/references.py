@@ -34,6 +34,7 @@ TOPICS = {
     "network": "networks",
     "ensemble": "ensembles of networks",
     "intervals": "prediction intervals",
+    "inversion": "the inversion of waveforms",
 }
 """Methods by the keys of their references, in the order of the data."""
 

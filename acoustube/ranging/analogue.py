@@ -208,8 +208,8 @@ def response(
     damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
     real = np.asarray(np.fft.rfftfreq(n_cycle, 1 / rate)[1:], float)
     frequency = real - 0.5j * damping / pi
-    sent = _drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
-    sent *= rangefinder.resonator(frequency) * _anti_alias(real, rate)
+    sent = drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
+    sent *= rangefinder.resonator(frequency) * anti_alias(real, rate)
     sent *= np.exp(-2j * pi * frequency * rangefinder.lead)
     received = sent * rangefinder.resonator(frequency)
     inside = in_band(presses, real, received, what="the received signal")
@@ -231,10 +231,23 @@ def response(
     return time, np.fft.irfft(spectrum * rate, n_cycle)[:n] * np.exp(damping * time)
 
 
-def _drive_spectrum(
+def drive_spectrum(
     drive: Drive, frequency: Complex, rate: float, n_cycle: int, damping: float
 ) -> Complex:
-    """Return the Fourier transform of a drive in s, damped where the frequency is complex."""
+    """Return the Fourier transform of a drive in s, damped where the frequency is complex.
+
+    Parameters
+    ----------
+    drive : Burst, Pulse or SampledPulse
+    frequency : ndarray
+        Multiples of ``rate / n_cycle`` in Hz, from the first to the last that is wanted, (n,).
+    rate : float
+        In Hz.
+    n_cycle : int
+        Samples of the period.
+    damping : float
+        Rate in 1/s of the decaying exponential that the drive is multiplied by.
+    """
     if isinstance(drive, Burst):
         return drive.spectrum(frequency)
     step = 1 / (DRIVE_OVERSAMPLING * rate)
@@ -243,7 +256,7 @@ def _drive_spectrum(
     return np.fft.rfft(samples, DRIVE_OVERSAMPLING * n_cycle)[1 : len(frequency) + 1] * step
 
 
-def _anti_alias(frequency: Array, rate: float) -> Array:
+def anti_alias(frequency: Array, rate: float) -> Array:
     """Return the anti-alias filter's gain: 1 in the passband, then a raised cosine to 0."""
     falling = np.clip((2 * frequency / rate - PASSBAND) / (1 - PASSBAND), 0, 1)
     return 0.5 + 0.5 * np.cos(pi * falling)

@@ -277,7 +277,18 @@ def read_rangefinder(path: Path) -> Rangefinder:
     ConfigError
         If it cannot be read, or a name or a value is wrong.
     """
-    given = read_document(path)
+    return rangefinder_in(read_document(path), path)
+
+
+def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
+    """Return the rangefinder that a document describes, which was read from a file.
+
+    Raises
+    ------
+    ConfigError
+        If a name or a value is wrong.
+    """
+    given = dict(document)
     drive = given.pop("drive", None)
     if not isinstance(drive, dict | None):
         raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")

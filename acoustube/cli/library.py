@@ -1,0 +1,77 @@
+"""The command ``acoustube library``: scattering of tools over depth, for the inversion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from acoustube.base.console import ConsoleReporter
+from acoustube.base.rules import Number
+from acoustube.cli._options import Checked, Output, Workers, axis, settings_of
+
+Values = list[str] | None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Tools:
+    """Settings of the tools and of the tube, with one or more values each."""
+
+    indenter: Annotated[Values, axis("indenter")] = None
+    shape: Annotated[Values, axis("shape")] = None
+    depth: Annotated[Values, axis("depth")] = None
+    bore: Annotated[Values, axis("bore")] = None
+    hardness: Annotated[Values, axis("hardness")] = None
+    support: Annotated[Values, axis("support")] = None
+    frequency: Annotated[Values, axis("frequency")] = None
+    temperature: Annotated[Values, axis("temperature")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Accuracy(Checked):
+    """Accuracy of a library.
+
+    Attributes
+    ----------
+    tolerance : float
+        Relative error of the reflection interpolated between depths, up to which depths are added.
+    """
+
+    tolerance: Annotated[float, Number(1e-4, 0.2, "", "relative")] = 0.005
+
+
+def library(
+    *,
+    tools: Tools = Tools(),
+    accuracy: Accuracy = Accuracy(),
+    config: Path | None = None,
+    out: Path,
+    processes: Workers = Workers(),
+    output: Output = Output(),
+) -> int:
+    """Compute the scattering of presses over depth, from which invert finds presses in recordings.
+
+    The depths are a range first:last:step; shapes between them are interpolated, and their
+    scattering is computed as densely as it varies. Other settings may have several values, each
+    combination of which is a tool. What a folder has is not computed again.
+
+    Parameters
+    ----------
+    config : Path
+        TOML file with settings, which options override.
+    out : Path
+        Folder to write, or to resume.
+    """
+    over = {name: words for name, words in settings_of(tools).items() if words is not None}
+    over.setdefault("depth_mm", ["1:7.5:0.25"])
+
+    from acoustube.runs.library.build import build_library
+    from acoustube.runs.library.plan import tool_plans
+
+    plans = tool_plans(over, accuracy.tolerance, config)
+    report = ConsoleReporter(output.console())
+    return 0 if build_library(plans, out, report=report, workers=processes.workers) else 1

@@ -1,0 +1,228 @@
+"""Complex baseband of a rangefinder's cycles, and the known factors of its spectrum."""
+
+from __future__ import annotations
+
+from math import log, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+from acoustube.air import Air, air_at
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ
+from acoustube.ranging import Rangefinder
+from acoustube.ranging.analogue import anti_alias, drive_spectrum
+from acoustube.waves.modes import axial_wavenumber
+from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.scattering import Complex
+
+HALF_WIDTH = 1 / 7
+"""Half the width of the band in carriers: 36 to 48 kHz about 42 kHz."""
+TAPER = 1 / 6
+"""Part of the band over which its ends are tapered, at each end."""
+AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
+"""Times in s from the end of clipping to the data that count, over which these fade in, and after
+which the baseband is used."""
+QUIET_SHARE = 0.3
+"""Last part of a cycle whose mean is subtracted from it."""
+MARGIN = 0.01
+"""Relative stretch of frequency that the library's band must allow on both sides."""
+
+
+class Baseband:
+    """Grid of frequencies and times, and the spectrum's known factors, at one temperature.
+
+    Parameters
+    ----------
+    rangefinder : Rangefinder
+    radius, length : float
+        Of the tube, in m.
+    temperature : float
+        Nominal, of the air, in degC.
+    modes : tuple of str
+        Whose wavenumbers are needed, the plane mode first.
+    n_samples : int, optional
+        Samples of a cycle; those of the rangefinder by default.
+
+    Raises
+    ------
+    ConfigError
+        If the sampling rate is too low for the carrier, or a cycle too short.
+    """
+
+    def __init__(
+        self,
+        rangefinder: Rangefinder,
+        radius: float,
+        length: float,
+        temperature: float,
+        modes: tuple[str, ...],
+        n_samples: int | None = None,
+    ) -> None:
+        self.rangefinder, self.radius, self.length = rangefinder, radius, length
+        self.temperature, self.modes = temperature, modes
+        self.n_samples = n_samples or rangefinder.n_samples
+        self.rate = rangefinder.sampling_rate
+        carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
+        low, high = (1 - HALF_WIDTH) * carrier, (1 + HALF_WIDTH) * carrier
+        if not high < self.rate / 2:
+            raise ConfigError(
+                f"a sampling rate of {self.rate:g} Hz is too low for a carrier of "
+                f"{KHZ * carrier:g} kHz; record at {2.2 * high:.0f} Hz or more"
+            )
+        self.air = air_at(temperature)
+        flight = 2 * length / self.air.sound_speed
+        self.period = next_fast_len(max(self.n_samples, int(self.rate * (flight + 3e-3))))
+        step = self.rate / self.period
+        self.bins = np.arange(int(np.ceil(low / step)), int(high / step))
+        self.frequency: Array = self.bins * step
+        self.step = step
+        n = len(self.bins)
+        self.taper = _edges(n, round(TAPER * n))
+        self.time = np.arange(n) / (n * step)
+        self.clear = self._clipped()
+        end = min(flight + 1e-3, self.n_samples / self.rate - 0.5e-3)
+        start = self.clear + AFTER_CLIPPING + FADE + SETTLED
+        self.used = np.flatnonzero((self.time >= start) & (self.time < end))
+        if len(self.used) < 16:
+            raise ConfigError(
+                f"a cycle of {1e3 * self.n_samples / self.rate:.3g} ms in a tube of {length:g} m "
+                "is too short to invert; use longer ones"
+            )
+        self.k, self.k_by_temperature = self._wavenumbers()
+        self.speed, self.speed_by_temperature = _speeds(temperature)
+        self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
+        self.sent = self._sent()
+        self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
+
+    @property
+    def window(self) -> Array:
+        """Times of the baseband that are used, in s from the start of the drive, (n_time,)."""
+        return self.time[self.used]
+
+    @property
+    def nearest(self) -> float:
+        """Distance in m of the nearest press whose echo is not clipped."""
+        return 0.5 * self.air.sound_speed * (self.clear + AFTER_CLIPPING + FADE) + 0.03
+
+    def noise(self, n_cycles: int) -> float:
+        """Return the variance of a sample of the mean of cycles in the baseband.
+
+        Thermal noise and quantisation error, white and independent from cycle to cycle.
+        """
+        sigma = self.rangefinder.noise * self.per_volt
+        variance = sigma**2 / n_cycles
+        if self.rangefinder.quantised:
+            variance += 1 / 12 / n_cycles
+        return 2 * max(variance, 1e-12) * len(self.bins) * self.step / (self.rate / 2)
+
+    def of_cycles(self, counts: NDArray[np.generic]) -> Complex:
+        """Return the mean of cycles of counts (n, n_samples) in the baseband, (n_time,)."""
+        mean = np.asarray(counts, float).mean(axis=0)
+        mean = mean - mean[-int(QUIET_SHARE * len(mean)) :].mean()
+        return self._of_samples(mean)
+
+    def ring_down(self) -> Complex:
+        """Return the ring-down that the rangefinder's parameters give, in the baseband."""
+        n = self.period
+        real = np.asarray(np.fft.rfftfreq(n, 1 / self.rate)[1:], float)
+        f = real.astype(complex)
+        r = self.rangefinder
+        spectrum = r.send * drive_spectrum(r.drive, f, self.rate, n, 0.0)
+        spectrum *= r.resonator(f) * anti_alias(real, self.rate) * self.per_volt
+        samples = np.fft.irfft(np.concatenate([[0], spectrum]) * self.rate, n)[: self.n_samples]
+        return self._of_samples(samples)
+
+    def transformed(self, spectrum: Complex) -> Complex:
+        """Return the baseband (..., n_time) of spectra (..., n_f) in counts s on the grid."""
+        scale = 2 * len(self.bins) * self.step
+        return np.asarray(scale * np.fft.ifft(spectrum * self.taper, axis=-1)[..., self.used])
+
+    def adjoint(self, samples: Complex) -> Complex:
+        """Return the spectrum (..., n_f) whose product with a spectrum is that of their basebands.
+
+        The adjoint of :meth:`transformed`.
+        """
+        full = np.zeros((*samples.shape[:-1], len(self.bins)), complex)
+        full[..., self.used] = samples
+        return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
+
+    def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:
+        """Return the gain from a reflection to counts, with another transducer, and derivatives.
+
+        Parameters
+        ----------
+        detuned : ndarray
+            Relative deviations of resonance and of quality factor, (n, 2).
+
+        Returns
+        -------
+        value, by_resonance, by_quality : ndarray
+            (n, n_f), in s.
+        """
+        r = self.rangefinder
+        resonance = r.resonance * (1 + detuned[:, :1])
+        quality = r.quality_factor * (1 + detuned[:, 1:])
+        f = self.frequency
+        off = f / resonance - resonance / f
+        response = 1 / (1 + 1j * quality * off)
+        value = r.gain * self.per_volt * response**2 * self.sent
+        slope = -2 * value * response * 1j
+        by_resonance = slope * quality * (-f / resonance**2 - 1 / f) * r.resonance
+        return value, by_resonance, slope * off * r.quality_factor
+
+    def reflector_scale(self, places: Array) -> Array:
+        """Return the standard deviations of reflectors of clutter, and of the far end."""
+        r = self.rangefinder
+        deviation = np.full(len(places), np.sqrt(max(r.clutter, 1e-12) * 1e-3))
+        deviation[places > self.length - 0.02] = abs(r.far_reflection) / 2
+        return deviation
+
+    def _of_samples(self, samples: Array) -> Complex:
+        time = np.arange(len(samples)) / self.rate
+        fade = np.sin(pi / 2 * np.clip((time - self.clear - AFTER_CLIPPING) / FADE, 0, 1)) ** 2
+        spectrum = np.fft.fft(samples * fade, self.period)[self.bins] / self.rate
+        return self.transformed(spectrum)
+
+    def _clipped(self) -> float:
+        """Return the time in s at which the ring-down has fallen below full scale."""
+        r = self.rangefinder
+        decay = r.quality_factor / (pi * r.resonance)
+        ratio = max(2 * r.send / r.full_scale, 1.0)
+        return r.lead + r.drive.duration + decay * log(ratio)
+
+    def _wavenumbers(self) -> tuple[Complex, Complex]:
+        """Return the wavenumbers of the modes and their derivatives by temperature, (n_f, m)."""
+
+        def at(air: Air) -> Complex:
+            numbers = [mode_numbers(name) for name in self.modes]
+            return np.stack(
+                [axial_wavenumber(*one, self.frequency, self.radius, air) for one in numbers], -1
+            )
+
+        half = 0.5
+        low, high = (at(air_at(self.temperature + d)) for d in (-half, half))
+        return at(self.air), (high - low) / (2 * half)
+
+    def _sent(self) -> Complex:
+        r = self.rangefinder
+        grid = np.arange(1, self.period // 2 + 1) * self.step
+        sent = drive_spectrum(r.drive, grid, self.rate, self.period, 0.0)[self.bins - 1]
+        lead = np.exp(-2j * pi * self.frequency * r.lead)
+        return np.asarray(sent * anti_alias(self.frequency, self.rate) * lead)
+
+
+def _edges(n: int, width: int) -> Array:
+    """Return a taper of n samples whose ends rise as squared sines."""
+    rise = np.sin(pi / 2 * (np.arange(width) + 0.5) / width) ** 2
+    found = np.ones(n)
+    found[:width], found[n - width :] = rise, rise[::-1]
+    return found
+
+
+def _speeds(temperature: float) -> tuple[float, float]:
+    """Return the speed of sound in m/s and its derivative by temperature."""
+    low, here, high = (air_at(temperature + d).sound_speed for d in (-0.5, 0.0, 0.5))
+    return here, high - low

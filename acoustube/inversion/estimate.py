@@ -1,0 +1,339 @@
+"""Presses in a recording: number, places, depths, tools and forces, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log, pi
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtr
+from threadpoolctl import threadpool_limits
+
+from acoustube.base.checks import Reals, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.inversion.fit import split
+from acoustube.inversion.hypotheses import Builder, Hypothesis
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.search import Templates
+from acoustube.waves.scattering import Complex
+
+LEVELS = 0.68, 0.9
+"""Probabilities of the intervals."""
+FEWER = 2 * log(10.0)
+"""Minus twice the logarithm of the prior odds of one press more."""
+SAME_PLACE = 0.03
+"""Distance in m within which presses of two hypotheses are the same."""
+MISFIT = 0.15
+"""Unexplained share of the echo from which tube, tool or sensor differ from the library's."""
+GOOD = 0.05
+"""Relative error of the model up to which an explanation is good: no other is followed."""
+BEAM = 2
+"""Hypotheses of each number of presses that are extended."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A quantity of a contact.
+
+    Attributes
+    ----------
+    value : float
+        Of the most likely maximum.
+    deviation : float
+        Standard deviation of the posterior.
+    intervals : dict of float
+        Ends of the central interval of each probability of :data:`LEVELS`.
+    weights, means, deviations : ndarray
+        Of the normal distributions that the posterior is a mixture of, (n,).
+    """
+
+    value: float
+    deviation: float
+    intervals: dict[float, tuple[float, float]]
+    weights: Array
+    means: Array
+    deviations: Array
+
+    def density(self, value: ArrayLike) -> Array:
+        """Return the probability density at values, (n,)."""
+        off = (np.asarray(value)[:, None] - self.means) / self.deviations
+        return np.asarray(
+            np.exp(-(off**2) / 2) / np.sqrt(2 * pi) @ (self.weights / self.deviations)
+        )
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A press that a recording tells of.
+
+    Attributes
+    ----------
+    probability : float
+        That there is one.
+    distance, depth : Estimate
+        In m.
+    force : Estimate
+        In N.
+    tool : int
+        Number of the tool in the library.
+    """
+
+    probability: float
+    distance: Estimate
+    depth: Estimate
+    force: Estimate
+    tool: int
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """What a recording tells of the presses on a tube.
+
+    Attributes
+    ----------
+    contacts : list of Contact
+        By distance.
+    misfit : float
+        Root of the energy of the echo that the model leaves unexplained beyond the noise, relative
+        to that of the echo; nan without an echo.
+    fits : bool
+        Whether the misfit is less than :data:`MISFIT`.
+    temperature, gain, stretch : Estimate
+        Deviations of the air's temperature in K, of the gain's logarithm, and of frequency in the
+        presses.
+    number : dict of float
+        Probability of each number of presses that was tried.
+    hypotheses : list of Hypothesis
+        The most likely of each number, by number.
+    place : ndarray
+        Distances in m from which sound comes back at the times of the baseband, (n_time,).
+    measured, explained : ndarray
+        Baseband without what the untouched tube sounds, of the cycles and of the contacts found,
+        (n_time,), in counts.
+    """
+
+    contacts: list[Contact]
+    misfit: float
+    fits: bool
+    temperature: Estimate
+    gain: Estimate
+    stretch: Estimate
+    number: dict[int, float]
+    hypotheses: list[Hypothesis]
+    place: Array
+    measured: Complex
+    explained: Complex
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most likely hypothesis."""
+        return self.hypotheses[max(self.number, key=lambda n: self.number[n])]
+
+
+class Inverter:
+    """Inversion of recordings of one tube.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    most : int
+        Largest number of presses that is tried.
+    """
+
+    def __init__(self, model: ForwardModel, most: int = 3) -> None:
+        self.model, self.most = model, int(Number(1, 8, whole=True).check("most", most))
+        self.templates = [Templates(model, i) for i in range(len(model.tables))]
+
+    @checked(counts=Reals(ndim=2))
+    def __call__(self, counts: ArrayLike) -> Inversion:
+        """Return the presses that cycles of one state of the tube tell of.
+
+        Parameters
+        ----------
+        counts : ndarray
+            Counts of the converter, (n_cycles, n_samples).
+
+        Raises
+        ------
+        ConfigError
+            If the cycles have another length than the model's.
+        """
+        array = np.asarray(counts)
+        if array.shape[1] != self.model.base.n_samples:
+            raise ConfigError(
+                f"cycles have {array.shape[1]} samples and the model's "
+                f"{self.model.base.n_samples}; give cycles of one recorder"
+            )
+        samples = self.model.base.of_cycles(array)
+        builder = Builder(self.model, self.templates, samples, len(array))
+        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+            return self._told(self._chain(builder), builder)
+
+    def _chain(self, builder: Builder) -> list[Hypothesis]:
+        """Return the best hypothesis found of each number of presses, up to one too many."""
+        chain = [builder.untouched()]
+        beam = chain
+        for number in range(1, self.most + 1):
+            found = [more for known in beam for more in builder.extended(known)]
+            if number == 1 and any(one.error > GOOD for one in found):
+                found += builder.first_of(chain[0])
+            if not found:
+                break
+            found.sort(key=lambda one: one.surprise)
+            best = found[0]
+            likelier = best.surprise + FEWER < chain[-1].surprise
+            if number > 1 and (likelier or chain[-1].error > GOOD):
+                best = _sought_again(builder, best)
+                likelier = best.surprise + FEWER < chain[-1].surprise
+            chain.append(best)
+            if number > 1 and not likelier:
+                break
+            beam = [best, *_others(best, found)] if best.error > GOOD else [best]
+        return chain
+
+    def _told(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
+        """Return what hypotheses of each number of presses tell."""
+        surprise = np.array([one.surprise + FEWER * i for i, one in enumerate(chain)])
+        inflation = max(1.0, min(one.residual for one in chain))
+        odds = np.exp(-0.5 * (surprise - surprise.min()) / inflation)
+        odds /= odds.sum()
+        best = chain[int(np.argmax(odds))]
+        posterior = Posterior(best)
+        contacts = []
+        for i, tool in enumerate(best.tools):
+            place = best.best[2 * i]
+            seen = [
+                weight for one, weight in zip(chain, odds, strict=True)
+                if np.any(np.abs(one.best[: 2 * len(one.tools) : 2] - place) < SAME_PLACE)
+            ]  # fmt: skip
+            known = self.model.tables[tool].tool
+            contacts.append(
+                Contact(
+                    probability=float(sum(seen)),
+                    distance=posterior.estimate(2 * i, self._scale_error(place)),
+                    depth=posterior.estimate(2 * i + 1),
+                    force=posterior.mapped(2 * i + 1, known.force_at, known.force_error.max()),
+                    tool=tool,
+                )
+            )
+        nuisance = {
+            name: posterior.estimate(2 * len(best.tools) + NUISANCES.index(name))
+            for name in ("temperature", "gain", "stretch")
+        }
+        measured, explained = self._echoes(best, builder)
+        misfit = _misfit(measured, explained, builder) if contacts else float("nan")
+        base = self.model.base
+        return Inversion(
+            contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
+            number={i: float(p) for i, p in enumerate(odds)},
+            place=base.window * base.speed / 2, measured=measured, explained=explained, **nuisance,
+        )  # fmt: skip
+
+    def _scale_error(self, place: float) -> float:
+        """Return the standard deviation of a place by the error of the thermometer."""
+        base = self.model.base
+        if self.model.clutter.behind is None:  # the temperature is estimated with that error
+            return 0.0
+        relative = base.speed_by_temperature / base.speed
+        return place * relative * self.model.priors.thermometer
+
+    def _echoes(self, best: Hypothesis, builder: Builder) -> tuple[Complex, Complex]:
+        """Return the baseband of the cycles and of a hypothesis, without the untouched tube's."""
+        places, depths, nuisances = split(best.fits.parameters[:1])
+        untouched = self.model.without_presses(nuisances)[0]
+        value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
+        return builder.samples - untouched, value - untouched
+
+
+def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
+    """Return the unexplained share of the echo."""
+    rest = builder.quiet(measured - explained)
+    beyond = np.sum(np.abs(rest) ** 2) - len(rest)
+    return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
+
+
+class Posterior:
+    """Mixture of normal distributions, one about each maximum of a hypothesis.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    """
+
+    def __init__(self, hypothesis: Hypothesis) -> None:
+        fits = hypothesis.fits
+        inflation = max(1.0, hypothesis.residual)
+        n = fits.parameters.shape[1]
+        covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
+        self.mean = fits.parameters
+        self.variance = inflation * np.maximum(np.einsum("nii->ni", covariance), 0.0)
+        level = fits.cost + np.linalg.slogdet(fits.information)[1]
+        self.weight = np.exp(-0.5 * (level - level.min()) / inflation)
+        self.weight /= self.weight.sum()
+
+    def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
+        """Return the marginal distribution of a parameter, with an independent error besides."""
+        deviation = np.sqrt(self.variance[:, parameter] + error**2)
+        return self._summed(self.mean[:, parameter], deviation)
+
+    def mapped(
+        self, parameter: int, function: Callable[[Array, int], Array], error: float
+    ) -> Estimate:
+        """Return the distribution of a rising function of a parameter, with an error of its own.
+
+        Parameters
+        ----------
+        parameter : int
+        function : callable
+            Takes values and the order of a derivative.
+        error : float
+            Standard deviation of the function itself.
+        """
+        mean = self.mean[:, parameter]
+        slope = function(mean, 1)
+        deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error)
+        return self._summed(function(mean, 0), deviation)
+
+    def _summed(self, mean: Array, deviation: Array) -> Estimate:
+        deviation = np.maximum(deviation, 1e-15)
+        middle = float(self.weight @ mean)
+        spread = float(np.sqrt(self.weight @ (deviation**2 + (mean - middle) ** 2)))
+        grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
+        below = ndtr((grid[:, None] - mean) / deviation) @ self.weight
+        ends = {
+            level: (
+                float(np.interp((1 - level) / 2, below, grid)),
+                float(np.interp((1 + level) / 2, below, grid)),
+            )
+            for level in LEVELS
+        }
+        return Estimate(float(mean[0]), spread, ends, self.weight, mean, deviation)
+
+
+def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
+    """Return a hypothesis whose presses were sought again one by one, among the others."""
+    for i in range(len(known.tools)):
+        found = [one for one in builder.replaced(known, i) if len(one.tools) == len(known.tools)]
+        best = min(found, key=lambda one: one.surprise, default=known)
+        if best.surprise < known.surprise:
+            known = best
+    return known
+
+
+def _others(best: Hypothesis, found: list[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses to extend besides the best, whose first press is elsewhere."""
+    kept = [best]
+    for one in found:
+        same = any(
+            len(one.best) == len(other.best)
+            and np.allclose(one.best[: 2 * len(one.tools)], other.best[: 2 * len(other.tools)],
+                            atol=1e-3)
+            for other in kept
+        )  # fmt: skip
+        if not same and len(kept) < BEAM:
+            kept.append(one)
+    return kept[1:]

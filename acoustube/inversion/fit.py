@@ -1,0 +1,229 @@
+"""Likelihood of a cycle's baseband, and its maxima from many starting points at once.
+
+References
+----------
+* Damped least squares: Marquardt, D. W. (1963). Journal of the Society for Industrial and Applied
+  Mathematics 11, 431-441. doi:10.1137/0111030
+* Evidence by Laplace's approximation: MacKay, D. J. C. (2003). Information Theory, Inference, and
+  Learning Algorithms. Cambridge University Press, chapter 27.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, pi
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.signal import lfilter
+
+from acoustube.base.types import Array
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.waves.scattering import Complex
+
+LARGEST_STEPS = 1.5e-3, 4e-4
+"""Largest changes of place and depth in an iteration, in m."""
+CLOSEST = 0.03
+"""Smallest distance of two presses in m; their deformed parts meet earlier."""
+RINGING, RINGING_SHARE = 0.5e-3, 0.05
+"""Decay in s, and share, of the model's error after an echo: that of trapped sound."""
+CONVERGED = 0.02
+"""Decrease of the cost in an iteration that ends the iterations."""
+DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening of the baseband.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Inverse of the Cholesky factor of the covariance, (n_time, n_time): a row depends on the
+        samples up to its own time, so that the first rows are the likelihood of the first samples.
+    log_determinant : float
+        Of the covariance.
+    """
+
+    matrix: Complex
+    log_determinant: float
+
+    def __call__(self, samples: Complex) -> Complex:
+        """Return whitened samples (..., n_time)."""
+        return samples @ self.matrix.T
+
+    def until(self, n: int) -> Weights:
+        """Return the weights of the first n samples alone."""
+        matrix = self.matrix.copy()
+        matrix[n:] = 0.0
+        return Weights(matrix, self.log_determinant)
+
+
+def weights(model: ForwardModel, n_cycles: int, error: float, echo: Complex | None) -> Weights:
+    """Return the weights for the noise of a mean of cycles and a relative error of the model.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    n_cycles : int
+    error : float
+        Error of the model relative to the echo.
+    echo : ndarray or None
+        Expected echo of the presses in the baseband, (n_time,).
+    """
+    covariance = model.clutter.covariance.copy()
+    diagonal = np.full(len(covariance), model.base.noise(n_cycles))
+    if echo is not None and error > 0:
+        power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
+        step = model.base.time[1] - model.base.time[0]
+        tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
+        diagonal = diagonal + error**2 * (power + RINGING_SHARE * tail)
+    covariance[np.diag_indices(len(diagonal))] += diagonal
+    factor = np.linalg.cholesky(covariance)
+    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+    return Weights(inverse, 2 * float(np.log(np.diag(factor).real).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Local maxima of the likelihood.
+
+    Attributes
+    ----------
+    parameters : ndarray
+        Place and depth of each press in turn in m, and the nuisances, (n, 2 n_presses + 6).
+    cost : ndarray
+        Minus twice the logarithm of the likelihood and of the nuisances' prior, but for constants,
+        (n,).
+    information : ndarray
+        Half the second derivatives of the cost, (n, n_parameters, n_parameters).
+    """
+
+    parameters: Array
+    cost: Array
+    information: Array
+
+    def sorted(self) -> Fits:
+        """Return the fits, the best first."""
+        order = np.argsort(self.cost)
+        return Fits(self.parameters[order], self.cost[order], self.information[order])
+
+
+def split(parameters: Array) -> tuple[Array, Array, Array]:
+    """Return places, depths (n, n_presses) and nuisances (n, 6) of parameters."""
+    m = (parameters.shape[1] - len(NUISANCES)) // 2
+    return parameters[:, : 2 * m : 2], parameters[:, 1 : 2 * m : 2], parameters[:, 2 * m :]
+
+
+def joined(places: Array, depths: Array, nuisances: Array) -> Array:
+    """Return parameters of places and depths (n, n_presses) and nuisances (n, 6)."""
+    presses = np.stack([places, depths], axis=-1).reshape(len(places), -1)
+    return np.concatenate([presses, nuisances], axis=1)
+
+
+def maximise(
+    model: ForwardModel,
+    tools: tuple[int, ...],
+    start: Array,
+    samples: Complex,
+    whiten: Weights,
+    iterations: int = 12,
+) -> Fits:
+    """Return the maxima of the likelihood next to starting points, by Levenberg and Marquardt.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    tools : tuple of int
+        Number of the tool of each press.
+    start : ndarray
+        Parameters, (n, 2 n_presses + 6).
+    samples : ndarray
+        Baseband of the cycles, (n_time,).
+    whiten : Weights
+    iterations : int
+    """
+    at = bounded(model, tools, start)
+    cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
+    damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
+    for _ in range(iterations):
+        i = np.flatnonzero(active)
+        if not len(i):
+            break
+        diagonal = np.einsum("nii->ni", information[i])
+        damped = information[i] + damping[i, None, None] * (
+            diagonal[:, :, None] * np.eye(at.shape[1])
+        )
+        step = -np.linalg.solve(damped, gradient[i][..., None])[..., 0]
+        tried = bounded(model, tools, at[i] + _limited(step))
+        new = _quadratic(model, tools, tried, samples, whiten)
+        better = new[0] < cost[i]
+        gain = np.where(better, cost[i] - new[0], np.inf)
+        damping[i] = np.where(better, np.maximum(damping[i] / LOWERED, 1e-7), damping[i] * RAISED)
+        j = i[better]
+        at[j], cost[j] = tried[better], new[0][better]
+        gradient[j], information[j] = new[1][better], new[2][better]
+        active[i] = (gain > CONVERGED) & (damping[i] < 1e5)
+    return Fits(at, cost, information)
+
+
+def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Array:
+    """Return parameters within the ranges of places and depths, with rising places."""
+    places, depths, nuisances = split(np.array(parameters))
+    base = model.base
+    for i, tool in enumerate(tools):
+        places[:, i] = np.clip(places[:, i], base.nearest, base.length - 0.02)
+        if i:
+            places[:, i] = np.maximum(places[:, i], places[:, i - 1] + CLOSEST)
+        depths[:, i] = np.clip(depths[:, i], *model.tables[tool].range)
+    limit = 6 * model.priors.deviations
+    return joined(places, depths, np.clip(nuisances, -limit, limit))
+
+
+def _quadratic(
+    model: ForwardModel,
+    tools: tuple[int, ...],
+    parameters: Array,
+    samples: Complex,
+    whiten: Weights,
+) -> tuple[Array, Array, Array]:
+    """Return cost (n,), half its gradient (n, p) and half its Gauss-Newton Hessian (n, p, p)."""
+    places, depths, nuisances = split(parameters)
+    value, jacobian = model.baseband(tools, places, depths, nuisances)
+    residual = whiten(samples - value)
+    slopes = whiten(jacobian)
+    p = parameters.shape[1]
+    prior = np.zeros((p, p))
+    own = np.arange(p - len(NUISANCES), p)
+    precision = 1 / model.priors.deviations**2
+    prior[own, own] = precision
+    cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
+    gradient = -2 * np.einsum("npt,nt->np", slopes.conj(), residual, optimize=True).real
+    gradient[:, own] += nuisances * precision
+    information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + prior
+    return cost, gradient, information
+
+
+def _limited(step: Array) -> Array:
+    """Return steps whose changes of places and depths are not too large."""
+    found = step.copy()
+    m = (step.shape[1] - len(NUISANCES)) // 2
+    for i, largest in enumerate(LARGEST_STEPS):
+        found[:, i : 2 * m : 2] = np.clip(found[:, i : 2 * m : 2], -largest, largest)
+    return found
+
+
+def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: Weights) -> Array:
+    """Return minus twice the logarithm of the evidence of each fit, but for a constant, (n,).
+
+    Places and depths are uniform a priori.
+    """
+    base = model.base
+    volume = sum(
+        2 * log((base.length - base.nearest) * float(np.diff(model.tables[tool].range)[0]))
+        for tool in tools
+    )
+    volume += float(np.log(2 * pi * model.priors.deviations**2).sum())
+    p = fits.parameters.shape[1]
+    curvature = np.linalg.slogdet(fits.information)[1] - p * log(2 * pi)
+    return np.asarray(fits.cost + 2 * whiten.log_determinant + curvature + volume)

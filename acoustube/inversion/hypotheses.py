@@ -1,0 +1,277 @@
+"""Sets of presses that may explain a recording, built up one press at a time.
+
+A press more is proposed where the residual correlates with the echo of one, also through the
+presses before it and by their higher modes. The candidates are refined together with the presses
+known, then shifted by half wavelengths and by depths, since the likelihood has maxima there. The
+first press is also sought in the first part of the echo alone, in which those behind it do not
+sound yet (peeling by time).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.fit import (
+    CLOSEST,
+    Fits,
+    Weights,
+    evidence,
+    joined,
+    maximise,
+    split,
+    weights,
+)
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.search import Templates, front_of
+from acoustube.waves.scattering import Complex
+
+ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
+"""Relative errors of the model, of which the most likely one is taken."""
+SHIFTS = (
+    (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
+    (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
+)  # fmt: skip
+"""Half wavelengths and depths in m by which a press is shifted to find other maxima."""
+KEPT = 3
+"""Candidates of a tool whose model error is estimated."""
+FIRST_PART = 1.2e-3
+"""Length in s of the first part of an echo."""
+LOUD = 5.0
+"""Level over the noise, of whitened samples smoothed, at which an echo begins."""
+DISTINCT = 0.3e-3, 0.02e-3
+"""Differences of place and depth in m up to which two maxima are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of presses, with all maxima of the likelihood that were found near it.
+
+    Attributes
+    ----------
+    tools : tuple of int
+        Number of the tool of each press in the library.
+    fits : Fits
+        Distinct maxima, the best first.
+    error : float
+        Relative error of the model, the most likely one.
+    whiten : Weights
+        With that error.
+    surprise : float
+        Minus twice the logarithm of the evidence.
+    residual : float
+        Mean square of the whitened residual: 1 if the model holds.
+    """
+
+    tools: tuple[int, ...]
+    fits: Fits
+    error: float
+    whiten: Weights
+    surprise: float
+    residual: float
+
+    @property
+    def best(self) -> Array:
+        """Parameters of the best maximum, (n_parameters,)."""
+        return self.fits.parameters[0]
+
+
+class Builder:
+    """Hypotheses about one mean of cycles.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    templates : list of Templates
+        Of each tool.
+    samples : ndarray
+        Mean of cycles in the baseband, (n_time,).
+    n_cycles : int
+    """
+
+    def __init__(
+        self, model: ForwardModel, templates: list[Templates], samples: Complex, n_cycles: int
+    ) -> None:
+        self.model, self.templates = model, templates
+        self.samples, self.n_cycles = samples, n_cycles
+        self.quiet = weights(model, n_cycles, 0.0, None)
+
+    def untouched(self) -> Hypothesis:
+        """Return the hypothesis of no press.
+
+        The temperature is that of the clutter, where this is known, by a robust cost, so that
+        presses do not matter.
+        """
+        start = np.zeros((1, len(NUISANCES)))
+        if self.model.clutter.behind is not None:
+            deviation = self.model.priors.temperature
+            span = min(3 * deviation, 1.4)
+            tried = np.zeros((2 * int(span / 0.03) + 1, len(NUISANCES)))
+            tried[:, 0] = np.linspace(-span, span, len(tried))
+            rest = self.quiet(self.samples - self.model.without_presses(tried))
+            robust = 2 * np.log1p(np.abs(rest) ** 2 / 4).sum(axis=1)
+            start[0] = tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)]
+        fits = maximise(self.model, (), start, self.samples, self.quiet, 6)
+        return self._judged((), fits, 0.0, self.quiet)
+
+    def first_of(self, known: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses of one press, from the first part of the echo alone."""
+        rest = np.abs(known.whiten(self._residual(known)))
+        level = np.sqrt(np.convolve(rest**2, np.ones(4) / 4, "same"))
+        loud = np.flatnonzero(level > LOUD)
+        if not len(loud):
+            return []
+        step = self.model.base.time[1] - self.model.base.time[0]
+        end = int(loud[0] + FIRST_PART / step)
+        if end > len(rest) - 4:
+            return []
+        return self.extended(known, known.whiten.until(end))
+
+    def extended(
+        self, known: Hypothesis, whiten: Weights | None = None, near: float | None = None
+    ) -> list[Hypothesis]:
+        """Return hypotheses with one press more, one for each tool.
+
+        Parameters
+        ----------
+        known : Hypothesis
+        whiten : Weights, optional
+            By which candidates are found and refined; those of `known` by default.
+        near : float, optional
+            Place in m about which the press is sought.
+        """
+        whiten = known.whiten if whiten is None else whiten
+        places, depths, nuisances = split(known.fits.parameters[:1])
+        fronts = front_of(self.model, known.tools, places[0], depths[0], nuisances[0])
+        found = []
+        for tool, templates in enumerate(self.templates):
+            candidates = templates.search(
+                self._residual(known), whiten, fronts, near=near, temperature=nuisances[0, 0]
+            )
+            if not len(candidates.gain):
+                continue
+            fits = self._added(known, tool, candidates.place, candidates.depth, whiten)
+            found += [self._settled(*fit) for fit in fits]
+        return found
+
+    def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
+        """Return hypotheses with one press sought again."""
+        places, depths, nuisances = split(known.fits.parameters[:1])
+        kept = [i for i in range(len(known.tools)) if i != number]
+        rest = joined(places[:, kept], depths[:, kept], nuisances)
+        fewer = Hypothesis(
+            tuple(known.tools[i] for i in kept),
+            Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None]),
+            known.error, known.whiten, np.inf, np.inf,
+        )  # fmt: skip
+        return self.extended(fewer)
+
+    def _added(
+        self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
+    ) -> list[tuple[tuple[int, ...], Fits]]:
+        """Return the fits with a press more, for each order of the tools along the tube."""
+        places, depths, nuisances = split(known.fits.parameters[:1])
+        apart = np.abs(place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
+        rank = np.searchsorted(places[0], place)
+        found = []
+        for i in np.unique(rank[apart]):
+            here = apart & (rank == i)
+            n = int(here.sum())
+            start = joined(
+                np.insert(np.repeat(places, n, 0), i, place[here], axis=1),
+                np.insert(np.repeat(depths, n, 0), i, depth[here], axis=1),
+                np.repeat(nuisances, n, 0),
+            )
+            tools = (*known.tools[:i], tool, *known.tools[i:])
+            fits = maximise(self.model, tools, start, self.samples, whiten, 7).sorted()
+            found.append((tools, _first(fits, KEPT)))
+        return found
+
+    def _settled(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
+        """Return the hypothesis of fits: their model's error, and the maxima around the best."""
+        best: Hypothesis | None = None
+        for i in range(len(fits.cost)):
+            at, error = fits.parameters[i : i + 1], 0.0
+            for _ in range(2):
+                error, own = self._likely_error(tools, at[0])
+                fit = maximise(self.model, tools, at, self.samples, own, 8)
+                at = fit.parameters
+            one = self._judged(tools, fit, error, own)
+            if best is None or one.surprise < best.surprise:
+                best = one
+        assert best is not None
+        return self.shifted(best)
+
+    def shifted(self, known: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with the maxima half wavelengths and depths away."""
+        base, m = self.model.base, len(known.tools)
+        half = base.air.sound_speed / (2 * float(np.mean(base.frequency)))
+        moves = np.array(SHIFTS) * [half, 1.0]
+        start = np.repeat(known.best[None], m * len(moves), axis=0)
+        for i in range(m):
+            rows = slice(i * len(moves), (i + 1) * len(moves))
+            start[rows, 2 * i : 2 * i + 2] += moves
+        fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8)
+        merged = _distinct(
+            Fits(
+                np.concatenate([known.fits.parameters, fits.parameters]),
+                np.concatenate([known.fits.cost, fits.cost]),
+                np.concatenate([known.fits.information, fits.information]),
+            ),
+            m,
+        )
+        error, whiten = known.error, known.whiten
+        moved = not np.array_equal(merged.parameters[0], known.best)
+        if moved:
+            error, whiten = self._likely_error(known.tools, merged.parameters[0])
+            start = merged.parameters
+            merged = _distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
+        return self._judged(known.tools, merged, error, whiten)
+
+    def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
+        """Return the most likely error of the model for given parameters, and its weights."""
+        value, echo = self._echo(tools, parameters)
+        rest, best = self.samples - value, None
+        for error in ERRORS:
+            whiten = weights(self.model, self.n_cycles, error, echo)
+            cost = 2 * np.sum(np.abs(whiten(rest)) ** 2) + 2 * whiten.log_determinant
+            if best is None or cost < best[0]:
+                best = cost, error, whiten
+        assert best is not None
+        return best[1], best[2]
+
+    def _echo(self, tools: tuple[int, ...], parameters: Array) -> tuple[Complex, Complex]:
+        """Return the baseband of parameters, and its part that presses cause, (n_time,)."""
+        places, depths, nuisances = split(parameters[None])
+        value = self.model.baseband(tools, places, depths, nuisances)[0][0]
+        return value, value - self.model.without_presses(nuisances)[0]
+
+    def _residual(self, known: Hypothesis) -> Complex:
+        return self.samples - self._echo(known.tools, known.best)[0]
+
+    def _judged(
+        self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
+    ) -> Hypothesis:
+        """Return the hypothesis of fits with its evidence."""
+        surprise = float(evidence(self.model, tools, fits, whiten)[0])
+        value, _ = self._echo(tools, fits.parameters[0])
+        rest = whiten(self.samples - value)
+        return Hypothesis(tools, fits, error, whiten, surprise, float(np.mean(np.abs(rest) ** 2)))
+
+
+def _first(fits: Fits, n: int) -> Fits:
+    return Fits(fits.parameters[:n], fits.cost[:n], fits.information[:n])
+
+
+def _distinct(fits: Fits, n_presses: int) -> Fits:
+    """Return the maxima that differ, the best first."""
+    fits = fits.sorted()
+    scale = np.tile(DISTINCT, n_presses)
+    at = fits.parameters[:, : 2 * n_presses] / scale
+    kept: list[int] = []
+    for i in range(len(at)):
+        if not any(np.all(np.abs(at[i] - at[j]) < 1) for j in kept):
+            kept.append(i)
+    return Fits(fits.parameters[kept], fits.cost[kept], fits.information[kept])

@@ -1,0 +1,179 @@
+"""Scattering of tools over depth: the part of the forward model that is computed beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from acoustube.base.checks import Several, check_fields
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import MM
+from acoustube.waves.scattering import Complex
+
+FEWEST_DEPTHS = 4
+"""Depths of a tool between which its scattering can be interpolated."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tool:
+    """Scattering of one tube under one tool, over depth.
+
+    Attributes
+    ----------
+    shape : str
+        ``rod``, ``punch`` or ``sphere``.
+    diameter : float
+        Of the tool, in m.
+    radius : float
+        Of the undeformed bore, in m.
+    depth : ndarray
+        Indentation depths from first contact, rising, in m, (n,).
+    force : ndarray
+        Of the tool on the tube, in N, (n,).
+    force_error : ndarray
+        Estimated errors of the forces in N, (n,).
+    frequency : ndarray
+        Even, in Hz, (n_f,).
+    modes : tuple of str
+        As of :class:`acoustube.waves.ModalScattering`.
+    s : ndarray
+        Scattering matrices, (n, n_f, 2, m, 2, m), as of :class:`acoustube.waves.ModalScattering`.
+    error : ndarray
+        Estimated errors of the coefficients at 95 % of the frequencies, (n,).
+    interpolation_error : ndarray
+        Estimated rms errors of interpolated coefficients between each depth and the next: of the
+        reflection of the plane wave relative to its rms, or of the transmission, (n - 1,).
+    sound_speed : float
+        In m/s, of the air in which the scattering was computed.
+    """
+
+    shape: str
+    diameter: float
+    radius: float
+    depth: Array
+    force: Array
+    force_error: Array
+    frequency: Array
+    modes: tuple[str, ...]
+    s: Complex
+    error: Array
+    interpolation_error: Array
+    sound_speed: float
+
+    def __post_init__(self) -> None:
+        """Check that the arrays belong together."""
+        n, n_f, m = len(self.depth), len(self.frequency), len(self.modes)
+        if n < FEWEST_DEPTHS or self.s.shape != (n, n_f, 2, m, 2, m):
+            raise ConfigError(
+                f"a tool has {n} depths and matrices of shape {self.s.shape}; give at least "
+                f"{FEWEST_DEPTHS} depths and (n, n_frequencies, 2, {m}, 2, {m})"
+            )
+        if not (np.all(np.diff(self.depth) > 0) and np.all(np.diff(self.frequency) > 0)):
+            raise ConfigError("depths and frequencies of a tool must increase; sort them")
+
+    @property
+    def name(self) -> str:
+        """The tool in words."""
+        return f"{MM * self.diameter:g} mm {self.shape}"
+
+    def matrix(self, depth: ArrayLike, derivative: int = 0) -> Complex:
+        """Return scattering matrices at depths between those computed, or derivatives by depth.
+
+        Parameters
+        ----------
+        depth : array_like
+            In m, within the tool's depths.
+        derivative : int
+            Order of the derivative.
+
+        Returns
+        -------
+        ndarray
+            (..., n_f, 2, m, 2, m), per m for each order.
+        """
+        return np.asarray(self._spline(np.asarray(depth, float), derivative))
+
+    def force_at(self, depth: ArrayLike, derivative: int = 0) -> Array:
+        """Return the force in N at depths in m, or its derivative by depth, by monotone cubics."""
+        return np.asarray(self._force(np.asarray(depth, float), derivative))
+
+    def error_at(self, depth: ArrayLike) -> Array:
+        """Return the interpolation error of the interval that each depth is in."""
+        found = np.searchsorted(self.depth, depth) - 1
+        return self.interpolation_error[np.clip(found, 0, len(self.depth) - 2)]
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        return CubicSpline(self.depth, self.s.astype(complex))
+
+    @cached_property
+    def _force(self) -> PchipInterpolator:
+        return PchipInterpolator(self.depth, self.force)
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Tools whose scattering was computed in one tube, over one band.
+
+    Parameters
+    ----------
+    tools : tuple of Tool
+        One or more, of equal bore, frequencies, modes and air.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or they differ.
+    """
+
+    tools: tuple[Tool, ...]
+
+    def __post_init__(self) -> None:
+        """Check that the tools go together."""
+        check_fields(self, tools=Several(Tool, 1))
+        first = self.tools[0]
+        for tool in self.tools[1:]:
+            if abs(tool.radius - first.radius) > 1e-9:
+                raise ConfigError(
+                    f"the library holds tubes of {2e3 * first.radius:g} and "
+                    f"{2e3 * tool.radius:g} mm bore; use one library for each"
+                )
+            same = len(tool.frequency) == len(first.frequency) and np.allclose(
+                tool.frequency, first.frequency
+            )
+            if not same or tool.modes != first.modes:
+                raise ConfigError(
+                    "the tools of the library differ in frequencies or modes; compute them with "
+                    "one command"
+                )
+
+    @property
+    def radius(self) -> float:
+        """Radius of the bore in m."""
+        return self.tools[0].radius
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency in Hz."""
+        low, high = self.tools[0].frequency[[0, -1]]
+        return float(low), float(high)
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Modes of the matrices."""
+        return self.tools[0].modes
+
+    @property
+    def sound_speed(self) -> float:
+        """Speed of sound in m/s in which the matrices were computed."""
+        return self.tools[0].sound_speed
+
+    @property
+    def depths(self) -> NDArray[np.float64]:
+        """Shallowest and deepest depth of each tool in m, (n_tools, 2)."""
+        return np.array([[tool.depth[0], tool.depth[-1]] for tool in self.tools])

@@ -1,0 +1,199 @@
+"""Forward model: the baseband of a cycle of presses, and its Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from acoustube.base.checks import check_fields
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.inversion.baseband import Baseband
+from acoustube.inversion.clutter import Clutter, unknown_clutter
+from acoustube.inversion.library import Library
+from acoustube.inversion.network import Waves, echo
+from acoustube.inversion.tables import Matrices, ToolTable
+from acoustube.waves.scattering import Complex
+
+MOST_MODES = 3
+"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
+NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
+"""Parameters besides places and depths, in their order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priors:
+    """Standard deviations of what is not known exactly; their means are zero.
+
+    Attributes
+    ----------
+    temperature : float
+        Of the air, from the reported one, in K. Default 0.3.
+    gain : float
+        Of the logarithm of the gain. Default 0.05.
+    phase : float
+        In rad. Default 0.05.
+    resonance, quality_factor : float
+        Of the transducer, relative. Defaults 0.001 and 0.03.
+    stretch : float
+        Of frequency in the presses, relative: errors of the bore and of the solver. Default 0.002.
+    thermometer : float
+        Of the error in K that the thermometer has in all recordings, also in those of the untouched
+        tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
+    """
+
+    temperature: float = 0.3
+    gain: float = 0.05
+    phase: float = 0.05
+    resonance: float = 1e-3
+    quality_factor: float = 0.03
+    stretch: float = 2e-3
+    thermometer: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check that all are positive."""
+        rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
+        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"))
+
+    @property
+    def deviations(self) -> Array:
+        """All, in the order of :data:`NUISANCES`."""
+        return np.array([getattr(self, name) for name in NUISANCES])
+
+
+class ForwardModel:
+    """Baseband of cycles with presses of a library's tools.
+
+    Parameters
+    ----------
+    library : Library
+    base : Baseband
+    clutter : Clutter, optional
+        Of the tube; by default only its statistics are known.
+    priors : Priors, optional
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        base: Baseband,
+        clutter: Clutter | None = None,
+        priors: Priors | None = None,
+    ) -> None:
+        self.library, self.base, self.priors = library, base, priors or Priors()
+        self.clutter = clutter or unknown_clutter(base)
+        modes = min(len(library.modes), MOST_MODES)
+        # Where the air is warmer, sound of a frequency has the wavelength of a lower one.
+        speed = library.sound_speed / base.speed
+        self.stretch = speed - 1
+        self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
+        self.tables = [ToolTable(tool, base.frequency, modes) for tool in library.tools]
+        self.modes = modes
+
+    def baseband(
+        self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
+    ) -> tuple[Complex, Complex]:
+        """Return the baseband of cycles and its Jacobian, for many sets of parameters at once.
+
+        Parameters
+        ----------
+        tools : tuple of int
+            Number of the tool of each press in the library, (n_presses,).
+        places, depths : ndarray
+            In m, (n, n_presses); the places of each set rise.
+        nuisances : ndarray
+            In the order of :data:`NUISANCES`, (n, 6).
+
+        Returns
+        -------
+        value : ndarray
+            (n, n_time), in counts.
+        jacobian : ndarray
+            By place and depth in turn of each press, then by the nuisances,
+            (n, 2 n_presses + 6, n_time).
+        """
+        n, m = places.shape
+        base = self.base
+        temperature, gain, phase = nuisances[:, 0], nuisances[:, 1], nuisances[:, 2]
+        spectrum = np.zeros((n, 2 * m + len(NUISANCES) + 1, len(base.frequency)), complex)
+        if m:
+            stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
+            matrices = [self.tables[tool](depths[:, i], stretch) for i, tool in enumerate(tools)]
+            heat = base.k_by_temperature[:, : self.modes]
+            waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
+            found = echo(matrices, places, waves, base.rangefinder.face_reflection)
+            factor, by_resonance, by_quality = base.press_gain(nuisances[:, 3:5])
+            turn = np.exp(gain + 1j * phase)[:, None]
+            factor = factor * turn
+            value: Complex = factor * found.value
+            spectrum[:, 0] = value
+            spectrum[:, 1 : 2 * m + 1 : 2] = factor[:, None] * found.by_place
+            spectrum[:, 2 : 2 * m + 1 : 2] = factor[:, None] * found.by_depth
+            rest = spectrum[:, 2 * m + 1 :]
+            warm = found.by_temperature + self.stretch_by_temperature * found.by_stretch
+            rest[:, 0], rest[:, 1], rest[:, 2] = factor * warm, value, 1j * value
+            rest[:, 3] = turn * by_resonance * found.value
+            rest[:, 4] = turn * by_quality * found.value
+            rest[:, 5] = factor * found.by_stretch
+            through = [one.value[..., 1, 0, 0, 0] * one.value[..., 0, 0, 1, 0] for one in matrices]
+            self._add_clutter(spectrum, places, temperature, through, matrices)
+        elif self.clutter.behind is not None:
+            value, _, warm = self.clutter.beyond(np.zeros(n), temperature)
+            spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
+        samples = base.transformed(spectrum)
+        return samples[:, 0] + self.clutter.ring, samples[:, 1:]
+
+    def _add_clutter(
+        self,
+        spectrum: Complex,
+        places: Array,
+        temperature: Array,
+        through: Sequence[Complex],
+        matrices: Sequence[Matrices],
+    ) -> None:
+        """Add the clutter, dimmed by the presses before it, and its derivatives.
+
+        With C(z) that of all beyond z and the transmissions t_i both ways of each press, it is
+        C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
+        """
+        if self.clutter.behind is None:
+            return
+        gain, m = self.base.gain, len(through)
+        value, _, warm = self.clutter.beyond(np.zeros(len(places)), temperature)
+        spectrum[:, 0] += gain * value
+        spectrum[:, 2 * m + 1] += gain * warm
+        beyond = [self.clutter.beyond(places[:, i], temperature) for i in range(m)]
+        dimmed: list[Complex] = [np.ones_like(through[0])]
+        for one in through:
+            dimmed.append(dimmed[-1] * one)
+        # The sum is C(0) + sum_i (passed_i+1 - passed_i) C(z_i).
+        for i, (value, by_place, warm) in enumerate(beyond):
+            share = gain * (dimmed[i + 1] - dimmed[i])
+            spectrum[:, 0] += share * value
+            spectrum[:, 1 + 2 * i] += share * by_place
+            spectrum[:, 2 * m + 1] += share * warm
+        for i, matrix in enumerate(matrices):
+            onwards = dimmed[i] * beyond[i][0]
+            product: Complex = dimmed[i]
+            for j in range(i + 1, m):
+                onwards = onwards + product * (through[j] - 1) * beyond[j][0]
+                product = product * through[j]
+            for part, column in (("by_depth", 2 + 2 * i), ("by_stretch", -1)):
+                moved = _through_moved(matrix.value, getattr(matrix, part))
+                added = gain * moved * onwards
+                spectrum[:, column] += added
+                if part == "by_stretch":
+                    spectrum[:, 2 * m + 1] += self.stretch_by_temperature * added
+
+    def without_presses(self, nuisances: Array) -> Complex:
+        """Return the baseband of the untouched tube, (n, n_time)."""
+        empty = np.zeros((len(nuisances), 0))
+        return self.baseband((), empty, empty, nuisances)[0]
+
+
+def _through_moved(s: Complex, change: Complex) -> Complex:
+    """Return the change of the plane wave's transmission both ways."""
+    there, back = s[..., 1, 0, 0, 0], s[..., 0, 0, 1, 0]
+    return np.asarray(change[..., 1, 0, 0, 0] * back + there * change[..., 0, 0, 1, 0])

@@ -1,0 +1,227 @@
+"""Candidates for one more press: correlation of a residual over place, depth and tool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+from acoustube.inversion.fit import CLOSEST, Weights
+from acoustube.inversion.model import ForwardModel
+from acoustube.waves.scattering import Complex
+
+COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
+"""Steps in m over the places, coarse and fine, and the reach of the fine ones to both sides."""
+DEPTH_STEP = 0.125e-3
+NODES = 0.15
+"""Distance in m of the places at which the energy of templates is computed."""
+APART = 0.03
+"""Distance in m of candidates that count as different places."""
+
+
+class Front(NamedTuple):
+    """Presses before a place, as they are seen from behind.
+
+    Attributes
+    ----------
+    place : float
+        Of the last of them, in m.
+    into, out : ndarray
+        Amplitudes of the modes behind it for a plane wave from the face, and of the plane wave at
+        the face for the modes, both (n_f, m).
+    """
+
+    place: float
+    into: Complex
+    out: Complex
+
+
+class Candidates(NamedTuple):
+    """Candidates for a press, the best first; all (n,).
+
+    Attributes
+    ----------
+    gain : ndarray
+        Decrease of the cost that is expected of each.
+    place, depth : ndarray
+        In m.
+    """
+
+    gain: Array
+    place: Array
+    depth: Array
+
+
+class Templates:
+    """Echoes of a tool at all depths, for correlation.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    tool : int
+        Number of the tool.
+    """
+
+    def __init__(self, model: ForwardModel, tool: int) -> None:
+        self.model, base = model, model.base
+        table = model.tables[tool]
+        low, high = table.range
+        self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
+        stretch = np.full(len(self.depths), model.stretch)
+        self.reflection = table(self.depths, stretch).value[:, :, 0, :, 0, :]
+        self.places = np.arange(base.nearest, base.length - 0.05, COARSE)
+        self.nodes = np.arange(base.nearest, base.length + NODES, NODES)
+
+    def search(
+        self,
+        residual: Complex,
+        whiten: Weights,
+        fronts: list[Front],
+        *,
+        number: int = 4,
+        fine: int = 4,
+        near: float | None = None,
+        temperature: float = 0.0,
+    ) -> Candidates:
+        """Return candidates for one more press.
+
+        Parameters
+        ----------
+        residual : ndarray
+            Baseband that is not explained yet, (n_time,).
+        whiten : Weights
+        fronts : list of Front
+            Of the presses known, by place.
+        number, fine : int
+            Number of places, and of candidates at each.
+        near : float, optional
+            Place in m about which alone is searched.
+        temperature : float
+            Deviation in K.
+        """
+        base = self.model.base
+        waves = base.k[:, : self.model.modes]
+        waves = waves + temperature * base.k_by_temperature[:, : self.model.modes]
+        field = base.adjoint(whiten(residual) @ whiten.matrix.conj())
+        coarse = np.empty((len(self.depths), len(self.places)))
+        zones = self._zones(fronts, waves)
+        owner = self._owners(fronts, self.places)
+        for number_of_zone, zone in enumerate(zones):
+            here = owner == number_of_zone
+            energy = self._energy(zone, whiten)
+            zone.energy = energy
+            if here.any():
+                level = np.abs(zone.correlate(field, self.places[here]))
+                coarse[:, here] = 2 * (2 * level - _along(energy, self.nodes, self.places[here]))
+        for front in fronts:
+            coarse[:, np.abs(self.places - front.place) < CLOSEST] = -np.inf
+        if near is not None:
+            coarse[:, np.abs(self.places - near) > FINE_REACH] = -np.inf
+        found = []
+        for _ in range(number):
+            best = int(np.argmax(coarse.max(axis=0)))
+            if not coarse[:, best].max() > 0:
+                break
+            found += self._refined(zones[owner[best]], field, self.places[best], fine)
+            coarse[:, np.abs(self.places - self.places[best]) < APART] = -np.inf
+        found.sort(key=lambda one: -one[0])
+        table = np.array(found).reshape(-1, 3)
+        return Candidates(table[:, 0], table[:, 1], table[:, 2])
+
+    def _refined(
+        self, zone: _Zone, field: Complex, place: float, count: int
+    ) -> list[tuple[float, float, float]]:
+        """Return the highest separate maxima of the correlation with its phase, about a place."""
+        places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
+        level = zone.correlate(field, places).real
+        gain = 2 * (2 * level - _along(zone.energy, self.nodes, places))
+        found = []
+        for _ in range(count):
+            i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+            if not gain[i, j] > 0:
+                break
+            found.append((float(gain[i, j]), float(places[j]), float(self.depths[i])))
+            gain[max(i - 4, 0) : i + 5, max(j - 3, 0) : j + 4] = -np.inf
+        return found
+
+    def _zones(self, fronts: list[Front], waves: Complex) -> list[_Zone]:
+        base = self.model.base
+        found = [_Zone([(base.gain * self.reflection[:, :, 0, 0], 2 * waves[:, 0])], 0.0)]
+        for front in fronts:
+            parts = []
+            m = waves.shape[1]
+            for a in range(m):
+                for b in range(m):
+                    shape = base.gain * front.out[:, a] * front.into[:, b]
+                    parts.append((shape * self.reflection[:, :, a, b], waves[:, a] + waves[:, b]))
+            found.append(_Zone(parts, front.place))
+        return found
+
+    @staticmethod
+    def _owners(fronts: list[Front], places: Array) -> NDArray[np.intp]:
+        return np.searchsorted(np.array([front.place for front in fronts]), places)
+
+    def _energy(self, zone: _Zone, whiten: Weights) -> Array:
+        """Return the energies of whitened templates, (n_depths, n_nodes)."""
+        base = self.model.base
+        at = np.maximum(self.nodes, zone.origin)
+        spectra = zone.spectra(at)
+        samples = whiten(base.transformed(spectra))
+        return np.asarray(np.sum(np.abs(samples) ** 2, axis=-1))
+
+
+class _Zone:
+    """Templates of one stretch of the tube: sums of spectra with wavenumbers, from an origin."""
+
+    def __init__(self, parts: Sequence[tuple[Complex, Complex]], origin: float) -> None:
+        self.parts, self.origin = parts, origin
+        self.energy: Array = np.zeros((0, 0))
+
+    def correlate(self, field: Complex, places: Array) -> Complex:
+        """Return the products with a field, (n_depths, n_places)."""
+        total: Complex = np.zeros((len(self.parts[0][0]), len(places)), complex)
+        for shape, wave in self.parts:
+            turn = np.exp(1j * np.outer(wave.conj(), places - self.origin))
+            total += (shape.conj() * field) @ turn
+        return total
+
+    def spectra(self, places: Array) -> Complex:
+        """Return the spectra at places, (n_depths, n_places, n_f)."""
+        first = self.parts[0][0]
+        total: Complex = np.zeros((len(first), len(places), first.shape[1]), complex)
+        for shape, wave in self.parts:
+            turn = np.exp(-1j * np.outer(places - self.origin, wave))
+            total += shape[:, None] * turn
+        return total
+
+
+def _along(energy: Array, nodes: Array, places: Array) -> Array:
+    """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
+    share = np.interp(places, nodes, np.arange(len(nodes)))
+    i = np.minimum(share.astype(int), len(nodes) - 2)
+    share = share - i
+    level = np.log(np.maximum(energy, 1e-300))
+    return np.asarray(np.exp((1 - share) * level[:, i] + share * level[:, i + 1]))
+
+
+def front_of(
+    model: ForwardModel, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
+) -> list[Front]:
+    """Return what each of several presses leaves behind it, multiple reflections left out."""
+    base, n = model.base, len(places)
+    waves = base.k[:, : model.modes] + nuisances[0] * base.k_by_temperature[:, : model.modes]
+    stretch = model.stretch + model.stretch_by_temperature * nuisances[0] + nuisances[5]
+    into = np.zeros((len(waves), model.modes), complex)
+    into[:, 0] = 1.0
+    out, at, found = into.copy(), 0.0, []
+    for i in range(n):
+        path = np.exp(-1j * waves * (places[i] - at))
+        s = model.tables[tools[i]](depths[i : i + 1], np.array([stretch])).value[0]
+        into = (s[:, 1, :, 0, :] @ (path * into)[..., None])[..., 0]
+        out = ((path * out)[:, None, :] @ s[:, 0, :, 1, :])[:, 0]
+        at = float(places[i])
+        found.append(Front(at, into, out))
+    return found

@@ -1,0 +1,80 @@
+"""Figure of an inversion: the echo, its explanation, and the posterior of each contact."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from acoustube.base.units import CM, MM
+from acoustube.inversion import Inversion, Library
+from acoustube.inversion.estimate import Contact
+from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
+
+SPAN = 4.0
+"""Half the width of a panel in standard deviations."""
+POINTS = 400
+
+
+def posterior_figure(found: Inversion, library: Library) -> Figure:
+    """Draw the echo along the tube with what explains it, and the distributions of each contact.
+
+    Parameters
+    ----------
+    found : Inversion
+    library : Library
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown and not saved.
+    """
+    rows = len(found.contacts)
+    sheet = Figure(figsize=(9.0, 3.2 + 2.2 * rows), layout="constrained")
+    grid = sheet.add_gridspec(1 + rows, 3, height_ratios=[1.4, *[1.0] * rows])
+    _draw_echo(sheet.add_subplot(grid[0, :]), found)
+    for row, contact in enumerate(found.contacts):
+        tool = library.tools[contact.tool].name
+        panels = [sheet.add_subplot(grid[1 + row, i]) for i in range(3)]
+        _draw_contact(panels, contact, tool)
+    return sheet
+
+
+def _draw_echo(axes: Axes, found: Inversion) -> None:
+    place = CM * found.place
+    axes.semilogy(place, np.abs(found.measured), color=ENVELOPE, lw=1.2, label="recorded")
+    axes.semilogy(place, np.abs(found.explained), color=PRESS, lw=1.0, ls="--", label="explained")
+    rest = np.abs(found.measured - found.explained)
+    axes.semilogy(place, rest, color="0.6", lw=0.8, label="not explained")
+    floor = float(np.median(rest))
+    axes.set_ylim(0.3 * floor, 2 * float(np.abs(found.measured).max()))
+    for contact in found.contacts:
+        axes.axvline(CM * contact.distance.value, color=RETURN, lw=0.8)
+    axes.set_xlabel("distance from the face (cm)")
+    axes.set_ylabel("echo without clutter (counts)")
+    words = f"misfit {found.misfit:.3g}" if found.contacts else "no contact"
+    axes.set_title(f"{len(found.contacts)} contacts, {words}", fontsize=10)
+    axes.legend(fontsize=8)
+
+
+def _draw_contact(panels: list[Axes], contact: Contact, tool: str) -> None:
+    words = f"{tool}, probability {contact.probability:.3f}"
+    quantities = (
+        (contact.distance, CM, "distance (cm)"), (contact.depth, MM, "depth (mm)"),
+        (contact.force, 1.0, "force (N)"),
+    )  # fmt: skip
+    for axes, (estimate, scale, label) in zip(panels, quantities, strict=True):
+        low, high = np.array(estimate.intervals[0.9]) * scale
+        middle, reach = scale * estimate.value, SPAN * scale * estimate.deviation
+        x = np.linspace(middle - reach, middle + reach, POINTS)
+        axes.fill_between(x, estimate.density(x / scale) / scale, color=PRESS, alpha=0.3, lw=0)
+        axes.axvspan(low, high, color=ENVELOPE, alpha=0.12, lw=0)
+        axes.axvline(middle, color=RETURN, lw=0.8)
+        axes.set_xlim(float(x[0]), float(x[-1]))
+        axes.ticklabel_format(useOffset=False)
+        axes.tick_params(labelsize=7)
+        axes.locator_params(axis="x", nbins=4)
+        axes.set_yticks([])
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel(label)
+    panels[0].set_title(words, fontsize=9, loc="left")

@@ -1,0 +1,272 @@
+"""Inversion of recordings: sensors, groups of cycles, and tables of contacts."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube import recordings
+from acoustube.base.errors import ConfigError
+from acoustube.base.report import Reporter
+from acoustube.base.rules import Number, nearest
+from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.inversion import (
+    Baseband,
+    ForwardModel,
+    Inversion,
+    Inverter,
+    Library,
+    Priors,
+    measured_clutter,
+)
+from acoustube.ranging import Rangefinder
+from acoustube.runs.config import read_document
+from acoustube.runs.sweep.dataset import rangefinder_in
+
+COLUMNS = (
+    "recording", "group", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
+    "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
+)  # fmt: skip
+USUAL_LENGTH = 2.5
+"""Length in m of a tube that neither the sensor's file nor the recording states."""
+SAME_AIR = 0.25
+"""Difference of temperatures in K up to which one model serves."""
+LENGTH = Number(1, 1000, "cm", "length of the tube")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """A rangefinder on its tube, as far as it is known.
+
+    Attributes
+    ----------
+    rangefinder : Rangefinder or None
+        None for the sleeve paper's, with the recordings' sampling rate.
+    length : float or None
+        Of the tube in m; None if only recordings state it.
+    priors : Priors
+    """
+
+    rangefinder: Rangefinder | None = None
+    length: float | None = None
+    priors: Priors = field(default_factory=Priors)
+
+
+def read_sensor(path: Path) -> Sensor:
+    """Read a sensor from a TOML file.
+
+    Parameters
+    ----------
+    path : Path
+        With ``length_cm``, the parameters of :class:`acoustube.ranging.Rangefinder`, its drive in a
+        table ``[drive]``, and standard deviations of :class:`acoustube.inversion.Priors` in a table
+        ``[priors]``.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a name or a value is wrong.
+    """
+    document = read_document(path)
+    length, priors = document.pop("length_cm", None), document.pop("priors", {})
+    known = [one.name for one in dataclasses.fields(Priors)]
+    if not isinstance(priors, dict):
+        raise ConfigError(f"{path}: priors = {priors!r} must be a section, written [priors]")
+    for name in priors:
+        if name not in known:
+            raise ConfigError(f"{path}: [priors] {name} is not known{nearest(name, known)}")
+    try:
+        metres = None if length is None else LENGTH.check("length_cm", length) / CM
+        found = Priors(**priors)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    return Sensor(rangefinder=rangefinder_in(document, path), length=metres, priors=found)
+
+
+class RecordingInverter:
+    """Inversion of recordings of one sensor, with a model for each temperature.
+
+    Parameters
+    ----------
+    library : Library
+    sensor : Sensor
+    untouched : sequence of (Path, xarray.Dataset), optional
+        Recordings of the untouched tube, for its clutter.
+    most : int
+        Largest number of contacts.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        sensor: Sensor,
+        untouched: Sequence[tuple[Path, xr.Dataset]] = (),
+        most: int = 3,
+    ) -> None:
+        self.library, self.sensor, self.most = library, sensor, most
+        self.untouched = untouched
+        self._known: dict[tuple[Any, ...], tuple[float, Inverter]] = {}
+
+    def groups(
+        self, path: Path, data: xr.Dataset, size: int, check: Callable[[], None]
+    ) -> Iterator[tuple[int, Inversion]]:
+        """Yield the number of each group of cycles of a recording, and what it tells.
+
+        Parameters
+        ----------
+        path : Path
+            File of the recording, for messages.
+        data : xarray.Dataset
+            From :func:`acoustube.recordings.read`.
+        size : int
+            Cycles of a group; the last one may have fewer.
+        check : callable
+            Called before each group, to raise an interrupt that was lost.
+
+        Raises
+        ------
+        ConfigError
+            If the recording is not one of such a sensor.
+        """
+        rangefinder = self._rangefinder(path, data)
+        signal, temperature = data["signal"], data["temperature"].values
+        for number, start in enumerate(range(0, signal.sizes["cycle"], size)):
+            check()
+            part = slice(start, start + size)
+            air = float(np.mean(temperature[part])) - rangefinder.temperature_bias
+            inverter = self._inverter(path, data, rangefinder, air)
+            yield number, inverter(signal.values[part])
+
+    def _rangefinder(self, path: Path, data: xr.Dataset) -> Rangefinder:
+        """Return the rangefinder of a recording, checked against it."""
+        rate = float(data.attrs["sampling_rate"])
+        found = self.sensor.rangefinder or dataclasses.replace(Rangefinder(), sampling_rate=rate)
+        if abs(rate / found.sampling_rate - 1) > 1e-3:
+            raise ConfigError(
+                f"{path} has {rate:g} samples per second and the sensor {found.sampling_rate:g}; "
+                "state the rate of the recordings in the file of the sensor"
+            )
+        low, high = float(data["signal"].min()), float(data["signal"].max())
+        if low < 0 or high >= 2**found.bits or high - low < 2:
+            raise ConfigError(
+                f"{path} holds samples from {low:.4g} to {high:.4g}, not counts of a converter of "
+                f"{found.bits} bits; state bits and full_scale in the file of the sensor, or "
+                "record counts"
+            )
+        return found
+
+    def _inverter(
+        self, path: Path, data: xr.Dataset, rangefinder: Rangefinder, air: float
+    ) -> Inverter:
+        """Return the inverter for a recording at a temperature in degC."""
+        key = (data.sizes["time"], length := self._length(data), rangefinder)
+        known = self._known.get(key)
+        if known is not None and abs(known[0] - air) < SAME_AIR:
+            return known[1]
+        base = self._baseband(rangefinder, length, air, data.sizes["time"])
+        self._check_band(base)
+        clutter = None
+        if self.untouched:
+            cycles, free = self._untouched(path, data, rangefinder)
+            own = self._baseband(rangefinder, length, free, data.sizes["time"])
+            clutter = measured_clutter(own, own.of_cycles(cycles), len(cycles), base)
+        model = ForwardModel(self.library, base, clutter, self.sensor.priors)
+        inverter = Inverter(model, self.most)
+        self._known[key] = air, inverter
+        return inverter
+
+    def _baseband(
+        self, rangefinder: Rangefinder, length: float, air: float, n_samples: int
+    ) -> Baseband:
+        return Baseband(
+            rangefinder, self.library.radius, length, air, self.library.modes, n_samples
+        )
+
+    def _length(self, data: xr.Dataset) -> float:
+        """Return the length of a recording's tube in m."""
+        if self.sensor.length is not None:
+            return self.sensor.length
+        if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
+            return float(data["tube_length"].values.flat[0])
+        return float(data.attrs.get("tube_length", USUAL_LENGTH))
+
+    def _check_band(self, base: Baseband) -> None:
+        """Raise if the library's band does not hold that of the rangefinder."""
+        low, high = self.library.band
+        ratio = self.library.sound_speed / base.speed
+        least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
+        if least < low or most > high:
+            raise ConfigError(
+                f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
+                f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
+                "make one with its --frequency and --temperature"
+            )
+
+    def _untouched(
+        self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
+    ) -> tuple[Any, float]:
+        """Return the untouched cycles and their temperature in degC."""
+        cycles, temperatures = [], []
+        for source, one in self.untouched:
+            if one.sizes["time"] != data.sizes["time"]:
+                raise ConfigError(
+                    f"{source} has cycles of {one.sizes['time']} samples and {path} of "
+                    f"{data.sizes['time']}; record both alike"
+                )
+            cycles.append(one["signal"].values)
+            temperatures.append(one["temperature"].values)
+        mean = float(np.mean(np.concatenate(temperatures)))
+        return np.concatenate(cycles), mean - rangefinder.temperature_bias
+
+
+def read_untouched(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:
+    """Return recordings of the untouched tube with their files.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be read.
+    """
+    found = []
+    for path, data in recordings.read_all(files, **options):
+        if isinstance(data, ConfigError):
+            raise data
+        found.append((path, data))
+    return found
+
+
+def rows_of(path: Path, group: int, found: Inversion, library: Library) -> list[list[object]]:
+    """Return a row of :data:`COLUMNS` for each contact of a group, with its number from 0."""
+    rows: list[list[object]] = []
+    for number, contact in enumerate(found.contacts):
+        estimates = (
+            (contact.distance, CM), (contact.depth, MM), (contact.force, 1.0)
+        )  # fmt: skip
+        values = [
+            f"{scale * value:.6g}"
+            for one, scale in estimates
+            for value in (one.value, one.deviation)
+        ]
+        diameter = MM * library.tools[contact.tool].diameter
+        told = f"{found.misfit:.4g}"
+        rows.append([
+            str(path), group, number, f"{contact.probability:.4f}", *values, f"{diameter:g}", told,
+        ])  # fmt: skip
+    return rows
+
+
+def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Reporter) -> None:
+    """Report groups whose echoes the library does not explain."""
+    if misfits:
+        report.note(
+            f"{path}: in {len(misfits)} of {n_groups} groups the library explains the echo to "
+            f"{PERCENT * (1 - min(max(misfits), 1.0)):.0f} to "
+            f"{PERCENT * (1 - min(min(misfits), 1.0)):.0f} % only; tube, tools, sensor or number "
+            "of contacts are not those of the library"
+        )

@@ -1,0 +1,1 @@
+"""Libraries for the inversion: `plan` (tools and depths), `build` and `files`."""

@@ -1,0 +1,366 @@
+"""Computation of libraries: presses, then scattering at depths that are bisected where it varies.
+
+A press has rows some tenths of a millimetre apart; the shapes between them are interpolated, which
+is accurate to micrometres, whereas scattering itself varies faster with depth where a lumen has
+trapped modes. Each shape is scattered on its own. Level by level the middles of all intervals are
+computed and compared with cubic splines through the depths known before; intervals whose error is
+expected to be too large after bisection too are bisected again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from acoustube.base import cache
+from acoustube.base.checks import PATH, Optional, Several, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ, MM
+from acoustube.indentation import DepthPath, PressError, restored
+from acoustube.inversion import Tool
+from acoustube.inversion.library import FEWEST_DEPTHS
+from acoustube.lumen import Lumen, pressed_part
+from acoustube.runs import presses as press_runs
+from acoustube.runs import scattering_file, sound
+from acoustube.runs.costs import press_seconds, spectral_seconds
+from acoustube.runs.library import files
+from acoustube.runs.library.plan import ToolPlan, air_in_words, depths_in_words
+from acoustube.runs.sweep.progress import Board
+from acoustube.runs.sweep.run import run_with_progress
+from acoustube.runs.sweep.tasks import Done, one_thread
+from acoustube.runs.sweep.workers import Task, Workers, count_of
+from acoustube.waves.scattering import Complex
+from acoustube.waves.spectral import SpectralScattering
+
+GAIN_OF_BISECTION = 6.0
+"""Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
+FINEST = 1 / 32
+"""Smallest distance of depths, in distances of the first ones."""
+USUAL_DEPTHS = 3.0
+"""Depths of a tool in the end, in numbers of the first ones, for estimates of time."""
+
+
+class PressRows(NamedTuple):
+    """Arrays of a press, and why it did not reach all depths; empty if it did."""
+
+    arrays: dict[str, Array]
+    stopped: str
+
+
+def press_rows(plan: ToolPlan) -> Done[PressRows]:
+    """Press a tube to the depths of a plan, or read the press from the cache."""
+    reused = cache.holds(press_runs.cache_key(plan.settings, plan.pressed))
+    try:
+        found = press_runs.press_to(plan.settings, plan.pressed)
+        return Done(PressRows(found.results, ""), reused)
+    except PressError as error:
+        return Done(PressRows(error.indentation.results, str(error)), reused)
+
+
+def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
+    """Compute the scattering of a pressed part, or read it from the cache.
+
+    In its place the reason is returned, if the solver cannot compute it.
+    """
+    name = plan.scattering_key(depth)
+    known = scattering_file.recall(name)
+    if isinstance(known, SpectralScattering):
+        return Done(known, True)
+    try:
+        with one_thread():
+            found = sound.spectral_scattering_of(
+                part, plan.settings.air, plan.band, lossy=plan.settings.lossy
+            )
+    except ConfigError as reason:
+        return Done(str(reason), False)
+    scattering_file.keep(name, found, f"library: {MM * depth:.4g} mm of {plan.words}")
+    return Done(found, False)
+
+
+class Refinement:
+    """Scattering of a tool at the depths computed so far, and the depths that it lacks.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest expected error of interpolation.
+    first : sequence of float
+        Depths in m to begin with.
+    """
+
+    def __init__(self, tolerance: float, first: Sequence[float]) -> None:
+        self.tolerance, self.first = tolerance, first
+        self.known: dict[float, SpectralScattering] = {}
+        self.errors: dict[float, float] = {}
+        self.waiting: set[float] = set(first)
+        self.deepest = np.inf
+        self.reason = ""
+        self.level: list[float] = []
+        self.least = FINEST * min(np.diff(first))
+
+    def add(self, depth: float, found: SpectralScattering) -> None:
+        """Add the scattering at a depth."""
+        self.known[depth] = found
+        self.waiting.discard(depth)
+
+    def fail(self, depth: float, reason: str) -> None:
+        """Leave out a depth that cannot be computed, and all below it."""
+        if depth < self.deepest:
+            self.deepest, self.reason = depth, reason
+        self.waiting.discard(depth)
+
+    @property
+    def depths(self) -> list[float]:
+        """Depths computed so far, above those that failed, rising."""
+        return sorted(d for d in self.known if d < self.deepest)
+
+    def next(self) -> list[float]:
+        """Return the depths of the next level, once all of this one are known; none at the end.
+
+        The middles of the last level are compared with the spline through the depths before it.
+        """
+        depths = self.depths
+        middles = [d for d in depths if d in self.errors]
+        if len(depths) < FEWEST_DEPTHS:
+            return []
+        if not middles:
+            wanted = list(itertools.pairwise(depths))
+        else:
+            self._measure([d for d in middles if np.isnan(self.errors[d])])
+            wanted = [
+                (a, b)
+                for a, b in itertools.pairwise(depths)
+                if self._new(a) or self._new(b)
+                if max(self._of(a), self._of(b)) > GAIN_OF_BISECTION * self.tolerance
+                if b - a > 1.5 * self.least
+            ]
+        self.level = [round((a + b) / 2, 12) for a, b in wanted]
+        self.waiting = set(self.level)
+        self.errors |= dict.fromkeys(self.level, np.nan)
+        return self.level
+
+    def _new(self, depth: float) -> bool:
+        return depth in self.level
+
+    def _of(self, depth: float) -> float:
+        return self.errors.get(depth, 0.0) if self._new(depth) else 0.0
+
+    def _measure(self, middles: Sequence[float]) -> None:
+        """Measure the errors of interpolation at new depths."""
+        before = [d for d in self.depths if d not in middles]
+        spline = CubicSpline(before, np.array([self.known[d].s for d in before]))
+        for depth in middles:
+            self.errors[depth] = deviation(spline(depth), self.known[depth].s)
+
+    def between(self) -> Array:
+        """Return the expected error of interpolation between each depth and the next."""
+        found = []
+        for a, b in zip(self.depths, self.depths[1:], strict=False):
+            inner = [self.errors[d] for d in (a, b) if d in self.errors]
+            found.append(max(inner, default=np.nan) / GAIN_OF_BISECTION)
+        table = np.array(found)
+        return np.where(np.isnan(table), np.nanmax(table, initial=0.0), table)
+
+
+def deviation(found: Complex, exact: Complex) -> float:
+    """Return the error of scattering matrices, (n_f, 2, m, 2, m), over the band.
+
+    The rms difference of the plane wave's reflection relative to its rms, or that of its
+    transmission if it is larger.
+    """
+    plane = np.sqrt(np.mean(np.abs((found - exact)[:, :, 0, 0, 0]) ** 2, axis=0))
+    return float(max(plane[0] / np.sqrt(np.mean(np.abs(exact[:, 0, 0, 0, 0]) ** 2)), plane[1]))
+
+
+@checked(
+    plans=Several(ToolPlan, 1),
+    out=PATH,
+    workers=Optional(Number(1, 1024, "processes", whole=True)),
+)
+def build_library(
+    plans: Sequence[ToolPlan],
+    out: str | Path,
+    *,
+    report: Reporter = SILENT,
+    workers: int | Workers | None = None,
+) -> bool:
+    """Compute the tools that a folder lacks.
+
+    Parameters
+    ----------
+    plans : sequence of ToolPlan
+        From :func:`acoustube.runs.library.plan.tool_plans`.
+    out : str or Path
+        A folder, new or of a library.
+    report : Reporter
+        Receives messages and progress.
+    workers : int or Workers, optional
+        Number of processes, by default that of the cores; or an existing pool.
+
+    Returns
+    -------
+    bool
+        Whether every tool is complete.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be used.
+    """
+    started = time.perf_counter()
+    folder = files.prepared(out)
+    todo = [plan for plan in plans if not files.is_finished(folder / plan.name)]
+    count = count_of(workers)
+    costs = [_cost(plan) for plan in todo]
+    report.title("a library")
+    report.rows([
+        ("tools", "\n".join(f"{plan.words}" for plan in plans)),
+        ("depths", depths_in_words(plans[0])),
+        ("band", "{:g} to {:g} kHz".format(*(KHZ * edge for edge in plans[0].band))),
+        ("air", air_in_words(plans[0].settings)),
+        ("expected", (f"{time_in_words(sum(map(sum, costs)) / count)} on {count} workers; "
+                     f"{len(plans) - len(todo)} of {len(plans)} tools finished")),
+    ])  # fmt: skip
+    failed: list[str] = []
+    if todo:
+        with watched_interrupts() as check, report.progress(check) as show:
+            totals = {
+                "press": (len(todo), sum(cost[0] for cost in costs)),
+                "scattering": (int(USUAL_DEPTHS * sum(len(p.first) for p in todo)),
+                               sum(cost[1] for cost in costs)),
+            }  # fmt: skip
+            board = Board(totals, count, show)
+            tools = [_Builder(plan, folder, board, report, failed) for plan in todo]
+            try:
+                run_with_progress([t.press() for t in tools], board, workers=workers)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    "interrupted; presses and scattering matrices are in the cache, run the same "
+                    "command again to go on"
+                ) from None
+    for reason in failed:
+        report.failure(reason)
+    report.line(f"Written to {folder} in {time_in_words(time.perf_counter() - started)}.")
+    return not failed
+
+
+def _cost(plan: ToolPlan) -> tuple[float, float]:
+    """Return the expected seconds of a tool's press and of its scattering."""
+    matrix = spectral_seconds(plan.settings)
+    return press_seconds(plan.settings, plan.pressed[-1]), USUAL_DEPTHS * len(plan.first) * matrix
+
+
+class _Builder:
+    """Tasks of one tool: its press, its matrices level by level, and its file."""
+
+    def __init__(
+        self, plan: ToolPlan, folder: Path, board: Board, report: Reporter, failed: list[str]
+    ) -> None:
+        self.plan, self.folder, self.board, self.report = plan, folder, board, report
+        self.failed = failed
+        self.path: DepthPath | None = None
+        self.refinement = Refinement(plan.tolerance, plan.first)
+        self.expected = int(USUAL_DEPTHS * len(plan.first))
+
+    def press(self) -> Task:
+        """Return the task of the press."""
+        cost = press_seconds(self.plan.settings, self.plan.pressed[-1])
+
+        def then(done: Done[PressRows]) -> list[Task]:
+            self.board.count("press", cost, reused=done.reused)
+            settings, (arrays, stopped) = self.plan.settings, done.result
+            reached = [d for d in self.plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
+            if stopped:
+                self.report.note(f"{self.plan.words}: {stopped}")
+            if len(reached) < FEWEST_DEPTHS:
+                return self._give_up(f"too few depths were reached ({stopped})")
+            self.path = DepthPath(
+                restored(
+                    settings.tube, settings.indenter, arrays, support=settings.support,
+                    layer=settings.layer, mesh=settings.mesh,
+                )
+            )  # fmt: skip
+            self.refinement = Refinement(self.plan.tolerance, reached)
+            return self._scatter(reached)
+
+        return Task("press", press_rows, (self.plan,), then, self._failed("press", cost), cost)
+
+    def _scatter(self, depths: Sequence[float]) -> list[Task]:
+        """Return the tasks of a level of depths."""
+        assert self.path is not None
+        n, cost = self.board.totals["scattering"]
+        short = len(self.refinement.known) + len(depths) - self.expected
+        if short > 0:  # finer than is usual
+            self.expected += short
+            more = short * spectral_seconds(self.plan.settings)
+            self.board.totals["scattering"] = (n + short, cost + more)
+            self.board.left += more
+        return [self._matrix(d, pressed_part(self.path.at([d]))) for d in sorted(depths)]
+
+    def _matrix(self, depth: float, part: Lumen) -> Task:
+        cost = spectral_seconds(self.plan.settings)
+
+        def then(done: Done[SpectralScattering | str]) -> list[Task]:
+            self.board.count("scattering", cost, reused=done.reused)
+            if isinstance(done.result, str):
+                self.refinement.fail(depth, done.result)
+            else:
+                self.refinement.add(depth, done.result)
+            return [] if self.refinement.waiting else self._go_on()
+
+        arguments = self.plan, depth, part
+        failed = self._failed("scattering", cost)
+        return Task("scattering", scattering_at, arguments, then, failed, cost)
+
+    def _go_on(self) -> list[Task]:
+        """Return the tasks of the next level of depths; at the end write the tool."""
+        depths = self.refinement.next()
+        if depths:
+            return self._scatter(depths)
+        if len(self.refinement.depths) < FEWEST_DEPTHS:
+            return self._give_up(self.refinement.reason)
+        if self.refinement.reason:
+            last = MM * self.refinement.depths[-1]
+            self.report.note(f"{self.plan.words} ends at {last:.4g} mm: {self.refinement.reason}")
+        files.write_tool(self.folder / self.plan.name, self._tool(), self.plan)
+        self.board.left -= spectral_seconds(self.plan.settings) * max(
+            self.expected - len(self.refinement.known), 0
+        )
+        return []
+
+    def _tool(self) -> Tool:
+        """Return the tool at the depths computed."""
+        assert self.path is not None
+        settings, refinement = self.plan.settings, self.refinement
+        depths = np.array(refinement.depths)
+        found = [refinement.known[d] for d in refinement.depths]
+        return Tool(
+            shape=settings.indenter.shape, diameter=settings.indenter.diameter,
+            radius=settings.radius, depth=depths, force=self.path.contact_force(depths),
+            force_error=self.path.error(depths).contact_force,
+            frequency=np.asarray(found[0].frequency, float), modes=found[0].modes,
+            s=np.array([one.s for one in found], np.complex64),
+            error=np.array([one.typical_error for one in found]),
+            interpolation_error=refinement.between(), sound_speed=settings.air.sound_speed,
+        )  # fmt: skip
+
+    def _give_up(self, reason: str) -> list[Task]:
+        self.failed.append(f"{self.plan.words}: {reason}")
+        return []
+
+    def _failed(self, stage: str, cost: float) -> Callable[[str], None]:
+        def failed(reason: str) -> None:
+            self.board.count(stage, cost)
+            self._give_up(reason)
+
+        return failed

@@ -1,0 +1,157 @@
+"""Folders of libraries: a netCDF file for each tool, complete and sealed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.checks import PATH, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.files import check_out, check_writable
+from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import open_result
+from acoustube.base.netcdf import Seal, seal_of, to_netcdf, variable
+from acoustube.base.remnants import ASIDE
+from acoustube.base.version import __version__
+from acoustube.base.writing import write
+from acoustube.inversion import Library, Tool
+from acoustube.runs.library.plan import ToolPlan
+
+PATTERN = "tool-*.nc"
+ADVICE = "make one with acoustube library"
+FAILURE = "is not a file of this version's acoustube library"
+
+
+def prepared(out: str | Path) -> Path:
+    """Return the folder of a library, new or one to go on with.
+
+    Raises
+    ------
+    ConfigError
+        If it holds something else, or cannot be written.
+    """
+    folder = Path(out).expanduser().resolve()
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    if not names or not all(Path(name).match(PATTERN) or name.startswith(ASIDE) for name in names):
+        folder = check_out(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    check_writable(folder)
+    return folder
+
+
+def is_finished(path: Path) -> bool:
+    """Return whether a tool's file is there and intact."""
+    return path.is_file() and seal_of(path) is Seal.INTACT
+
+
+def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
+    """Write the file of a tool atomically, compressed and sealed."""
+    data = to_dataset(tool, plan)
+    large = [name for name, v in data.variables.items() if v.size > 1000]
+    packed = {"zlib": True, "complevel": 1, "shuffle": True}
+    write(path, to_netcdf(data, dict.fromkeys(large, packed)), overwrite=True)
+
+
+def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
+    """Return a tool with its coordinates and its origin as a dataset."""
+    dims = "depth frequency port_out mode_out port_in mode_in"
+    what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
+    real, imaginary = (part.astype(np.float32) for part in (tool.s.real, tool.s.imag))
+    variables = {
+        "s_real": variable(dims, real, "1", f"real part of the {what}"),
+        "s_imag": variable(dims, imaginary, "1", f"imaginary part of the {what}"),
+        "force": variable("depth", tool.force, "N", "force of the tool on the tube"),
+        "force_error": variable("depth", tool.force_error, "N", "estimated error of the force"),
+        "error": variable("depth", tool.error, "1", "estimated error of the coefficients"),
+        "interpolation_error": variable(
+            "depth", np.append(tool.interpolation_error, 0.0), "1",
+            "estimated relative rms error of interpolation from each depth to the next",
+        ),
+    }  # fmt: skip
+    modes = "nodal diameters, nodal circles; c: symmetric about x = 0"
+    coordinates: dict[str, Any] = {
+        "depth": variable("depth", tool.depth, "m", "indentation depth from first contact"),
+        "frequency": variable("frequency", tool.frequency, "Hz", "frequency"),
+    }
+    for name in ("in", "out"):
+        coordinates[f"port_{name}"] = variable(f"port_{name}", [1, 2], "1", "1: low z, 2: high z")
+        coordinates[f"mode_{name}"] = variable(f"mode_{name}", list(tool.modes), "1", modes)
+    origin = {
+        "title": "Scattering of a tool over depth",
+        "acoustube_version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "time_convention": "exp(+j omega t)",
+        "solver": "spectral",
+        "shape": tool.shape,
+        "diameter": tool.diameter,
+        "inner_diameter": 2 * tool.radius,
+        "sound_speed": tool.sound_speed,
+        "tolerance": plan.tolerance,
+        "configuration": json.dumps(asdict(plan.config), sort_keys=True),
+    }
+    return xr.Dataset(variables, coordinates, origin)
+
+
+def from_dataset(data: xr.Dataset) -> Tool:
+    """Return the tool in a dataset of :func:`to_dataset`.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If it is another dataset.
+    """
+    s = np.empty(data["s_real"].shape, np.complex64)
+    s.real, s.imag = data["s_real"].values, data["s_imag"].values
+    columns: dict[str, Any] = {
+        name: data[name].values.astype(float)
+        for name in ("depth", "frequency", "force", "force_error", "error")
+    }
+    between = data["interpolation_error"].values.astype(float)[:-1]
+    for name, values in (*columns.items(), ("s", s.view(np.float32)), ("error", between)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds values that are not finite")
+    return Tool(
+        **columns, s=s, interpolation_error=between,
+        modes=tuple(str(name) for name in data["mode_in"].values),
+        shape=str(data.attrs["shape"]), diameter=float(data.attrs["diameter"]),
+        radius=float(data.attrs["inner_diameter"]) / 2,
+        sound_speed=float(data.attrs["sound_speed"]),
+    )  # fmt: skip
+
+
+@checked(path=PATH)
+def open_library(path: str | Path) -> Library:
+    """Read a library that ``acoustube library`` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        Its folder, or the file of one tool.
+
+    Returns
+    -------
+    Library
+        Tools in the order of their diameters.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, a file is damaged, or the tools do not go together.
+    """
+    found = Path(path)
+    if not found.exists():
+        raise ConfigError(f"{path} does not exist; {ADVICE}")
+    files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]
+    if not files:
+        raise ConfigError(f"{path} holds no tool of a library; {ADVICE}")
+    tools = []
+    for file in files:
+        with reading(file, FAILURE, ADVICE):
+            tools.append(from_dataset(open_result(file, ADVICE, FAILURE)))
+    return Library(tuple(sorted(tools, key=lambda tool: (tool.shape, tool.diameter))))

@@ -1,0 +1,168 @@
+"""Tools of a library, and the depths at which they press and scatter."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+
+from acoustube.air import air_at
+from acoustube.base import cache
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import MM
+from acoustube.inversion.library import FEWEST_DEPTHS
+from acoustube.runs import presses as press_runs
+from acoustube.runs import sound
+from acoustube.runs.config import Config
+from acoustube.runs.config.si import SISettings
+from acoustube.runs.sweep.graph import LoadPath, load_paths
+from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.run import cases_of
+
+BAND = 0.8, 1.2
+"""Ends of a library's band in carriers: that of a resonant transducer, at temperatures 25 K apart
+from the library's."""
+WIDEST_STEP = 1 / 16
+"""Largest distance of the depths of a press, in bores: closer shapes can be interpolated."""
+ROUNDING = 1e-9
+"""Depths in m are rounded to so much, so that equal ones have equal names."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolPlan:
+    """One tube under one tool, and where it is pressed and scatters.
+
+    Attributes
+    ----------
+    config : Config
+        Settings of its first depth.
+    settings : SISettings
+        The same in SI units.
+    pressed : tuple of float
+        Depths of the press in m, from near first contact.
+    first : tuple of float
+        Depths in m at which scattering is computed first.
+    tolerance : float
+        Error of interpolated scattering from which the depths are refined.
+    """
+
+    config: Config
+    settings: SISettings
+    pressed: tuple[float, ...]
+    first: tuple[float, ...]
+    tolerance: float
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency in Hz."""
+        low, high = (edge * self.settings.pulse.frequency for edge in BAND)
+        return low, high
+
+    @property
+    def words(self) -> str:
+        """The tool and the tube in words."""
+        settings = replace(self.settings, depth=self.first[-1])
+        return f"{press_runs.press_in_words(settings)}; {press_runs.wall_in_words(settings)}"
+
+    def scattering_key(self, depth: float) -> str:
+        """Return the name in the cache of the scattering at a depth in m."""
+        settings = self.settings
+        return cache.key(
+            "scattering",
+            {
+                "library": press_runs.cache_key(settings, self.pressed),
+                "depth": round(depth, 12),
+                "band": list(self.band),
+                "step": sound.FREQUENCY_STEP,
+                "air": [settings.temperature, settings.humidity, settings.pressure],
+                "lossy": settings.lossy,
+            },
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the tool's file: a hash of all that it depends on, but for the solvers' code."""
+        settings, sound_of = self.settings, self.config.waves
+        content = {
+            "tube": {n: v for n, v in asdict(settings.tube).items() if n != "length"},
+            "indenter": asdict(settings.indenter), "support": settings.support,
+            "layer": settings.layer and asdict(settings.layer), "mesh": asdict(settings.mesh),
+            "pressed": list(self.pressed), "first": list(self.first), "band": list(self.band),
+            "tolerance": self.tolerance, "air": [settings.temperature, settings.humidity,
+            settings.pressure], "losses": sound_of.losses,
+        }  # fmt: skip
+        return f"tool-{sha256(_json(content)).hexdigest()[:16]}.nc"
+
+
+def _json(content: object) -> bytes:
+    return json.dumps(content, sort_keys=True).encode()
+
+
+def tool_plans(
+    over: Mapping[str, Sequence[str]], tolerance: float, path: str | Path | None = None
+) -> list[ToolPlan]:
+    """Return the tools that settings describe.
+
+    Parameters
+    ----------
+    over : mapping of str to sequence of str
+        Settings with their values or ranges, as :func:`acoustube.runs.sweep.plan.load_plan` takes
+        them; all combinations but those of the depths are tools.
+    tolerance : float
+    path : str or Path, optional
+        TOML file with further settings.
+
+    Raises
+    ------
+    ConfigError
+        If a setting is wrong, or a tool has too few depths.
+    """
+    plan = load_plan(path, {**over, "method": ["spectral"]})
+    return [_tool(load_path, tolerance) for load_path in load_paths(cases_of(plan))]
+
+
+def _tool(path: LoadPath, tolerance: float) -> ToolPlan:
+    config, settings = path.groups[0].cases[0].config, path.settings
+    if settings.surface is not None:
+        raise ConfigError("a library is of round tubes; leave out the surface")
+    if len(path.depths) < FEWEST_DEPTHS:
+        raise ConfigError(
+            f"a library needs {FEWEST_DEPTHS} or more depths of a tool; give a range such as "
+            "--depth 1:8:0.25"
+        )
+    widest = WIDEST_STEP * settings.tube.inner_diameter
+    asked = np.array(path.depths)
+    step = min(widest, float(np.diff(asked).min()))
+    before = np.arange(asked[0] - step, 0.5 * step, -step)[::-1]
+    rows = _divided(np.concatenate([before, asked]), widest)
+    pressed = tuple(float(d) for d in rows)
+    first = tuple(d for d in pressed if d >= asked[0] - ROUNDING)
+    return ToolPlan(config, settings, pressed, first, tolerance)
+
+
+def _divided(depths: Array, widest: float) -> Array:
+    """Return rising depths with others evenly between those that are far apart, rounded."""
+    parts = [
+        np.linspace(a, b, ceil((b - a) / widest - 1e-6) + 1)[:-1]
+        for a, b in itertools.pairwise(depths)
+    ]
+    found = np.concatenate([*parts, depths[-1:]])
+    return np.asarray(np.round(found / ROUNDING) * ROUNDING)
+
+
+def air_in_words(settings: SISettings) -> str:
+    """Return the air in words."""
+    air = air_at(settings.temperature, humidity=settings.humidity, pressure=settings.pressure)
+    return f"{settings.temperature:g} degC, {air.sound_speed:.2f} m/s"
+
+
+def depths_in_words(plan: ToolPlan) -> str:
+    """Return the range of depths in words."""
+    return f"{MM * plan.first[0]:g} to {MM * plan.first[-1]:g} mm, {len(plan.pressed)} presses"

@@ -1,0 +1,134 @@
+"""Libraries of scattering over depth: their refinement, their files and their command."""
+
+import numpy as np
+import pytest
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.runs.library import files
+from acoustube.runs.library.build import Refinement, deviation
+from acoustube.runs.library.plan import tool_plans
+from tests.commands import run_here
+
+
+class Matrix:
+    """Scattering with a resonance that sinks with depth, ever faster."""
+
+    def __init__(self, depth: float) -> None:
+        f = np.linspace(0.8, 1.2, 169)[:, None, None, None, None]
+        d = 1e3 * depth
+        resonance = 1 / (1 + 150j * (f - 1.1 + 8e-4 * d**3))
+        self.s = np.ones((1, 2, 1, 2, 1)) * (0.003 * d**2 * (1 + resonance) * np.exp(-5j * f))
+
+
+def refined(tolerance):
+    first = np.arange(1, 7.01, 0.25) * 1e-3
+    found = Refinement(tolerance, [float(d) for d in first])
+    level = list(first)
+    while level:
+        for depth in level:
+            found.add(float(depth), Matrix(depth))
+        level = found.next()
+    return found
+
+
+@pytest.mark.parametrize("tolerance", [0.05, 0.005])
+def test_splines_over_refined_depths_meet_the_tolerance(tolerance):
+    from scipy.interpolate import CubicSpline
+
+    found = refined(tolerance)
+    depths: Array = np.array(found.depths)
+    spline = CubicSpline(depths, np.array([found.known[d].s for d in found.depths]))
+    between = np.random.default_rng(0).uniform(depths[0], depths[-1], 60)
+    errors = np.array([deviation(spline(d), Matrix(d).s) for d in between])
+    # The expectation of bisection is for the middle of an interval that is resolved.
+    assert np.median(errors) < 0.3 * tolerance
+    assert errors.max() < 2 * tolerance
+    assert len(depths) > 1.5 * len(refined(0.2).depths) if tolerance < 0.01 else len(depths) < 100
+    told = found.between()[np.searchsorted(depths, between) - 1]
+    assert np.mean(errors < 2 * told + 1e-4) > 0.85
+
+
+def test_depths_are_finest_where_scattering_varies_fastest():
+    depths = np.array(refined(0.005).depths)
+    steps = np.diff(depths)
+    assert steps[depths[:-1] > 5.5e-3].mean() < 0.5 * steps[depths[:-1] < 2.5e-3].mean()
+
+
+def test_depth_that_fails_ends_the_tool_there():
+    found = Refinement(0.01, [1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3])
+    for depth in found.first:
+        if depth < 5.5e-3:
+            found.add(depth, Matrix(depth))
+        else:
+            found.fail(depth, "too narrow")
+    assert not found.waiting
+    assert max(found.next()) < 5e-3
+    assert found.depths[-1] == 5e-3
+    assert found.reason == "too narrow"
+
+
+def test_plans_are_all_combinations_but_those_of_depths():
+    plans = tool_plans({"indenter_mm": ["10", "25"], "depth_mm": ["1:3:0.5"]}, 0.01)
+    assert [plan.settings.indenter.diameter for plan in plans] == [10e-3, 25e-3]
+    assert len({plan.name for plan in plans}) == 2
+    for plan in plans:
+        assert plan.first[0] == pytest.approx(1e-3)
+        assert plan.first[-1] == pytest.approx(3e-3)
+        # Rows before the first depth, and none farther apart than a sixteenth of the bore.
+        assert plan.pressed[0] < 0.6e-3
+        assert np.diff(plan.pressed).max() <= 7.9e-3 / 16 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--indenter", 25, "--depth", 3], "needs 4 or more depths"),
+        (["--indenter", 25, "--depth", "1:60:1"], "depth_mm"),
+        (["--indenter", 25, "--depth", "1:3"], "first:last:step|range without a step"),
+        (["--indenter", 25, "--tolerance", 2], "tolerance"),
+    ],
+)
+def test_wrong_plan_is_one_sentence(tmp_path, words, reason):
+    import re
+
+    done = run_here("library", *words, "--out", tmp_path / "lib")
+    assert done.returncode == 2
+    assert re.search(reason, done.stderr)
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "lib").exists()
+
+
+def test_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    done = run_here("library", "--depth", "1:3:0.5", "--out", tmp_path)
+    assert done.returncode == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.slow
+def test_library_is_that_of_presses_to_its_depths(tmp_path):
+    """On a coarse mesh: forces rise, and the second time nothing is computed again."""
+    settings = tmp_path / "coarse.toml"
+    settings.write_text('[indentation]\nmesh = "coarse"\n')
+    words = ["library", "--config", settings, "--indenter", 25, "--depth", "0.8:2:0.4",
+             "--workers", 1, "--out", tmp_path / "lib"]  # fmt: skip
+    done = run_here(*words)
+    assert done.returncode == 0, done.stderr
+    library = files.open_library(tmp_path / "lib")
+    (tool,) = library.tools
+    assert tool.name == "25 mm rod"
+    assert np.all(np.diff(tool.force) > 0)
+    again = run_here(*words)
+    assert "1 of 1 tools finished" in again.stdout
+    assert library.modes == ("00", "11c", "21c")
+
+
+def test_damaged_or_foreign_library_is_one_sentence(tmp_path):
+    with pytest.raises(ConfigError, match="does not exist"):
+        files.open_library(tmp_path / "none")
+    with pytest.raises(ConfigError, match="holds no tool"):
+        files.open_library(tmp_path)
+    (tmp_path / "tool-1.nc").write_bytes(b"not a file of HDF5")
+    with pytest.raises(ConfigError, match="acoustube library"):
+        files.open_library(tmp_path)
