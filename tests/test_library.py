@@ -5,9 +5,9 @@ import pytest
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
-from acoustube.runs.library import files
-from acoustube.runs.library.build import Refinement, deviation
-from acoustube.runs.library.plan import tool_plans
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.build import Refinement, deviation
+from acoustube.runs.libraries.plan import tool_plans
 from tests.commands import run_here
 
 

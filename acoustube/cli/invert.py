@@ -69,7 +69,7 @@ def invert(
     check_files(out=out, figure=figure)
     from acoustube import recordings
     from acoustube.runs import inversion
-    from acoustube.runs.library.files import open_library
+    from acoustube.runs.libraries.files import open_library
     from acoustube.runs.recordings import opened
 
     options = dataclasses.asdict(recording)

@@ -69,8 +69,8 @@ def library(
     over = {name: words for name, words in settings_of(tools).items() if words is not None}
     over.setdefault("depth_mm", ["1:7.5:0.25"])
 
-    from acoustube.runs.library.build import build_library
-    from acoustube.runs.library.plan import tool_plans
+    from acoustube.runs.libraries.build import build_library
+    from acoustube.runs.libraries.plan import tool_plans
 
     plans = tool_plans(over, accuracy.tolerance, config)
     report = ConsoleReporter(output.console())

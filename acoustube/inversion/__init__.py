@@ -1,6 +1,6 @@
 """Waveform inversion: number, places, depths and forces of presses from the whole echo.
 
-Reading order: `library` (scattering of tools over depth) and `tables` (its interpolation),
+Reading order: `tools` (scattering of tools over depth) and `tables` (its interpolation),
 `network` (presses joined by straight tube), `baseband` and `clutter` (the rangefinder and its
 tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates), `hypotheses`
 (sets of presses) and `estimate` (their posterior).
@@ -9,8 +9,8 @@ tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, measured_clutter, unknown_clutter
 from acoustube.inversion.estimate import Contact, Estimate, Inversion, Inverter
-from acoustube.inversion.library import Library, Tool
 from acoustube.inversion.model import ForwardModel, Priors
+from acoustube.inversion.tools import Library, Tool
 
 __all__ = [
     "Baseband", "Clutter", "Contact", "Estimate", "ForwardModel", "Inversion", "Inverter",

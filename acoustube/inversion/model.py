@@ -12,9 +12,9 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, unknown_clutter
-from acoustube.inversion.library import Library
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.tables import Matrices, ToolTable
+from acoustube.inversion.tools import Library
 from acoustube.waves.scattering import Complex
 
 MOST_MODES = 3
@@ -82,7 +82,7 @@ class ForwardModel:
         clutter: Clutter | None = None,
         priors: Priors | None = None,
     ) -> None:
-        self.library, self.base, self.priors = library, base, priors or Priors()
+        self.tool_library, self.base, self.priors = library, base, priors or Priors()
         self.clutter = clutter or unknown_clutter(base)
         modes = min(len(library.modes), MOST_MODES)
         # Where the air is warmer, sound of a frequency has the wavelength of a lower one.

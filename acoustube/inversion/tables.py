@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import spline_filter1d
 
 from acoustube.base.types import Array
-from acoustube.inversion.library import Tool
+from acoustube.inversion.tools import Tool
 from acoustube.waves.scattering import Complex
 
 

@@ -109,7 +109,7 @@ class RecordingInverter:
         untouched: Sequence[tuple[Path, xr.Dataset]] = (),
         most: int = 3,
     ) -> None:
-        self.library, self.sensor, self.most = library, sensor, most
+        self.tool_library, self.sensor, self.most = library, sensor, most
         self.untouched = untouched
         self._known: dict[tuple[Any, ...], tuple[float, Inverter]] = {}
 
@@ -176,7 +176,7 @@ class RecordingInverter:
             cycles, free = self._untouched(path, data, rangefinder)
             own = self._baseband(rangefinder, length, free, data.sizes["time"])
             clutter = measured_clutter(own, own.of_cycles(cycles), len(cycles), base)
-        model = ForwardModel(self.library, base, clutter, self.sensor.priors)
+        model = ForwardModel(self.tool_library, base, clutter, self.sensor.priors)
         inverter = Inverter(model, self.most)
         self._known[key] = air, inverter
         return inverter
@@ -185,7 +185,7 @@ class RecordingInverter:
         self, rangefinder: Rangefinder, length: float, air: float, n_samples: int
     ) -> Baseband:
         return Baseband(
-            rangefinder, self.library.radius, length, air, self.library.modes, n_samples
+            rangefinder, self.tool_library.radius, length, air, self.tool_library.modes, n_samples
         )
 
     def _length(self, data: xr.Dataset) -> float:
@@ -198,8 +198,8 @@ class RecordingInverter:
 
     def _check_band(self, base: Baseband) -> None:
         """Raise if the library's band does not hold that of the rangefinder."""
-        low, high = self.library.band
-        ratio = self.library.sound_speed / base.speed
+        low, high = self.tool_library.band
+        ratio = self.tool_library.sound_speed / base.speed
         least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
         if least < low or most > high:
             raise ConfigError(

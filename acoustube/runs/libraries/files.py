@@ -21,7 +21,7 @@ from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.inversion import Library, Tool
-from acoustube.runs.library.plan import ToolPlan
+from acoustube.runs.libraries.plan import ToolPlan
 
 PATTERN = "tool-*.nc"
 ADVICE = "make one with acoustube library"

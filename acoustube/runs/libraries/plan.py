@@ -17,7 +17,7 @@ from acoustube.base import cache
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import MM
-from acoustube.inversion.library import FEWEST_DEPTHS
+from acoustube.inversion.tools import FEWEST_DEPTHS
 from acoustube.runs import presses as press_runs
 from acoustube.runs import sound
 from acoustube.runs.config import Config

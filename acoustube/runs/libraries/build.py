@@ -28,13 +28,13 @@ from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MM
 from acoustube.indentation import DepthPath, PressError, restored
 from acoustube.inversion import Tool
-from acoustube.inversion.library import FEWEST_DEPTHS
+from acoustube.inversion.tools import FEWEST_DEPTHS
 from acoustube.lumen import Lumen, pressed_part
 from acoustube.runs import presses as press_runs
 from acoustube.runs import scattering_file, sound
 from acoustube.runs.costs import press_seconds, spectral_seconds
-from acoustube.runs.library import files
-from acoustube.runs.library.plan import ToolPlan, air_in_words, depths_in_words
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import ToolPlan, air_in_words, depths_in_words
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.tasks import Done, one_thread
@@ -199,7 +199,7 @@ def build_library(
     Parameters
     ----------
     plans : sequence of ToolPlan
-        From :func:`acoustube.runs.library.plan.tool_plans`.
+        From :func:`acoustube.runs.libraries.plan.tool_plans`.
     out : str or Path
         A folder, new or of a library.
     report : Reporter
