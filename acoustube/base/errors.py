@@ -50,7 +50,8 @@ class ConfigError(ValueError):
     ) -> None:
         given = f"{short(value)} {unit}".rstrip()
         sentence = reason if setting is None else f"{setting} = {given} {reason}"
-        super().__init__(sentence if advice is None else f"{sentence}; {advice}")
+        whole = sentence if advice is None else f"{sentence}; {advice}"
+        super().__init__(readable(whole))  # it may name a file of any length
         self.setting, self.value = setting, value
         self.allowed, self.advice = allowed, advice
 
