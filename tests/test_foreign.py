@@ -19,7 +19,7 @@ from commands import run_here
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acoustube import recordings, signals
+from acoustube import estimation, recordings, signals
 from acoustube.base.console import ConsoleReporter, plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
@@ -65,6 +65,14 @@ def test_reader_that_does_not_end_is_stopped():
     assert spent < 8
 
 
+@pytest.mark.parametrize("content", [b"", bytes(1000), b"hello", b"\x02\x50" + b"\xff" * 1000])
+def test_markers_of_another_content_are_refused(tmp_path, content):
+    pytest.importorskip("ezc3d", reason="needs ezc3d (acoustube[c3d])")
+    (tmp_path / "a.c3d").write_bytes(content)
+    with pytest.raises(ConfigError, match=r"a\.c3d cannot be read as markers .*: export it again"):
+        read_markers(tmp_path / "a.c3d")
+
+
 def test_dataset_that_claims_more_than_the_limit_is_not_read(tmp_path, monkeypatch):
     """Of 600 MB, none of which is in the file."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -83,6 +91,16 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
     (tmp_path / "settings.toml").symlink_to("/dev/zero")
     with pytest.raises(ConfigError, match="is a device, not a file; name a file"):
         read_document(tmp_path / "settings.toml")
+    os.mkfifo(tmp_path / "plan.toml")
+    for words in (
+        ("simulate", "--config", "/dev/zero"), ("sweep", "--plan", "plan.toml", "--dry-run"),
+        ("process", "q.csv"), ("scatter", "q.csv", "--out", "s.nc"),
+        ("sleeve", "q.csv", "--loops", "9"),
+        ("live", "--port", "none", "--calibration", "plan.toml"),
+    ):  # fmt: skip
+        told = run_here(*words)
+        assert told.returncode == 2
+        assert re.search(r"is (a (device|pipe)\b.*, )?not a file", told.stderr), told.stderr
 
 
 def sparse(path, size):
@@ -154,6 +172,21 @@ def test_encrypted_or_oddly_compressed_members_are_refused(tmp_path, offset, con
     path = archive(tmp_path / "a.npz", {"signal.npy": header((3, 4)) + bytes(24)})
     with pytest.raises(ConfigError, match=rf"a\.npz cannot be read as NPZ .*{words}"):
         read(changed(path, offset, content))
+
+
+@pytest.mark.parametrize(
+    ("header_of", "change", "words"),
+    [
+        (header((3, 4)), (8, b"\x01"), "encrypted"),
+        (header((3, 4)), (10, b"\x63"), "compression"),
+        (header((1_000_000, 4000)), (0, b"P"), "header declares 8000000000 bytes and has 152"),
+        (header((), "<f8"), (0, b"P"), "its header holds no settings"),
+    ],
+)
+def test_archives_that_are_no_models_are_refused(tmp_path, header_of, change, words):
+    path = archive(tmp_path / "a.model", {"header.npy": header_of + bytes(24)})
+    with pytest.raises(ConfigError, match=rf"a\.model is not a model .*{words}.*; acoustube train"):
+        estimation.load(changed(path, *change))
 
 
 def test_many_members_and_long_names_are_refused(tmp_path):
@@ -268,6 +301,22 @@ def test_nonsense_in_a_sidecar_is_a_sentence(tmp_path, text, words):
         recordings.read(tmp_path / "a.npz")
     assert words in str(caught.value)
     assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 20_000, "a.json cannot be read (it is nested too deeply); correct it"),
+        ('{"channel": 1' + "0" * 400 + "}", "channel is an integer of more than 64 bits"),
+        ('{"sampling_rate_hz": [[1], [2, 3]]}', "sampling rate is not a number; give one"),
+    ],
+)
+def test_nonsense_in_a_sidecar_in_json_is_a_sentence(tmp_path, text, words):
+    np.savez(tmp_path / "a.npz", signal=np.eye(3, 4), fs=2e5, temperature=20.0)
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        recordings.read(tmp_path / "a.npz")
+    assert words in str(caught.value)
 
 
 CALIBRATION = Calibration(

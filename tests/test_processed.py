@@ -192,6 +192,7 @@ def test_calibration_is_written_and_applied():
 
 
 @pytest.mark.usefixtures("recorded")
+@pytest.mark.parametrize("what", ["picture", "table"])
 @pytest.mark.parametrize(
     "words",
     [
@@ -199,12 +200,12 @@ def test_calibration_is_written_and_applied():
         ("calibrate", "closed.npz", "--untouched", "free.npz", "--out", "t", "--figure", "p.png"),
     ],
 )
-def test_full_disk_leaves_nothing_that_blocks_the_repeated_command(words, monkeypatch):
+def test_full_disk_leaves_nothing_that_blocks_the_repeated_command(words, what, monkeypatch):
     """It is named with its file; the picture is written after the table, and neither stays."""
     before, put = sorted(Path().iterdir()), writing._to_disk
 
     def full(path, content):
-        if content.startswith(b"\x89PNG"):
+        if content.startswith(b"\x89PNG") is (what == "picture"):
             raise OSError(errno.ENOSPC, "full")
         put(path, content)
 
@@ -213,8 +214,9 @@ def test_full_disk_leaves_nothing_that_blocks_the_repeated_command(words, monkey
         refused = run_here(*words)
     assert refused.returncode == 1
     assert re.search(
-        r"^acoustube: p\.png: no space left on the device; .* MB", refused.stderr, re.M
-    )
+        rf"^acoustube: {'p.png' if what == 'picture' else words[-3]}: no space left on the "
+        r"device; .* MB", refused.stderr, re.M,
+    )  # fmt: skip
     assert sorted(Path().iterdir()) == before
     assert run_here(*words).returncode == 0
     assert Path("p.png").exists()

@@ -55,14 +55,15 @@ def check_out(path: str | Path) -> Path:
 
 
 def check_surface(path: str | Path) -> None:
-    """Raise if the file of a surface does not exist.
+    """Raise unless the file of a surface exists, and is a regular file.
 
     Raises
     ------
     ConfigError
     """
     if not Path(path).is_file():
-        what = "is a folder" if Path(path).is_dir() else "does not exist"
+        other = "is a pipe or a device, not a file" if Path(path).exists() else "does not exist"
+        what = "is a folder" if Path(path).is_dir() else other
         raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP.")
 
 

@@ -113,6 +113,8 @@ def load(path: str | Path) -> Model:
         if "header" not in arrays:
             raise ValueError("an archive without a header")
         header = parsed(str(arrays.pop("header")), path)
+        if not isinstance(header, dict):
+            raise ValueError("its header holds no settings")
         if header["kind"] != KIND:
             raise ValueError(f"it is a {header['kind']}")
         if header["format"] == FORMAT:
