@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acoustube.base.remnants import Remnant
 from acoustube.cli import check as check_command
 from acoustube.cli import main
 from acoustube.runs import selftest
@@ -114,6 +115,15 @@ def test_extras_are_those_of_the_package_and_a_missing_one_tells_how_to_get_it()
     assert found[1].install == "pip install 'acoustube[c3d]'"
     names = {extra.name for extra in check_command.extras(requires("acoustube"))}
     assert names == set(check_command.PURPOSES)
+
+
+def test_what_killed_commands_have_left_is_told(monkeypatch, capsys):
+    only(monkeypatch, fixed(1.0))
+    left = [Remnant(Path(f".acoustube-partial-{i}"), 4, Path("register")) for i in range(3)]
+    monkeypatch.setattr(check_command, "remnants", lambda: left)
+    assert main(["check"]) == 0
+    told = ".acoustube-partial-0 and 2 more; acoustube cache clear removes them"
+    assert told in capsys.readouterr().out
 
 
 def test_cache_that_cannot_be_written_is_told(monkeypatch, capsys, tmp_path):

@@ -7,7 +7,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
-    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "meshes/README.md")
+    ROOT / name
+    for name in (
+        "README.md",
+        "CONTRIBUTING.md",
+        "CHANGELOG.md",
+        "meshes/README.md",
+        "tests/README.md",
+    )
 ] + sorted((ROOT / "docs").rglob("*.md"))
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)(?:#([^)\s]+))?\)")
 
@@ -43,6 +50,18 @@ def test_relative_links_point_to_what_exists(page):
         there = page.parent / target if target else page
         assert there.exists(), f"{target} is not there"
         assert not anchor or anchor in anchors(there), f"{target} has no heading {anchor}"
+
+
+def test_every_failure_that_must_not_come_back_has_its_tests():
+    """The tables name tests by file and function; each row has one at least, and all exist."""
+    text = (ROOT / "tests" / "README.md").read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line.startswith("| ") and "cause |" not in line]
+    assert len(rows) > 40
+    for row in rows:
+        named = re.findall(r"`(test_\w+\.py)::(test_\w+)`", row)
+        assert named, row
+        for file, test in named:
+            assert f"def {test}(" in (ROOT / "tests" / file).read_text(encoding="utf-8"), test
 
 
 def test_links_are_found_and_a_missing_heading_is_noticed(tmp_path):

@@ -289,6 +289,10 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
     """
     if isinstance(rule, type):
         rule = Instance((rule,))
+    if isinstance(rule, Optional) and value is not None:
+        return check_argument(name, value, rule.rule)
+    if isinstance(rule, Either) and not isinstance(value, rule.kinds):
+        return check_argument(name, value, rule.rule)
     if isinstance(rule, Number) and getattr(value, "ndim", None) == 0:
         value = value.item()  # NumPy's numbers, and arrays of one
     found = rule.check(name, value)

@@ -146,6 +146,11 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
     plane cuts the triangles (the shoelace formula). Neither their order nor the closing line x = 0
     of a half matters.
     """
+    if np.size(triangles) and np.max(triangles) >= len(vertices):
+        raise ConfigError(
+            f"triangles name vertex {np.max(triangles)}, and vertices has {len(vertices)} rows; "
+            "number them from 0"
+        )
     z = np.asarray(z, float)
     plane, start, end = _segments(vertices, triangles, z)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]

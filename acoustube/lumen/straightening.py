@@ -40,6 +40,8 @@ def straighten(points: Array, line: Array) -> Array:
     SimulationError
         If the radius of curvature is not larger than the distance of the points from the curve.
     """
+    if len(line) < 2:
+        raise ValueError("line has fewer than 2 points; give more")
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     if not np.all(np.diff(arc) > 0):
         raise ValueError("line has the same point twice in succession; give each once")
@@ -54,7 +56,7 @@ def straighten(points: Array, line: Array) -> Array:
         # Newton's step for the foot of the perpendicular.
         step = error / np.maximum(1 - np.sum(offset * turn(s), axis=-1), MIN_SLOPE)
         s = s + step
-        if np.abs(step).max() < 1e-12:
+        if np.abs(step).max(initial=0.0) < 1e-12:
             break
     else:
         raise SimulationError(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.base.checks import Reals, checked
+from acoustube.base.checks import Reals, check_alike, checked
 
 RINGS = 49
 """Number of rings kept; in the default tube the others are within 20 um of their interpolation."""
@@ -31,6 +31,7 @@ def decimate_rings(
     inner, outer : array of shape (RINGS or n_rings, AROUND or n_around, 3)
         Whichever is smaller. The ring at the indenter, and bottom and top of each ring, are kept.
     """
+    check_alike(inner=inner, outer=outer)
     step = max(1, inner.shape[1] // AROUND)
     # Bottom and top are points 0 and n/2 of a ring, which must both stay.
     step = step if inner.shape[1] % (2 * step) == 0 else 1

@@ -171,6 +171,7 @@ def calibrate(
     distribution, most cycles exceed 2.8 deviations: `false_alarms` states the fraction, and a
     higher `sigmas` lowers it.
     """
+    _check_cycles(np.size(time), blocked=blocked, untouched=untouched)
     settings = without_aliased_template(settings or Processing(), sampling_rate(time))
     places = np.asarray(true_distance, float)
     _check_distances(places, np.asarray(blocked).shape)
@@ -257,6 +258,17 @@ def untouched_deviation(
     return HALF_NORMAL_RATIO * float(np.median(scaled[inside]))
 
 
+def _check_cycles(n_samples: int, **cycles: ArrayLike) -> None:
+    """Raise unless cycles (n, time), by their names, have samples at each time."""
+    for name, samples in cycles.items():
+        shape = np.shape(samples)
+        if shape[-1:] != (n_samples,) or not shape[0]:
+            raise ValueError(
+                f"{name} has shape {shape} and time ({n_samples},); give one row or more of as "
+                "many samples as times"
+            )
+
+
 def _check_distances(places: Array, shape: tuple[int, ...]) -> None:
     """Raise if the distances do not match the cycles or do not determine the fit."""
     if len(shape) != 2 or places.shape != shape[:1]:
@@ -307,7 +319,8 @@ def _detected_closures(
         raise ValueError(
             f"only {left.size} places show an echo within {SEARCH_HALF_WIDTH} m of their closure, "
             f"{MIN_DISTANCES} are needed; none at {', '.join(f'{z:g}' for z in lost[:8])} m: "
-            "check the unit of the distances (m), the tube's closure and the search window"
+            "check the unit of the distances (m), the temperature, the tube's closure and the "
+            "search window"
         )
     return used
 

@@ -85,6 +85,7 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
     A cycle lasts for only a few periods of the cut-off: it is continued by its mirror image, up to
     its whole length, and a constant is removed exactly.
     """
+    check_cutoff("cutoff", cutoff, sampling_rate)
     cycles = np.asarray(samples, dtype=float)
     centred = np.asarray(cycles - np.mean(cycles, axis=-1, keepdims=True))
     return np.asarray(centred - _zero_phase_low_pass(centred, sampling_rate, cutoff))
@@ -121,7 +122,7 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
     if not np.all((level > 0) & (level < np.inf)):
         raise ValueError(
             f"the gain's level falls to {float(np.min(level)):.3g} within the cycle and must stay "
-            "positive; calibrate over a longer range of distances"
+            "positive; calibrate over a longer range of distances, and check the temperature"
         )
     return np.asarray(np.asarray(samples, dtype=float) / level)
 
@@ -156,8 +157,9 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
         )
     if cycles / frequency * sampling_rate > LONGEST_TEMPLATE:
         raise ValueError(
-            f"a template of {cycles:g} cycles of {frequency:g} Hz has more than "
-            f"{LONGEST_TEMPLATE:g} samples; give fewer cycles"
+            f"a template of {cycles:g} cycles of frequency = {frequency:g} Hz has more than "
+            f"{LONGEST_TEMPLATE:g} samples at sampling_rate = {sampling_rate:g} Hz; give fewer "
+            "cycles"
         )
     half = int(np.floor(cycles / frequency * sampling_rate / 2))
     time = np.arange(-half, half + 1) / sampling_rate
@@ -236,11 +238,7 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
     ends.
     """
     samples = np.asarray(samples, dtype=float)
-    if not 0 < cutoff < sampling_rate / 2:
-        raise ValueError(
-            f"cutoff = {cutoff:g} Hz must lie between 0 and half the sampling rate "
-            f"({sampling_rate / 2:g} Hz)"
-        )
+    check_cutoff("cutoff", cutoff, sampling_rate)
     pad = _padding(sampling_rate, cutoff)
     if samples.shape[-1] <= pad:
         raise ValueError(
@@ -249,6 +247,20 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
             f"{pad}"
         )
     return _zero_phase_low_pass(samples, sampling_rate, cutoff)
+
+
+def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
+    """Raise unless a cut-off lies below half the sampling rate.
+
+    Raises
+    ------
+    ValueError
+    """
+    if not 0 < cutoff < sampling_rate / 2:
+        raise ValueError(
+            f"{name} = {cutoff:g} Hz must lie between 0 and half the sampling rate "
+            f"({sampling_rate / 2:g} Hz)"
+        )
 
 
 def _padding(sampling_rate: float, cutoff: float) -> int:

@@ -19,10 +19,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import ABSOLUTE_ZERO
 from acoustube.base import checks
+from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
 from acoustube.signals.filters import (
     TimeGain,
+    check_cutoff,
     compensate,
     envelope,
     matched_filter,
@@ -142,7 +144,7 @@ def locate(
 @checks.checked(
     time=checks.TIMES,
     pressure=checks.Reals(axes=1, missing=True),
-    pulse_duration=checks.DURATION,
+    pulse_duration=Number(1e-12, 1e5, "s"),
     probe_position=checks.DISTANCE,
     temperature=checks.CELSIUS,
     temperature_deviation=checks.KELVIN,
@@ -236,6 +238,7 @@ def process(
     time, pressure = _check_signal(time, pressure)
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
     if offset_cutoff is not None:
+        check_cutoff("offset_cutoff", offset_cutoff, rate)
         pressure = remove_offset(pressure, rate, offset_cutoff)
     raw = envelope(pressure, rate, cutoff)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff

@@ -245,7 +245,8 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
         fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
         advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
         raise ConfigError(
-            f"loops = {longest.loops:.4g} needs a tube of {CM * longest.tube_length:.0f} cm, and "
+            f"loops = {longest.loops:.4g} over a length of {CM * longest.length:.4g} cm and a lead "
+            f"of {CM * longest.lead:.4g} cm needs a tube of {CM * longest.tube_length:.0f} cm, and "
             f"presses are detected up to {CM * reach:.0f} cm; {advice}, on more tubes, or set the "
             "reach"
         )
@@ -262,8 +263,9 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     room = spacing(tubes)
     if room < outer_diameter:
         raise ConfigError(
-            f"neighbouring tubes would be {MM * room:.1f} mm apart and are "
-            f"{MM * outer_diameter:g} mm thick; use fewer loops, a larger pitch or fewer tubes"
+            f"n_tubes = {len(tubes)} over a length of {CM * tubes[0].length:.4g} cm would be "
+            f"{MM * room:.1f} mm apart and are {MM * outer_diameter:g} mm thick; use fewer "
+            "loops, a larger pitch or fewer tubes"
         )
 
 

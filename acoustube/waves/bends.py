@@ -44,7 +44,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from acoustube.air import Air
-from acoustube.base.checks import BORE, FREQUENCIES, LENGTH, Several, check_fields, checked
+from acoustube.base.checks import BORE, FREQUENCIES, Several, check_fields, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.grid.polyhedron import Array
@@ -64,6 +64,8 @@ CUT_ON_MARGIN = 1e-6
 """Smallest kz over k: closer to cut-on a mode's two waves are nearly linearly dependent."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
+LONGEST = 100.0
+"""Largest length in m of bends: over more the amplitudes underflow."""
 LARGEST_CURVATURE = 0.95
 """Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
 
@@ -94,7 +96,7 @@ class Bent:
 
     def __post_init__(self) -> None:
         check_fields(
-            self, length=LENGTH, curvature=Number(0, 1e6, "1/m"),
+            self, length=Number(1e-9, LONGEST, "m"), curvature=Number(0, 1e6, "1/m"),
             torsion=Number(-1e6, 1e6, "1/m"), ovality=Number(-1, 1),
         )  # fmt: skip
 
@@ -162,6 +164,7 @@ def bend(
     x = 0, which is computed by halves.
     """
     _check_bend(radius, bend_radius, angle)
+    _check_length(angle, bend_radius)
     part = Bent(length=angle * bend_radius, curvature=1 / bend_radius, torsion=torsion)
     return joined_bends(
         air, frequency, [part], radius=radius, lossy=lossy, modes=modes, highest=highest
@@ -267,6 +270,15 @@ def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
             f"is too sharp for a bore radius of {radius:.4g} m", setting="bend_radius",
             value=bend_radius, unit="m", allowed=(radius / LARGEST_CURVATURE, np.inf),
             advice=f"use {radius / LARGEST_CURVATURE:.4g} m or more",
+        )  # fmt: skip
+
+
+def _check_length(angle: float, bend_radius: float) -> None:
+    """Validate the length of a bend's centre line."""
+    if not 1e-9 <= angle * bend_radius <= LONGEST:
+        raise ConfigError(
+            f"and bend_radius = {bend_radius:g} m make a bend of {angle * bend_radius:.3g} m",
+            setting="angle", value=angle, unit="rad", advice=f"use 1e-09 to {LONGEST:g} m",
         )  # fmt: skip
 
 

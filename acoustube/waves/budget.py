@@ -187,9 +187,9 @@ def error_budget(
 def _ringing(pressure: Array) -> float:
     """Return the highest pressure at the end of a recording in dB of the highest of all."""
     tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
-    highest = float(np.abs(pressure).max())
+    highest = float(np.abs(pressure).max(initial=0.0))
     if not highest:
-        raise ConfigError("pressure is 0 throughout; give a recording")
+        raise ConfigError("pressure is empty, or 0 throughout; give a recording")
     return 20 * log10(max(float(np.abs(tail).max()) / highest, 1e-12))
 
 

@@ -29,6 +29,7 @@ ALSO = {
     "time": ("sampling rate", "before"), "time_step": ("band", "longer than the run"),
     "pulse": ("the run",), "line": ("curve",),
     "settings": ("matched filter",), "temperature": ("air", "m/s"), "untouched": ("cycles",),
+    "untouched_temperature": ("temperature",),
     "outer_diameter": ("thick", "loops"), "count": ("seed",), "over": ("range",),
     "path": ("cannot be read",),
 }  # fmt: skip
