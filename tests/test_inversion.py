@@ -1,5 +1,8 @@
 """Waveform inversion: its forward model, its Jacobian, and presses found again in recordings."""
 
+import csv
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -13,10 +16,15 @@ from acoustube.inversion import (
     measured_clutter,
 )
 from acoustube.inversion.network import Waves, echo
+from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import Matrices, ToolTable
 from acoustube.ranging import Rangefinder, record
+from acoustube.recordings import write
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import PlacedScatterer, Scattering, transfer
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
+from tests.commands import run_here
 
 RADIUS, MODES = 3.95e-3, ("00", "11c", "21c")
 FREQUENCY = np.arange(30e3, 54e3, 100.0)
@@ -88,7 +96,7 @@ def untouched():
 
 @pytest.fixture(scope="module")
 def model(library, base, untouched):
-    clutter = measured_clutter(base, base.of_cycles(untouched), len(untouched))
+    clutter = measured_clutter(base, untouched)
     return ForwardModel(library, base, clutter)
 
 
@@ -149,7 +157,7 @@ def test_forward_model_is_the_recording_of_the_rangefinder(library):
     silent = Rangefinder(clutter=0.0, noise=0.0, drift=0.0, quantised=False, far_reflection=0.0)
     own = Baseband(silent, RADIUS, 2.5, 20.0, MODES)
     cycle = record([press(5.03e-3, 0.8)], silent, n_cycles=1)["signal"].values
-    given = own.of_cycles(cycle)
+    given, _ = own.of_cycles(cycle)
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
     found, _ = ForwardModel(library, own).baseband((0,), place, depth, np.zeros((1, 6)))
     # The taper's sidelobes, of the pulse's fade and of what is cyclic.
@@ -168,3 +176,148 @@ def test_press_is_found_at_its_place_and_depth(inverter, place, depth):
     assert contact.probability > 0.99
     assert found.fits
     assert found.temperature.value == pytest.approx(0.2, abs=0.05)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_and_their_errors_are_small(inverter):
+    """Ten presses to 1.2 m: 68 and 90 % intervals of 20 quantities."""
+    rng, inside = np.random.default_rng(5), []
+    for i in range(10):
+        place, depth = rng.uniform(0.35, 1.2), rng.uniform(2.5e-3, 6.5e-3)
+        cycles = record([press(depth, place)], n_cycles=20, tube_seed=7, seed=40 + i)
+        contacts = inverter(cycles["signal"].values).contacts
+        contact = min(contacts, key=lambda one: abs(one.distance.value - place))
+        for one, truth in ((contact.distance, place), (contact.depth, depth)):
+            inside.append([low <= truth <= high for low, high in one.intervals.values()])
+        assert abs(contact.distance.value - place) < 3e-4
+    # Binomial, at the 0.1 % level; places also have the thermometer's share and hold more.
+    assert np.mean(inside, axis=0)[0] > 0.35
+    assert np.mean(inside, axis=0)[1] > 0.65
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("apart", "depths"), [(0.4, (4e-3, 4.5e-3)), (0.2, (3e-3, 5e-3))])
+def test_two_presses_are_told_apart(inverter, apart, depths):
+    presses = [press(d, z) for d, z in zip(depths, (0.6, 0.6 + apart), strict=True)]
+    found = inverter(record(presses, n_cycles=20, tube_seed=7, seed=5)["signal"].values)
+    assert [c.distance.value for c in found.contacts] == pytest.approx([0.6, 0.6 + apart], abs=1e-3)
+    assert [c.depth.value for c in found.contacts] == pytest.approx(depths, abs=1e-4)
+    assert found.fits
+
+
+def test_untouched_tube_has_no_contact(inverter):
+    for seed in (21, 22):
+        cycles = record([], n_cycles=20, tube_seed=7, seed=seed, temperature=19.9)
+        assert not inverter(cycles["signal"].values).contacts
+
+
+def test_single_cycle_tells_a_press_less_exactly(inverter):
+    cycles = record([press(5e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
+    one, many = inverter(cycles[:1]), inverter(cycles)
+    assert one.contacts[0].distance.value == pytest.approx(0.7, abs=1e-3)
+    assert one.contacts[0].depth.deviation > many.contacts[0].depth.deviation
+
+
+def test_press_of_another_tool_is_a_misfit(base, untouched):
+    """Scattering that no depth of the library has: half the resonance, elsewhere."""
+    other = tool(s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
+    model = ForwardModel(Library((other,)), base, measured_clutter(base, untouched))
+    cycles = record([press(5e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
+    assert not Inverter(model, most=1)(cycles).fits
+
+
+def test_tools_are_told_apart(base, untouched):
+    other = tool(diameter=10e-3, s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
+    model = ForwardModel(Library((other, tool())), base, measured_clutter(base, untouched))
+    cycles = record([press(4e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
+    found = Inverter(model, most=1)(cycles)
+    assert model.tool_library.tools[found.contacts[0].tool].diameter == 25e-3
+
+
+def test_mean_of_rounded_cycles_is_the_voltage():
+    """An echo of a third of a count, with noise that hardly dithers it, at any offset."""
+    rng, t = np.random.default_rng(2), np.arange(4000)
+    echo = 0.3 * np.sin(0.9 * t) * (t < 2000)
+    for offset in (100.0, 100.25, 100.5):
+        noisy = np.rint(echo + offset + 0.227 * rng.standard_normal((400, 4000)))
+        found = linearised(noisy, 0.227, 1200)
+        gain, plain = (np.vdot(echo, x) / np.vdot(echo, echo) for x in (found.mean, noisy.mean(0)))
+        # The noise of a mean of 400 leaves 1 %.
+        assert gain == pytest.approx(1.0, abs=0.04)
+        assert abs(plain - 1) > 0.2 or offset == 100.25
+        error = np.std(found.mean - echo)
+        assert error == pytest.approx(np.std(found.deviations) / 20, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A library of one tool, recordings of two presses, and the untouched tube."""
+    where = tmp_path_factory.mktemp("inversion")
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (where / "lib").mkdir()
+    files.write_tool(where / "lib" / plan.name, tool(), plan)
+    write(record([], n_cycles=100, tube_seed=7, seed=11), where / "free.nc")
+    for i, (place, depth) in enumerate([(0.53, 3e-3), (0.91, 5e-3)]):
+        write(record([press(depth, place)], n_cycles=20, tube_seed=7, seed=i), where / f"p{i}.nc")
+    return where
+
+
+def test_command_writes_a_row_a_contact(folder, tmp_path):
+    done = run_here(
+        "invert", folder / "p0.nc", folder / "p1.nc", "--library", folder / "lib", "--untouched",
+        folder / "free.nc", "--group", 10, "--out", tmp_path / "c.csv", "--figure",
+        tmp_path / "c.png",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "c.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        "recording", "group", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
+        "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
+    ]  # fmt: skip
+    assert [(row["group"], row["contact"]) for row in rows] == [("0", "0"), ("1", "0")] * 2
+    for row, (place, depth) in zip(rows, [(53, 3)] * 2 + [(91, 5)] * 2, strict=True):
+        assert float(row["distance_cm"]) == pytest.approx(place, abs=0.05)
+        assert float(row["depth_mm"]) == pytest.approx(depth, abs=0.05)
+        assert float(row["force_n"]) == pytest.approx(2 * depth**2, rel=0.05)
+        assert row["indenter_mm"] == "25"
+    assert (tmp_path / "c.png").read_bytes()[1:4] == b"PNG"
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "reason"),
+    [
+        ("slow.npz", "", "sampling rate of 80000 Hz is too low"),
+        ("volts.npz", "", "not counts of a converter of 12 bits"),
+        ("p0.nc", "sampling_rate = 100e3", "has 200000 samples per second and the sensor 100000"),
+        ("p0.nc", "resonant = 4", "resonant is not a parameter"),
+        ("p0.nc", "[priors]\nheat = 1", "heat is not known"),
+        ("p0.nc", "length_cm = -3", "length_cm"),
+        (
+            "p0.nc",
+            "resonance = 60e3\n[drive]\nfrequency = 60e3",
+            "the library covers 30 to 53.9 kHz",
+        ),
+    ],
+)
+def test_foreign_recording_or_sensor_is_one_sentence(folder, tmp_path, name, sensor, reason):
+    rng = np.random.default_rng(0)
+    np.savez(tmp_path / "slow.npz", signal=rng.integers(0, 4000, (2, 1600)), sampling_rate=80e3,
+             temperature=20.0)  # fmt: skip
+    np.savez(tmp_path / "volts.npz", signal=rng.normal(size=(2, 4000)), sampling_rate=200e3,
+             temperature=20.0)  # fmt: skip
+    path = (tmp_path if name.endswith("npz") else folder) / name
+    words = ["--library", folder / "lib"]
+    if sensor:
+        (tmp_path / "s.toml").write_text(sensor)
+        words += ["--sensor", tmp_path / "s.toml"]
+    done = run_here("invert", path, *words, "--out", tmp_path / "c.csv")
+    assert done.returncode == 2
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "c.csv").exists()
+
+
+def test_library_of_tubes_of_two_bores_is_refused():
+    with pytest.raises(ValueError, match="one library for each"):
+        Library((tool(), dataclasses.replace(tool(), radius=5e-3)))

@@ -23,7 +23,7 @@ from acoustube.base.writing import FULL, DiskFullError
 
 COMMANDS = (
     "simulate", "sweep", "dataset", "library", "show", "export", "indent", "scatter", "process",
-    "live", "calibrate", "train", "evaluate", "reproduce", "sleeve", "check", "cite",
+    "live", "calibrate", "invert", "train", "evaluate", "reproduce", "sleeve", "check", "cite",
 )  # fmt: skip
 """Modules of this package that hold a command of their name."""
 SETTLED = ("simulate", "indent", "sweep")

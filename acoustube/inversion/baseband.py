@@ -12,6 +12,7 @@ from acoustube.air import Air, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
+from acoustube.inversion.quantiser import linearised
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import anti_alias, drive_spectrum
 from acoustube.waves.modes import axial_wavenumber
@@ -27,8 +28,8 @@ AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
 which the baseband is used."""
 QUIET_SHARE = 0.3
 """Last part of a cycle whose mean is subtracted from it."""
-MARGIN = 0.01
-"""Relative stretch of frequency that the library's band must allow on both sides."""
+FEWEST_CYCLES = 8
+"""Cycles from which on their noise is estimated from their scatter."""
 
 
 class Baseband:
@@ -118,11 +119,30 @@ class Baseband:
             variance += 1 / 12 / n_cycles
         return 2 * max(variance, 1e-12) * len(self.bins) * self.step / (self.rate / 2)
 
-    def of_cycles(self, counts: NDArray[np.generic]) -> Complex:
-        """Return the mean of cycles of counts (n, n_samples) in the baseband, (n_time,)."""
-        mean = np.asarray(counts, float).mean(axis=0)
-        mean = mean - mean[-int(QUIET_SHARE * len(mean)) :].mean()
-        return self._of_samples(mean)
+    def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
+        """Return the mean of cycles in the baseband, and the variance of its samples.
+
+        Parameters
+        ----------
+        counts : ndarray
+            (n_cycles, n_samples).
+
+        Returns
+        -------
+        mean : ndarray
+            (n_time,), the rounding of weak signals corrected.
+        variance : float
+            From the scatter of the cycles within the band; of few cycles by :meth:`noise`.
+        """
+        n = len(counts)
+        sigma = self.rangefinder.noise * self.per_volt * self.rangefinder.quantised
+        found = linearised(counts, sigma, int(QUIET_SHARE * counts.shape[1]))
+        mean = self._of_samples(found.mean)
+        if n < FEWEST_CYCLES:
+            return mean, self.noise(n)
+        each = self._of_samples(found.deviations)
+        scatter = np.sum(np.abs(each - each.mean(axis=0)) ** 2) / ((n - 1) * n * each.shape[1])
+        return mean, float(max(scatter, 0.1 * self.noise(n)))
 
     def ring_down(self) -> Complex:
         """Return the ring-down that the rangefinder's parameters give, in the baseband."""
@@ -181,9 +201,9 @@ class Baseband:
         return deviation
 
     def _of_samples(self, samples: Array) -> Complex:
-        time = np.arange(len(samples)) / self.rate
+        time = np.arange(samples.shape[-1]) / self.rate
         fade = np.sin(pi / 2 * np.clip((time - self.clear - AFTER_CLIPPING) / FADE, 0, 1)) ** 2
-        spectrum = np.fft.fft(samples * fade, self.period)[self.bins] / self.rate
+        spectrum = np.fft.fft(samples * fade, self.period, axis=-1)[..., self.bins] / self.rate
         return self.transformed(spectrum)
 
     def _clipped(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
@@ -91,7 +92,7 @@ def unknown_clutter(base: Baseband) -> Clutter:
 
 
 def measured_clutter(
-    base: Baseband, mean: Complex, n_cycles: int, at: Baseband | None = None
+    base: Baseband, counts: NDArray[np.generic], at: Baseband | None = None
 ) -> Clutter:
     """Return the clutter and ring-down estimated from cycles of the untouched tube.
 
@@ -99,9 +100,8 @@ def measured_clutter(
     ----------
     base : Baseband
         At the temperature of these cycles.
-    mean : ndarray
-        Mean of the cycles in the baseband, (n_time,).
-    n_cycles : int
+    counts : ndarray
+        Counts of the cycles, (n_cycles, n_samples).
     at : Baseband, optional
         At the temperature for which the clutter is returned, that of the cycles by default.
 
@@ -116,7 +116,8 @@ def measured_clutter(
     resolution of the band, its posterior covariance is that of the noise of the mean.
     """
     places, shapes = _reflectors(base)
-    noise = base.noise(n_cycles) * np.eye(len(mean))
+    mean, variance = base.of_cycles(counts)
+    noise = variance * np.eye(len(mean))
     prior = shapes @ shapes.conj().T
     inverse = np.linalg.inv(prior + noise)
     shape = base.ring_down()

@@ -23,7 +23,7 @@ from acoustube.waves.scattering import Complex
 
 LEVELS = 0.68, 0.9
 """Probabilities of the intervals."""
-FEWER = 2 * log(10.0)
+FEWER = 2 * log(100.0)
 """Minus twice the logarithm of the prior odds of one press more."""
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
@@ -168,8 +168,8 @@ class Inverter:
                 f"cycles have {array.shape[1]} samples and the model's "
                 f"{self.model.base.n_samples}; give cycles of one recorder"
             )
-        samples = self.model.base.of_cycles(array)
-        builder = Builder(self.model, self.templates, samples, len(array))
+        samples, noise = self.model.base.of_cycles(array)
+        builder = Builder(self.model, self.templates, samples, noise)
         with threadpool_limits(1, user_api="blas"):  # the matrices are small
             return self._told(self._chain(builder), builder)
 

@@ -59,20 +59,32 @@ class Weights:
         return Weights(matrix, self.log_determinant)
 
 
-def weights(model: ForwardModel, n_cycles: int, error: float, echo: Complex | None) -> Weights:
+def weights(
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Complex | None,
+    spread: float = 0.0,
+) -> Weights:
     """Return the weights for the noise of a mean of cycles and a relative error of the model.
 
     Parameters
     ----------
     model : ForwardModel
-    n_cycles : int
+    noise : float
+        Variance of a sample of the mean of cycles.
     error : float
         Error of the model relative to the echo.
     echo : ndarray or None
         Expected echo of the presses in the baseband, (n_time,).
+    spread : float
+        Error of the model at all times, relative to the highest echo: multiple reflections that it
+        lacks.
     """
     covariance = model.clutter.covariance.copy()
-    diagonal = np.full(len(covariance), model.base.noise(n_cycles))
+    diagonal = np.full(len(covariance), noise)
+    if echo is not None:
+        diagonal = diagonal + (spread * np.abs(echo).max()) ** 2
     if echo is not None and error > 0:
         power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.time[1] - model.base.time[0]

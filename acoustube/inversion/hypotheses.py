@@ -30,6 +30,8 @@ from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is taken."""
+SPREADS = 1e-4, 3e-4, 1e-3
+"""Errors of the model at all times, relative to the highest echo, that are tried besides none."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
@@ -88,15 +90,16 @@ class Builder:
         Of each tool.
     samples : ndarray
         Mean of cycles in the baseband, (n_time,).
-    n_cycles : int
+    noise : float
+        Variance of a sample of the mean.
     """
 
     def __init__(
-        self, model: ForwardModel, templates: list[Templates], samples: Complex, n_cycles: int
+        self, model: ForwardModel, templates: list[Templates], samples: Complex, noise: float
     ) -> None:
         self.model, self.templates = model, templates
-        self.samples, self.n_cycles = samples, n_cycles
-        self.quiet = weights(model, n_cycles, 0.0, None)
+        self.samples, self.noise = samples, noise
+        self.quiet = weights(model, noise, 0.0, None)
 
     def untouched(self) -> Hypothesis:
         """Return the hypothesis of no press.
@@ -233,14 +236,16 @@ class Builder:
     def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
         """Return the most likely error of the model for given parameters, and its weights."""
         value, echo = self._echo(tools, parameters)
-        rest, best = self.samples - value, None
-        for error in ERRORS:
-            whiten = weights(self.model, self.n_cycles, error, echo)
+        rest = self.samples - value
+
+        def judged(error: float, spread: float) -> tuple[float, float, Weights]:
+            whiten = weights(self.model, self.noise, error, echo, spread)
             cost = 2 * np.sum(np.abs(whiten(rest)) ** 2) + 2 * whiten.log_determinant
-            if best is None or cost < best[0]:
-                best = cost, error, whiten
-        assert best is not None
-        return best[1], best[2]
+            return float(cost), error, whiten
+
+        best = min((judged(error, 0.0) for error in ERRORS), key=lambda one: one[0])
+        wider = [judged(best[1], spread) for spread in SPREADS]
+        return min([best, *wider], key=lambda one: one[0])[1:]
 
     def _echo(self, tools: tuple[int, ...], parameters: Array) -> tuple[Complex, Complex]:
         """Return the baseband of parameters, and its part that presses cause, (n_time,)."""

@@ -175,7 +175,7 @@ class RecordingInverter:
         if self.untouched:
             cycles, free = self._untouched(path, data, rangefinder)
             own = self._baseband(rangefinder, length, free, data.sizes["time"])
-            clutter = measured_clutter(own, own.of_cycles(cycles), len(cycles), base)
+            clutter = measured_clutter(own, cycles, base)
         model = ForwardModel(self.tool_library, base, clutter, self.sensor.priors)
         inverter = Inverter(model, self.most)
         self._known[key] = air, inverter

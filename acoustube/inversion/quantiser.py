@@ -1,0 +1,98 @@
+"""Voltage that cycles of a rounding converter tell of, where noise dithers it little.
+
+With noise of a fifth of a count the mean of rounded samples is a softened staircase of the voltage:
+a weak echo is received with 0.3 to 1.7 times its amplitude, as the offset lies. Offset and noise
+are known, and the staircase is inverted.
+
+References
+----------
+* Mean error of a quantiser with Gaussian dither: Widrow, B. and Kollar, I. (2008). Quantization
+  Noise. Cambridge University Press.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+
+HARMONICS = 3
+LEAST_NOISE, MOST_NOISE = 0.19, 0.6
+"""Noise in counts, rms, between which the staircase can be inverted and is worth it."""
+ITERATIONS = 6
+LARGEST_STEP = 0.3
+"""Largest change of a sample in an iteration, in counts."""
+
+
+class Linearised(NamedTuple):
+    """Mean of cycles, and the deviations of each that add up to its error.
+
+    Attributes
+    ----------
+    mean : ndarray
+        Voltage in counts, without offset, (n_samples,).
+    deviations : ndarray
+        Whose mean over the cycles is an error of `mean`, (n_cycles, n_samples).
+    """
+
+    mean: Array
+    deviations: Array
+
+
+def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Linearised:
+    """Return the voltage of cycles of rounded counts.
+
+    Parameters
+    ----------
+    counts : ndarray
+        (n_cycles, n_samples).
+    noise : float
+        Standard deviation of the noise before rounding, in counts; 0 for cycles that are not
+        rounded.
+    quiet : int
+        Number of the last samples of a cycle that tell its offset.
+
+    Notes
+    -----
+    By least squares over the cycles, whose offsets drift, by Gauss and Newton. Without enough noise
+    to invert the mean, or with enough to need no correction, it is the plain mean.
+    """
+    given = np.asarray(counts, float)
+    if not LEAST_NOISE <= noise <= MOST_NOISE:
+        mean = given.mean(axis=0)
+        return Linearised(mean - mean[-quiet:].mean(), given - mean)
+    offset = _inverted(given[:, -quiet:].mean(axis=1), noise)[:, None]
+    voltage = (given - offset).mean(axis=0)
+    for _ in range(ITERATIONS):
+        expected, slope = _staircase(voltage + offset, noise)
+        weight = slope / np.maximum((slope**2).sum(axis=0), 1e-3)
+        deviations = (given - expected) * weight * len(given)
+        step = deviations.mean(axis=0)
+        voltage = voltage + np.clip(step, -LARGEST_STEP, LARGEST_STEP)
+    return Linearised(voltage, deviations)
+
+
+def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
+    """Return the mean of rounded samples of a voltage with noise, and its slope, both in counts."""
+    # One sine and cosine, and the multiples of the angle by recurrence.
+    turn = np.exp(2j * np.pi * voltage)
+    power, value, slope = np.ones_like(turn), voltage.copy(), np.ones_like(voltage)
+    for k in range(1, HARMONICS + 1):
+        power = power * turn
+        size = (-1) ** k * np.exp(-2 * (np.pi * k * noise) ** 2)
+        value += size / (np.pi * k) * power.imag
+        slope += 2 * size * power.real
+    return value, slope
+
+
+def _inverted(mean: Array, noise: float) -> Array:
+    """Return the voltages whose rounded samples have given means, by bisection."""
+    low, high = mean - 0.5, mean + 0.5
+    for _ in range(40):
+        middle = (low + high) / 2
+        above = _staircase(middle, noise)[0] > mean
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    return np.asarray((low + high) / 2)
