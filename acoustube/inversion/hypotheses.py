@@ -9,7 +9,7 @@ sound yet (peeling by time).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,24 +100,29 @@ class Builder:
         self.model, self.templates = model, templates
         self.samples, self.noise = samples, noise
         self.quiet = weights(model, noise, 0.0, None)
+        self.start = self._robust()
 
     def untouched(self) -> Hypothesis:
-        """Return the hypothesis of no press.
+        """Return the hypothesis of no press."""
+        fits = maximise(self.model, (), self.start[None], self.samples, self.quiet, 6)
+        return self._judged((), fits, 0.0, self.quiet)
 
-        The temperature is that of the clutter, where this is known, by a robust cost, so that
+    def _robust(self) -> Array:
+        """Return the nuisances with which presses are sought.
+
+        The temperature is that of the clutter, where this is known, by Cauchy's cost, so that
         presses do not matter.
         """
-        start = np.zeros((1, len(NUISANCES)))
-        if self.model.clutter.behind is not None:
-            deviation = self.model.priors.temperature
-            span = min(3 * deviation, 1.4)
-            tried = np.zeros((2 * int(span / 0.03) + 1, len(NUISANCES)))
-            tried[:, 0] = np.linspace(-span, span, len(tried))
-            rest = self.quiet(self.samples - self.model.without_presses(tried))
-            robust = 2 * np.log1p(np.abs(rest) ** 2 / 4).sum(axis=1)
-            start[0] = tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)]
-        fits = maximise(self.model, (), start, self.samples, self.quiet, 6)
-        return self._judged((), fits, 0.0, self.quiet)
+        start = np.zeros(len(NUISANCES))
+        if self.model.clutter.behind is None:
+            return start
+        deviation = self.model.priors.temperature
+        span = min(3 * deviation, 1.4)
+        tried = np.zeros((2 * int(span / 0.02) + 1, len(NUISANCES)))
+        tried[:, 0] = np.linspace(-span, span, len(tried))
+        rest = self.quiet(self.samples - self.model.without_presses(tried))
+        robust = 2 * np.log1p(np.abs(rest) ** 2 / 4).sum(axis=1)
+        return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
     def first_of(self, known: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses of one press, from the first part of the echo alone."""
@@ -146,6 +151,9 @@ class Builder:
             Place in m about which the press is sought.
         """
         whiten = known.whiten if whiten is None else whiten
+        if not known.tools:
+            parameters = self.start[None]
+            known = replace(known, fits=replace(known.fits, parameters=parameters))
         places, depths, nuisances = split(known.fits.parameters[:1])
         fronts = front_of(self.model, known.tools, places[0], depths[0], nuisances[0])
         found = []

@@ -139,7 +139,7 @@ class RecordingInverter:
         for number, start in enumerate(range(0, signal.sizes["cycle"], size)):
             check()
             part = slice(start, start + size)
-            air = float(np.mean(temperature[part])) - rangefinder.temperature_bias
+            air = float(np.mean(temperature[part])) - self._bias(data, rangefinder)
             inverter = self._inverter(path, data, rangefinder, air)
             yield number, inverter(signal.values[part])
 
@@ -188,6 +188,11 @@ class RecordingInverter:
             rangefinder, self.tool_library.radius, length, air, self.tool_library.modes, n_samples
         )
 
+    def _bias(self, data: xr.Dataset, rangefinder: Rangefinder) -> float:
+        """Return the mean error in K of a recording's temperatures, 0 where it is not known."""
+        known = self.sensor.rangefinder is not None or data.attrs.get("source") == "simulation"
+        return rangefinder.temperature_bias if known else 0.0
+
     def _length(self, data: xr.Dataset) -> float:
         """Return the length of a recording's tube in m."""
         if self.sensor.length is not None:
@@ -220,9 +225,8 @@ class RecordingInverter:
                     f"{data.sizes['time']}; record both alike"
                 )
             cycles.append(one["signal"].values)
-            temperatures.append(one["temperature"].values)
-        mean = float(np.mean(np.concatenate(temperatures)))
-        return np.concatenate(cycles), mean - rangefinder.temperature_bias
+            temperatures.append(one["temperature"].values - self._bias(one, rangefinder))
+        return np.concatenate(cycles), float(np.mean(np.concatenate(temperatures)))
 
 
 def read_untouched(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:
