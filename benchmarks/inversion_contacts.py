@@ -5,7 +5,7 @@ air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched cycl
 is computed at depths of its own, off the library's, by the spectral solver or by the time-domain
 method. Every recording is a row of a CSV file; rows that are there are not computed again.
 
-Usage: python benchmarks/inversion_contacts.py LIBRARY out.csv --count 60 --truth spectral
+Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def finished(path):
 def arguments():
     """Return the words of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("library", type=Path)
+    parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--truth", default="spectral", help="spectral, or march-16 and so on")
@@ -188,7 +188,7 @@ def main():
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
     sensor = inversion.Sensor(priors=Priors(thermometer=0.0))
     free = record([], n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0)
-    library = open_library(given.library)
+    library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
