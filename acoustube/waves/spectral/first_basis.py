@@ -27,6 +27,11 @@ SPARE_SHIFTS = {False: 2, True: 6}
 """Number of shifts beyond those that the standing waves ask for, without and with losses."""
 GRADING = 1.4
 """Shifts are even in this power of the frequency."""
+ABOVE_CUT_ON = 1.1
+"""With losses, one shift more is at so many times each cut-on: there the response of the layers to
+a mode changes fast, whose axial wavenumber has just become real."""
+CLOSEST = 0.2
+"""Distance of two shifts, relative to the largest, below which one is enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,5 +66,9 @@ def first_basis(wall: Wall, odd: bool | None, k: Array, *, lossy: bool) -> Basis
     n_shifts = SPARE_SHIFTS[lossy] + int(np.ceil(FIELDS_PER_WAVE * waves / per_shift))
     high = float(k[-1])
     low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
-    grades = np.linspace(low**GRADING, high**GRADING, n_shifts)
-    return Basis(degree + degree % 2, edges, grades ** (2 / GRADING))
+    shifts = np.linspace(low**GRADING, high**GRADING, n_shifts) ** (1 / GRADING)
+    if lossy:
+        above = ABOVE_CUT_ON * modes.zeros[modes.zeros > 0] / wall.radius
+        shifts = np.sort(np.concatenate([shifts, above[above < high]]))
+        shifts = shifts[np.diff(shifts, prepend=0.0) > CLOSEST * np.diff(shifts).max()]
+    return Basis(degree + degree % 2, edges, shifts**2)

@@ -60,8 +60,9 @@ COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance from which the degree is raised by twice as much."""
 ROUGHNESS_RATIO = 0.25
 """Elements are split whose integrals change by so much of the largest change with more points."""
-ERROR_SAFETY = 2.0
-"""Ratio of the estimate to the changes of S, whose own error is not all that is lacking."""
+ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
+"""Ratio of the estimate to the changes of S, whose own error is not all that is lacking, without
+losses and with them, where changes are known at a few frequencies only."""
 LEAST_ERROR = 3e-6
 """Error of the integrals over walls that are given by rings, with a safety factor."""
 ERROR_WINDOW = 5
@@ -207,7 +208,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         system, basis, responses = _adapted(task, odd, basis, wanted)
         spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        error = _estimated(error, wall)
+        error = _estimated(error, wall, ERROR_SAFETY)
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
@@ -221,7 +222,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
             system, spaces, walls, series, task.frequency, task.air, sizes
         )
         # What the basis lacks at the cut-ons, it lacks with losses too.
-        s, error = of_both_ports(sides), np.maximum(error, _estimated(lacking, wall))
+        s, error = of_both_ports(sides), np.maximum(error, _estimated(lacking, wall, LOSSY_SAFETY))
     moved = np.zeros_like(s)
     if task.velocity is not None:
         all_kz = np.tile(kz, (1, len(system.ports)))
@@ -231,10 +232,10 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 
-def _estimated(change: Array, wall: Wall) -> Array:
+def _estimated(change: Array, wall: Wall, safety: float) -> Array:
     """Return the estimated error at each frequency from the changes of S in richer spaces."""
     least = LEAST_ERROR if len(wall.knots) else 0.0
-    return least + ERROR_SAFETY * maximum_filter1d(change, 2 * ERROR_WINDOW + 1)
+    return least + safety * maximum_filter1d(change, 2 * ERROR_WINDOW + 1)
 
 
 def _at_reference(
