@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from acoustube.base.checks import PATH, Optional, checked
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, short
 from acoustube.base.rules import Choice, Number
 from acoustube.base.version import __version__
 from acoustube.runs.config import (
@@ -229,6 +229,10 @@ def load_plan(
     if "case" in sweep and not cases:
         raise ConfigError(f"{path}: [[sweep.case]] is empty and so the plan has no cases; add some")
     for name, words in (over or {}).items():
+        if not isinstance(words, list | tuple) or any(not isinstance(w, str) for w in words):
+            raise ConfigError(
+                f"over has {short(words)} for {short(name)}; give a list of texts such as ['1:8:1']"
+            )
         if any(name in case for case in cases):
             raise ConfigError(f"{name} is given by the cases of {path}; leave the option out")
         values = parsed(name, words)
