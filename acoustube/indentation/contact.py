@@ -279,6 +279,53 @@ def tangents(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ..
     return jax.vmap(of_one)(position, area)
 
 
+def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
+    """Return the gaps of the faces' points to bodies, and their gradients by the point.
+
+    Parameters
+    ----------
+    position : array of shape (n_faces, n_local, 3)
+        Deformed nodes in m.
+    shapes : array of shape (n_points, n_local)
+        Shape functions of the face at its points.
+    bodies : tuple of Body
+
+    Returns
+    -------
+    gap : array of shape (n_bodies, n_faces, n_points)
+        In m.
+    normal : array of shape (n_bodies, n_faces, n_points, 3)
+    """
+    up = jnp.array([0.0, 1.0, 0.0])
+    points = jnp.einsum("qn,fni->fqi", shapes, position)
+    found = []
+    for body in bodies:
+        at = jax.value_and_grad(lambda point, body=body: body.gap(point - body.height * up))
+        found.append(jax.vmap(jax.vmap(at))(points))
+    return jnp.stack([gap for gap, _ in found]), jnp.stack([normal for _, normal in found])
+
+
+def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
+    """Return the first and second derivatives of the contact laws by the gap, in Pa and Pa/m.
+
+    Parameters
+    ----------
+    gap : array of shape (n_bodies, n_faces, n_points)
+        In m.
+    bodies : tuple of Body
+
+    Returns
+    -------
+    two arrays of shape (n_bodies, n_faces, n_points)
+        The first is negative: minus the contact pressure.
+    """
+    slopes = [jax.vmap(jax.vmap(jax.grad(body.law)))(gap[i]) for i, body in enumerate(bodies)]
+    bends = [
+        jax.vmap(jax.vmap(jax.grad(jax.grad(body.law))))(gap[i]) for i, body in enumerate(bodies)
+    ]
+    return jnp.stack(slopes), jnp.stack(bends)
+
+
 def force(position: Array, area: Array, shapes: Array, body: Body) -> Array:
     """Return the upward force in N on a body: minus the derivative of the energy by its height.
 

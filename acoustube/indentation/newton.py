@@ -15,6 +15,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -23,6 +24,7 @@ from scipy.linalg import LinAlgError
 from acoustube.base.types import Array, Index
 from acoustube.indentation import linear_solver
 from acoustube.indentation.assembly import Model, State, evaluate, stiffness
+from acoustube.indentation.condensed_contact import CondensedContact
 from acoustube.indentation.contact import Body
 
 MAX_ITERATIONS = 40
@@ -33,7 +35,9 @@ RESIDUAL_DECREASE = 0.5
 """Ratio of the residuals after and before a step below which it is taken whatever the energy."""
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
-REUSED_TOLERANCE = 1e-2
+CONDENSED_REUSE_DECREASE = 0.3
+"""The same where the contact is solved exactly, so that further steps are cheap beside a factor."""
+REUSED_TOLERANCE = 0.1
 """Part of the tolerance that the residual must reach by a step with a factor used before."""
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
@@ -94,63 +98,79 @@ def minimise(
     """
     state = evaluate(model, start, bodies)
     order = linear_solver.section_order(model.mesh.points, model.free)
-    solve, stable, own = None, False, False
+    tangent, own = None, False
     for iteration in range(MAX_ITERATIONS + 1):
         near = state.norm <= tolerance
         if not np.isfinite(state.norm):
             reason = "an element is inverted (J <= 0)"
             break
-        if stable and state.norm <= tolerance * (1.0 if own else REUSED_TOLERANCE):
+        small = state.norm <= tolerance * (1.0 if own else REUSED_TOLERANCE)
+        sound = tangent is not None and tangent.stable and (not small or tangent.holds_at(state))
+        if small and sound:
             reason = ""
             break
         if iteration == MAX_ITERATIONS:
             reason = f"Newton's method did not converge in {MAX_ITERATIONS} iterations"
             break
-        own = solve is None or (near and not stable)
+        own = tangent is None or (near and not sound)
         if own:
-            try:
-                solve, stable = _factorised(model, state.displacement, bodies, order)
-            except LinAlgError:
-                stable = False
-        if solve is None or (near and (iteration == 0 or not stable)):
-            reason = "" if stable else BUCKLING
+            tangent = _factorised(model, state.displacement, bodies, order)
+        if tangent is None or (near and (iteration == 0 or not tangent.stable)):
+            reason = "" if tangent is not None and tangent.stable else BUCKLING
             break
         step = np.zeros_like(start)
-        step[model.free] = -solve(state.gradient)
+        step[model.free] = tangent.step(state)
         lower = _line_search(model, state, step, bodies)
         if lower is None and own:
             reason = "" if near else "the line search found no decrease of the energy"
             break
-        if lower is None or not stable or lower.norm > REUSE_DECREASE * state.norm:
-            solve = None
+        if lower is None or not tangent.stable or lower.norm > tangent.reuse * state.norm:
+            tangent = None
         state = state if lower is None else lower
     return NewtonResult(state.displacement, not reason, iteration, state.norm, reason)
 
 
+class _Tangent(NamedTuple):
+    """A factorised tangent, or a positive definite matrix near it: then it is not `stable`."""
+
+    solve: linear_solver.Solve
+    stable: bool
+    contact: CondensedContact | None
+
+    def step(self, state: State) -> Array:
+        """Return Newton's step (n_free,) in m, with the contact solved exactly where it can be."""
+        return -self.solve(state.gradient) if self.contact is None else self.contact.step(state)
+
+    def holds_at(self, state: State) -> bool:
+        """Return whether it is positive definite with the contact of another state too."""
+        return self.contact is None or self.contact.positive_definite(state.displacement)
+
+    @property
+    def reuse(self) -> float:
+        return REUSE_DECREASE if self.contact is None else CONDENSED_REUSE_DECREASE
+
+
 def _factorised(
     model: Model, displacement: Array, bodies: tuple[Body, ...], order: Index
-) -> tuple[linear_solver.Solve, bool]:
-    """Factorise the tangent, or else a nearby positive definite matrix; return whether the tangent.
+) -> _Tangent | None:
+    """Factorise the tangent, or else a nearby positive definite matrix.
 
-    The second is the tangent without what makes it indefinite first, and with a part of its
-    diagonal added where that is not enough ([2]_, section 3.4).
-
-    Raises
-    ------
-    scipy.linalg.LinAlgError
-        If the largest part is not enough either.
+    That is the tangent without what makes it indefinite first, and with a part of its diagonal
+    added where that is not enough ([2]_, section 3.4); None if the largest part is not either.
     """
-    try:
-        return linear_solver.factorise(stiffness(model, displacement, bodies), order), True
-    except LinAlgError:
-        convex = stiffness(model, displacement, bodies, convex=True)
-    for shift in DIAGONAL_SHIFTS:
-        shifted = convex + shift * sparse.diags_array(np.abs(convex.diagonal()))
+    for shift in (None, *DIAGONAL_SHIFTS):
+        matrix = stiffness(model, displacement, bodies, convex=shift is not None)
+        if shift:
+            matrix = (matrix + shift * sparse.diags_array(np.abs(matrix.diagonal()))).tocsc()
         try:
-            return linear_solver.factorise(shifted.tocsc(), order), False
+            solve = linear_solver.factorise(matrix, order)
         except LinAlgError:
             continue
-    raise LinAlgError("The tangent cannot be made positive definite.")
+        condensed = None
+        if shift is None and isinstance(solve, linear_solver.BandedFactor):
+            condensed = CondensedContact(model, bodies, solve, displacement)
+        return _Tangent(solve, shift is None, condensed)
+    return None
 
 
 def _line_search(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:

@@ -1,0 +1,245 @@
+"""Newton steps with the contact solved exactly, condensed to the nodes where it changes.
+
+Between two states of a press some hundred points of the wall come into contact or leave it. Newton's
+method, which linearises the contact with the rest, finds them in six to ten iterations, each with a
+factorisation. Here the wall is linearised alone: from the factor of one tangent follows the
+compliance of the nodes whose contact changes, a small dense matrix, and the contact problem on it is
+solved to the end, by the semismooth Newton method [2]_. Elimination of all but the nodes in contact
+is due to Francavilla and Zienkiewicz [1]_. The step is the exact minimiser of an energy whose only
+nonlinear part is contact; two or three steps with the same factor then remove what the wall's own
+nonlinearity leaves.
+
+References
+----------
+.. [1] A. Francavilla, O. C. Zienkiewicz, "A note on numerical computation of elastic contact
+   problems", Int. J. Numer. Methods Eng. 9, 913-924 (1975).
+.. [2] L. Qi, J. Sun, "A nonsmooth version of Newton's method", Math. Program. 58, 353-367 (1993).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import jax
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky, solve
+
+from acoustube.base.types import Array, Index
+from acoustube.indentation import contact
+from acoustube.indentation.assembly import Model, State
+from acoustube.indentation.contact import Body
+from acoustube.indentation.linear_solver import BandedFactor
+
+LARGEST_ZONE = 1000
+"""Unknowns of the nodes whose contact changes, above which a step is linear in the contact too."""
+ROUNDS = 6
+"""Extensions of the zone in one step."""
+NEGLIGIBLE = 1e-4
+"""Change of a point's contact force beyond its linear part, relative to the residual, that is
+left to the next step."""
+ITERATIONS = 30
+PRECISION = 1e-10
+"""Largest error of the displacements in the zone, relative to the largest of the linear step."""
+HALVINGS = 6
+
+_gaps = jax.jit(contact.gaps)
+_pressures = jax.jit(contact.pressures)
+
+
+@dataclass(eq=False)
+class CondensedContact:
+    """A factorised tangent, with the compliance of the nodes whose contact changes.
+
+    Parameters
+    ----------
+    model : Model
+    bodies : tuple of Body
+        Indenters and ground at their heights.
+    factor : BandedFactor
+        Of the tangent, or of a matrix near it, at a state.
+    displacement : array of shape (n_nodes, 3)
+        That state, in m.
+    """
+
+    model: Model
+    bodies: tuple[Body, ...]
+    factor: BandedFactor
+    displacement: Array
+    _faces: Index = field(init=False)
+    _zone: Index = field(init=False)
+    _columns: Array = field(init=False, repr=False)
+    _compliance: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Linearise the gaps at the state; the zone is empty."""
+        gap, normal = self._gaps(self.displacement)
+        self._normal, self._stiffness = normal, self._laws(gap)[1]
+        self._number = np.where(
+            self.model.free, np.cumsum(self.model.free).reshape(self.model.free.shape) - 1, -1
+        )
+        self._faces, self._zone = np.zeros(0, int), np.zeros(0, int)
+        self._columns = np.zeros((int(self.model.free.sum()), 0))
+        self._compliance = np.zeros((0, 0))
+
+    def step(self, state: State) -> Array:
+        """Return the step from a state, shape (n_free,), in m.
+
+        Parameters
+        ----------
+        state : State
+
+        Returns
+        -------
+        array of shape (n_free,)
+            That of the factor alone where the zone becomes too large or its contact problem is not
+            solved.
+        """
+        linear = -self.factor(state.gradient)
+        gap, _ = self._gaps(state.displacement)
+        before, _ = self._laws(gap)
+        step = linear
+        for _ in range(ROUNDS):
+            excess = self._excess(gap, before, self._closing(self._on_nodes(step)))
+            size = np.abs(excess).max(axis=(0, 2))
+            size[self._faces] = 0.0
+            new = np.flatnonzero(size > NEGLIGIBLE * state.norm)
+            if not new.size:
+                break
+            if not self._extended(new):
+                return linear
+            forces = self._contact_forces(gap, before, linear[self._zone])
+            if forces is None:
+                return linear
+            step = linear - self.factor(forces)
+        return step if state.gradient @ step < 0 else linear
+
+    def positive_definite(self, displacement: Array) -> bool:
+        """Return whether the tangent stays positive definite with the contact of another state.
+
+        Parameters
+        ----------
+        displacement : array of shape (n_nodes, 3)
+            In m.
+
+        Notes
+        -----
+        The contact stiffness of the zone changes, by D. The tangent is positive definite if, in
+        addition to the factorised one, the Schur complement of the zone is: the inverse of its
+        compliance plus D, or ``I + L^T D L`` with the compliance's Cholesky factor L.
+        """
+        if not self._zone.size:
+            return True
+        _, stiffness = self._laws(self._gaps(displacement)[0])
+        try:
+            root = cholesky(self._compliance, lower=True)
+            cholesky(np.eye(len(root)) + root.T @ self._zone_stiffness(stiffness) @ root)
+        except LinAlgError:
+            return False
+        return True
+
+    def _gaps(self, displacement: Array) -> tuple[Array, Array]:
+        """Return gaps and normals of the outer wall's points: (body, face, point), (..., 3)."""
+        mesh = self.model.mesh
+        faces = (mesh.points + displacement)[self.model.outer_faces]
+        gap, normal = _gaps(faces, mesh.face.shapes, self.bodies)
+        return np.asarray(gap), np.asarray(normal)
+
+    def _laws(self, gap: Array) -> tuple[Array, Array]:
+        """Return the points' contact forces in N, negative, and stiffnesses in N/m."""
+        slope, bend = _pressures(gap, self.bodies)
+        area = np.asarray(self.model.outer_area)
+        return np.asarray(slope) * area, np.asarray(bend) * area
+
+    def _closing(self, moved: Array) -> Array:
+        """Return the change of the gaps by a motion of the nodes, (body, face, point)."""
+        points = np.einsum("qn,fni->fqi", self._shapes, moved[self.model.outer_faces])
+        return np.einsum("bfqi,fqi->bfq", self._normal, points)
+
+    def _excess(self, gap: Array, before: Array, closing: Array) -> Array:
+        """Return the change of the points' forces beyond what the factorised tangent has of it."""
+        return self._laws(gap + closing)[0] - before - self._stiffness * closing
+
+    def _extended(self, faces: Index) -> bool:
+        """Add the unknowns of faces to the zone; return False if it becomes too large."""
+        at_faces = np.union1d(self._faces, faces)
+        # A body touches nodes in the direction of its normal: a rod's has no x component.
+        across = np.abs(self._normal[:, at_faces]).max(axis=(0, 1, 2)) > 0
+        used = np.unique(self._number[self.model.outer_faces[at_faces]][..., across])
+        numbers = used[used >= 0]
+        new = np.setdiff1d(numbers, self._zone)
+        if len(self._zone) + len(new) > LARGEST_ZONE:
+            return False
+        columns = self.factor.forward(new)
+        self._faces, self._zone = at_faces, np.concatenate([self._zone, new])
+        self._columns = np.hstack([self._columns, columns])
+        start = int(self.factor.place[self._zone].min())
+        self._compliance = self._columns[start:].T @ self._columns[start:]
+        return True
+
+    def _contact_forces(self, gap: Array, before: Array, linear: Array) -> Array | None:
+        """Solve the contact problem on the zone; return its forces on the unknowns, in N.
+
+        For the displacements v of the zone, ``v - v_linear + C f(v) = 0`` with the compliance C
+        and the forces f beyond the linear part; None without convergence.
+        """
+        moved, scale = linear, np.abs(linear).max()
+
+        def misfit(moved: Array) -> tuple[Array, Array, Array]:
+            closing = self._closing(self._of_zone(moved))
+            force = self._zone_forces(self._excess(gap, before, closing))
+            return moved - linear + self._compliance @ force[self._zone], force, closing
+
+        wrong, force, closing = misfit(moved)
+        for _ in range(ITERATIONS):
+            if np.abs(wrong).max() <= PRECISION * scale:
+                return force
+            stiffness = self._zone_stiffness(self._laws(gap + closing)[1])
+            matrix = np.eye(len(moved)) + self._compliance @ stiffness
+            try:
+                change = -solve(matrix, wrong, check_finite=False)
+            except (LinAlgError, ValueError):
+                return None
+            for length in 0.5 ** np.arange(HALVINGS):
+                trial = moved + length * change
+                left, force, closing = misfit(trial)
+                if np.linalg.norm(left) < np.linalg.norm(wrong):
+                    break
+            moved, wrong = trial, left
+        return None
+
+    def _zone_forces(self, point_forces: Array) -> Array:
+        """Return the forces on the unknowns of the points of the zone's faces."""
+        at, shapes = self._faces, self._shapes
+        normal = self._normal[:, at]
+        local = np.einsum("qn,bfqi,bfq->fni", shapes, normal, point_forces[:, at], optimize=True)
+        total = np.zeros(self.displacement.shape)
+        np.add.at(total, self.model.outer_faces[at], local)
+        return total[self.model.free]
+
+    def _zone_stiffness(self, stiffness: Array) -> Array:
+        """Return what the points' stiffnesses add to the factorised tangent, on the zone."""
+        at, shapes, size = self._faces, self._shapes, len(self._zone)
+        normal, change = self._normal[:, at], (stiffness - self._stiffness)[:, at]
+        at_points = np.einsum("bfq,bfqi,bfqj->fqij", change, normal, normal, optimize=True)
+        local = np.einsum("qn,qm,fqij->fnimj", shapes, shapes, at_points, optimize=True)
+        place = np.full(self._columns.shape[0] + 1, -1)
+        place[self._zone] = np.arange(size)
+        rows = place[self._number[self.model.outer_faces[at]]]
+        first, second = np.broadcast_arrays(rows[:, :, :, None, None], rows[:, None, None])
+        known = (first >= 0) & (second >= 0)
+        entries = np.bincount(first[known] * size + second[known], local[known], size**2)
+        return entries.reshape(size, size)
+
+    def _on_nodes(self, step: Array) -> Array:
+        moved = np.zeros(self.displacement.shape)
+        moved[self.model.free] = step
+        return moved
+
+    def _of_zone(self, moved: Array) -> Array:
+        step = np.zeros(self._columns.shape[0])
+        step[self._zone] = moved
+        return self._on_nodes(step)
+
+    @property
+    def _shapes(self) -> Array:
+        return np.asarray(self.model.mesh.face.shapes)
