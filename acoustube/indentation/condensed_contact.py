@@ -67,7 +67,7 @@ class CondensedContact:
     displacement: Array
     _faces: Index = field(init=False)
     _zone: Index = field(init=False)
-    _columns: Array = field(init=False, repr=False)
+    _columns: list[Array] = field(init=False, repr=False, default_factory=list)
     _compliance: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -78,7 +78,6 @@ class CondensedContact:
             self.model.free, np.cumsum(self.model.free).reshape(self.model.free.shape) - 1, -1
         )
         self._faces, self._zone = np.zeros(0, int), np.zeros(0, int)
-        self._columns = np.zeros((int(self.model.free.sum()), 0))
         self._compliance = np.zeros((0, 0))
 
     def step(self, state: State) -> Array:
@@ -99,6 +98,11 @@ class CondensedContact:
         before, _ = self._laws(gap)
         step = linear
         for _ in range(ROUNDS):
+            if self._zone.size:
+                forces = self._contact_forces(gap, before, linear[self._zone])
+                if forces is None:
+                    return linear
+                step = linear - self.factor(forces)
             excess = self._excess(gap, before, self._closing(self._on_nodes(step)))
             size = np.abs(excess).max(axis=(0, 2))
             size[self._faces] = 0.0
@@ -107,10 +111,6 @@ class CondensedContact:
                 break
             if not self._extended(new):
                 return linear
-            forces = self._contact_forces(gap, before, linear[self._zone])
-            if forces is None:
-                return linear
-            step = linear - self.factor(forces)
         return step if state.gradient @ step < 0 else linear
 
     def positive_definite(self, displacement: Array) -> bool:
@@ -169,11 +169,14 @@ class CondensedContact:
         new = np.setdiff1d(numbers, self._zone)
         if len(self._zone) + len(new) > LARGEST_ZONE:
             return False
-        columns = self.factor.forward(new)
+        new = new[np.argsort(self.factor.place[new])]
+        columns, start = self.factor.forward(new), int(self.factor.place[new].min(initial=0))
+        own = columns[start:].T @ columns[start:]
+        shared = [known[start:].T @ columns[start:] for known in self._columns]
+        between = np.concatenate([np.zeros((0, len(new))), *shared])
+        self._compliance = np.block([[self._compliance, between], [between.T, own]])
         self._faces, self._zone = at_faces, np.concatenate([self._zone, new])
-        self._columns = np.hstack([self._columns, columns])
-        start = int(self.factor.place[self._zone].min())
-        self._compliance = self._columns[start:].T @ self._columns[start:]
+        self._columns.append(columns)
         return True
 
     def _contact_forces(self, gap: Array, before: Array, linear: Array) -> Array | None:
@@ -222,7 +225,7 @@ class CondensedContact:
         normal, change = self._normal[:, at], (stiffness - self._stiffness)[:, at]
         at_points = np.einsum("bfq,bfqi,bfqj->fqij", change, normal, normal, optimize=True)
         local = np.einsum("qn,qm,fqij->fnimj", shapes, shapes, at_points, optimize=True)
-        place = np.full(self._columns.shape[0] + 1, -1)
+        place = np.full(self.model.pattern.n_free + 1, -1)
         place[self._zone] = np.arange(size)
         rows = place[self._number[self.model.outer_faces[at]]]
         first, second = np.broadcast_arrays(rows[:, :, :, None, None], rows[:, None, None])
@@ -236,7 +239,7 @@ class CondensedContact:
         return moved
 
     def _of_zone(self, moved: Array) -> Array:
-        step = np.zeros(self._columns.shape[0])
+        step = np.zeros(self.model.pattern.n_free)
         step[self._zone] = moved
         return self._on_nodes(step)
 

@@ -226,6 +226,7 @@ class BandedFactor:
         Parameters
         ----------
         unknowns : array of int, shape (k,)
+            In the order of elimination.
 
         Returns
         -------
@@ -240,26 +241,23 @@ class BandedFactor:
         are computed for unknowns that are eliminated late.
         """
         width, n = len(self.band) - 1, self.band.shape[1]
-        order = np.argsort(self.place[unknowns])
-        first = self.place[unknowns][order]
+        first = self.place[unknowns]
         found = np.zeros((n, len(unknowns)))
         found[first, np.arange(len(unknowns))] = 1.0
-        entries = self.band.ravel(order="F")
-        for start in range(int(first.min(initial=n)), n, FORWARD_BLOCK):
-            here = min(FORWARD_BLOCK, n - start)
+        entries, block = self.band.ravel(order="F"), max(1, min(FORWARD_BLOCK, width))
+        for start in range(int(first.min(initial=n)), n, block):
+            here = min(block, n - start)
             rows, count = min(here + width, n - start), int(np.searchsorted(first, start + here))
             # Row i and column j of the factor are i + j * width after its first entry.
             dense = as_strided(
                 entries[start * (width + 1) :], (rows, here), (8, 8 * width), writeable=False
             )
-            within = np.subtract.outer(np.arange(rows), np.arange(here)) <= width
+            below, last = found[start + here : start + rows, :count], width + 1 - here
             solved = dtrsm(1.0, dense[:here], found[start : start + here, :count], lower=1)
             found[start : start + here, :count] = solved
-            below = np.where(within[here:], dense[here:], 0.0)
-            found[start + here : start + rows, :count] -= below @ solved
-        back = np.empty_like(order)
-        back[order] = np.arange(len(order))
-        return found[:, back]
+            below[:last] -= dense[here : width + 1] @ solved
+            below[last:] -= np.triu(dense[width + 1 :], 1) @ solved
+        return found
 
 
 def banded(lower: sparse.csc_array, order: Index | None = None) -> BandedFactor:

@@ -124,7 +124,7 @@ def minimise(
         if lower is None and own:
             reason = "" if near else "the line search found no decrease of the energy"
             break
-        if lower is None or not tangent.stable or lower.norm > tangent.reuse * state.norm:
+        if lower is None or not tangent.stable or not _worth(tangent, state, lower, tolerance):
             tangent = None
         state = state if lower is None else lower
     return NewtonResult(state.displacement, not reason, iteration, state.norm, reason)
@@ -148,6 +148,16 @@ class _Tangent(NamedTuple):
     @property
     def reuse(self) -> float:
         return REUSE_DECREASE if self.contact is None else CONDENSED_REUSE_DECREASE
+
+
+def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> bool:
+    """Return whether a factor that led from one state to a lower one is used again.
+
+    If it lowers the residual enough, or at the same ratio would to convergence in three steps.
+    """
+    ratio = lower.norm / state.norm
+    last = lower.norm * ratio**3
+    return ratio <= tangent.reuse or (ratio < 1 and last <= REUSED_TOLERANCE * tolerance)
 
 
 def _factorised(
