@@ -280,6 +280,31 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
     assert np.all(np.diff(kept.contact_force) > 0)
 
 
+def test_middle_depth_that_fails_ends_the_press_there_and_says_what_was_reached(monkeypatch):
+    """0.5 mm is solved before 0.4 mm, at which Newton fails from wherever it starts: the rows end
+    before that, though a deeper one was found."""
+    solve, gap, solved = load_path.minimise, (0.35e-3, 0.45e-3), []
+
+    def blocked(model, start, bodies, tolerance):
+        depth = Tube().outer_diameter / 2 - float(bodies[0].height)
+        if gap[0] < depth < gap[1]:
+            state = load_path.NewtonResult(start, False, 40, 1.0, "buckling")
+        else:
+            state = solve(model, start, bodies, tolerance)
+            solved.append(depth)
+        return state
+
+    monkeypatch.setattr(load_path, "minimise", blocked)
+    monkeypatch.setattr(load_path, "FIRST_INCREMENT", 1 / 16)
+    with pytest.raises(PressError, match=r"of 0\.50 mm: buckling.*2 of the 4 depths") as stopped:
+        indent(Tube(), depth=[1e-4, 3e-4, 4e-4, 5e-4], mesh=COARSE)
+    kept = stopped.value.indentation
+    assert max(solved) == pytest.approx(5e-4)
+    assert kept.rows_at([1e-4, 3e-4, 4e-4, 5e-4]) == [1, 2]
+    assert kept.depth[-1] <= gap[0]
+    assert np.all(np.diff(kept.depth) > 0)
+
+
 def test_newton_without_iterations_stops_the_press(monkeypatch):
     """One iteration cannot find a contact; nothing but the first touch is reached."""
     monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)

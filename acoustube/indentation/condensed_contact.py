@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import jax
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve
+from scipy.linalg import LinAlgError, cholesky
 
 from acoustube.base.types import Array, Index
 from acoustube.indentation import contact
@@ -198,9 +198,11 @@ class CondensedContact:
                 return force
             stiffness = self._zone_stiffness(self._laws(gap + closing)[1])
             matrix = np.eye(len(moved)) + self._compliance @ stiffness
+            if not np.all(np.isfinite(matrix)):
+                return None
             try:
-                change = -solve(matrix, wrong, check_finite=False)
-            except (LinAlgError, ValueError):
+                change = -np.linalg.solve(matrix, wrong)
+            except np.linalg.LinAlgError:
                 return None
             for length in 0.5 ** np.arange(HALVINGS):
                 trial = moved + length * change

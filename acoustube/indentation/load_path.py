@@ -99,6 +99,7 @@ def load_path(
     allowed = tolerance * tube.shear_modulus * bore**2
     start = NewtonResult(untouched.displacement[0], True, 0, 0.0)
     first = _Increment(0.0, start, _results_at_first_touch(model, untouched))
+    asked = targets
     if guide is not None:
         targets = np.unique(np.append(targets, min(guide.reach, targets[-1])))
     problem = _Problem(untouched, model, allowed, largest * bore)
@@ -112,7 +113,7 @@ def load_path(
         if progress:
             progress(count / len(targets))
     if failure is not None:
-        raise _failed(untouched, done, targets[-1], failure)
+        raise _failed(untouched, done, asked, failure)
     return _gathered(untouched, done)
 
 
@@ -290,12 +291,14 @@ def _fraction_done(n_done: int, left: float, increment: float, largest: float) -
 
 
 def _failed(
-    untouched: Indentation, done: Sequence[_Increment], asked: float, last: NewtonResult
+    untouched: Indentation, done: Sequence[_Increment], targets: Array, last: NewtonResult
 ) -> PressError:
+    reached = int(np.isin(targets, [each.depth for each in done]).sum())
+    count = f"{reached} of the {len(targets)} depths were reached. " if len(targets) > 1 else ""
     return PressError(
         f"The indentation stopped at a depth of {MM * done[-1].depth:.2f} mm of "
-        f"{MM * asked:.2f} mm: {last.reason} (residual force {last.residual:.1e} N). "
-        "Reduce the depth, use a larger indenter, or refine the mesh (from Python).",
+        f"{MM * targets[-1]:.2f} mm: {last.reason} (residual force {last.residual:.1e} N). "
+        f"{count}Reduce the depth, use a larger indenter, or refine the mesh (from Python).",
         _gathered(untouched, done),
     )
 

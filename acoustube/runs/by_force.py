@@ -1,4 +1,4 @@
-"""Presses at given forces, interpolated on a load path that was solved by depth.
+"""Presses at given forces, between the rows of a load path that was solved by depth.
 
 A press is solved by depth, since a wall that snaps through has several states at one force; as long
 as the force rises along the path, each force belongs to one depth. On soft ground part of the
@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
 
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.types import Array
 from acoustube.base.units import MM
-from acoustube.indentation import Indentation
+from acoustube.indentation import DepthPath, Indentation
 from acoustube.lumen import inner_wall, measure
 
 FORCE_DROP_TOLERANCE = 1e-3
@@ -25,6 +24,8 @@ FORCE_DROP_TOLERANCE = 1e-3
 
 LARGEST_SPACING = 1 / 12
 """Largest distance of the depths that are interpolated between, in bore diameters."""
+BISECTIONS = 50
+"""Of the interval between two rows, to the round-off of a depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,9 @@ class ByForce:
         Settlement of the ground under the tube's bottom line at the press, in m.
     lumen_area : array
         At the press, in m2.
+    force_error : array
+        Estimated error of the force at that depth in N: a press solved there bears the force
+        asked for within about twice this.
     """
 
     force: Array
@@ -50,10 +54,11 @@ class ByForce:
     closing: Array
     sinking: Array
     lumen_area: Array
+    force_error: Array
 
 
 def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
-    """Interpolate a load path at given contact forces.
+    """Find the presses of a load path with given contact forces.
 
     Parameters
     ----------
@@ -65,13 +70,16 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     Raises
     ------
     ConfigError
-        If a force is negative, or more than at the path's end, or depths are too far apart.
+        If a force is negative, or more than at the path's end, or depths are too far apart or too
+        few.
     SimulationError
         If the force falls along the path, so that the depth is not unique.
 
     Notes
     -----
-    Between increments by monotonic cubics (PCHIP), which are monotone in the force.
+    The depth is a root of the cubic spline of the force, between the first two rows that enclose
+    the force; the lumen is that of the interpolated wall at this depth, and the error that of
+    :meth:`acoustube.indentation.DepthPath.error`.
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     spacing = LARGEST_SPACING * indentation.tube.inner_diameter
@@ -95,20 +103,37 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
             f"{MM * indentation.depth[-1]:.4g} mm", setting="force", value=float(outside[0]),
             unit="N", allowed=(0.0, float(path[-1])), advice="press deeper",
         )  # fmt: skip
-    rising = np.concatenate([[True], path[1:] > np.maximum.accumulate(path)[:-1]])
-    table = np.stack(_along(indentation), axis=1)[rising]
-    found = PchipInterpolator(path[rising], table)(wanted)
-    return ByForce(wanted, *np.moveaxis(found, -1, 0))
+    spline = DepthPath(indentation)
+    depth = _depths(spline, np.ravel(wanted))
+    each, back = np.unique(depth, return_inverse=True)
+    estimates = spline.error(each).contact_force
+    closing, sinking, area = _measured(spline, each)
+    found = [values[back].reshape(wanted.shape) for values in (each, closing, sinking, area)]
+    return ByForce(wanted, *found, estimates[back].reshape(wanted.shape))
 
 
-def _along(indentation: Indentation) -> tuple[Array, Array, Array, Array]:
-    """Return depth, loss of lumen height, settlement and lumen area at each increment."""
-    mesh, wall = indentation.mesh, inner_wall(indentation.mesh)
-    middle = np.array([indentation.indenters[0].z])
-    rows = range(len(indentation.depth))
-    sections = [measure(indentation, row, middle, wall) for row in rows]
+def _depths(spline: DepthPath, force: Array) -> Array:
+    """Return the depths in m at which the spline has forces (n,), by bisection between its rows."""
+    rows, path = spline.indentation.depth, spline.indentation.contact_force
+    # The first row at or above the force; the one before is below it.
+    after = np.searchsorted(np.maximum.accumulate(path), force)
+    low, high = rows[np.maximum(after - 1, 0)], rows[after]
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        below = spline.contact_force(middle) < force
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(high)
+
+
+def _measured(spline: DepthPath, depth: Array) -> tuple[Array, Array, Array]:
+    """Return loss of lumen height, settlement and lumen area at rising depths."""
+    mesh, wall = spline.indentation.mesh, inner_wall(spline.indentation.mesh)
+    middle = np.array([spline.indentation.indenters[0].z])
+    undeformed = measure(spline.indentation, 0, middle, wall)
+    states = spline.at(depth)
+    sections = [measure(states, row, middle, wall) for row in range(len(depth))]
     height = np.array([float(section.height[0]) for section in sections])
     area = np.array([float(section.area[0]) for section in sections])
     below = mesh.bottom[np.argmin(np.abs(mesh.points[mesh.bottom, 2] - middle[0]))]
-    sinking = -indentation.displacement[:, below, 1]
-    return indentation.depth, height[0] - height, sinking, area
+    sinking = -states.displacement[:, below, 1]
+    return float(undeformed.height[0]) - height, sinking, area
