@@ -67,7 +67,7 @@ def left_over(tube, tangent, contact, state, step):
 
 
 def test_step_leaves_no_residual_but_what_the_curved_rod_makes(tube):
-    """0.1 mm deeper: a linear step leaves a twelfth of the residual, this one under a thousandth."""
+    """0.1 mm deeper: a linear step leaves a twelfth of the residual, this one a thousandth."""
     tangent, contact, state = condensed(tube, PRESSED)
     linear = -contact.factor(state.gradient)
     assert left_over(tube, tangent, contact, state, linear) > 0.05 * state.norm
