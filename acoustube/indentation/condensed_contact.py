@@ -1,12 +1,12 @@
 """Newton steps with the contact solved exactly, condensed to the nodes where it changes.
 
-Between two states of a press some hundred points of the wall come into contact or leave it. Newton's
-method, which linearises the contact with the rest, finds them in six to ten iterations, each with a
-factorisation. Here the wall is linearised alone: from the factor of one tangent follows the
-compliance of the nodes whose contact changes, a small dense matrix, and the contact problem on it is
-solved to the end, by the semismooth Newton method [2]_. Elimination of all but the nodes in contact
-is due to Francavilla and Zienkiewicz [1]_. The step is the exact minimiser of an energy whose only
-nonlinear part is contact; two or three steps with the same factor then remove what the wall's own
+Between two states of a press some hundred points of the wall come into contact or leave it.
+Newton's method, which linearises the contact with the rest, finds them in six to ten iterations,
+each with a factorisation. Here the wall alone is linearised: from the factor of one tangent follows
+the compliance of the nodes whose contact changes, a small dense matrix, and the contact problem on
+it is solved to the end, by the semismooth Newton method [2]_. Elimination of all but the nodes in
+contact is due to Francavilla and Zienkiewicz [1]_. The step is a minimiser of an energy whose only
+nonlinear part is contact; a few steps with the same factor then remove what the wall's own
 nonlinearity leaves.
 
 References
@@ -233,7 +233,7 @@ class CondensedContact:
         first, second = np.broadcast_arrays(rows[:, :, :, None, None], rows[:, None, None])
         known = (first >= 0) & (second >= 0)
         entries = np.bincount(first[known] * size + second[known], local[known], size**2)
-        return entries.reshape(size, size)
+        return np.asarray(entries.reshape(size, size), float)
 
     def _on_nodes(self, step: Array) -> Array:
         moved = np.zeros(self.displacement.shape)

@@ -11,9 +11,9 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
-from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.linalg.blas import dtrsm
 from scipy.sparse.linalg import splu

@@ -106,10 +106,9 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     spline = DepthPath(indentation)
     depth = _depths(spline, np.ravel(wanted))
     each, back = np.unique(depth, return_inverse=True)
-    estimates = spline.error(each).contact_force
-    closing, sinking, area = _measured(spline, each)
-    found = [values[back].reshape(wanted.shape) for values in (each, closing, sinking, area)]
-    return ByForce(wanted, *found, estimates[back].reshape(wanted.shape))
+    found = each, *_measured(spline, each), spline.error(each).contact_force
+    depth, closing, sinking, area, error = (v[back].reshape(wanted.shape) for v in found)
+    return ByForce(wanted, depth, closing, sinking, area, error)
 
 
 def _depths(spline: DepthPath, force: Array) -> Array:
