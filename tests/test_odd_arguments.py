@@ -78,6 +78,7 @@ def test_odd_argument_is_named_or_the_answer_is_finite(name, data):
         ("walls.profile", "vertices", np.ones((1, 3))),
         ("walls.straighten", "line", np.ones((1, 3))), ("signals.process", "pulse_duration", 1e6),
         ("waves.bend", "angle", 1e-320), ("waves.bend", "bend_radius", 1000.0),
+        ("waves.probe_pressure", "duration", 1000.0), ("waves.probe_pressure", "length", 1e-3),
         ("waves.modes_below", "sound_speed", 1.0), ("waves.cut_ons_in_band", "sound_speed", 1.0),
     ],
 )  # fmt: skip

@@ -342,7 +342,8 @@ def _bend_scattering(
     generator[:, :m, :m] = generator[:, m:, m:] = part.torsion * bore.twist
     generator[:, :m, m:] = -1j * k * to_pressure
     generator[:, m:, :m] = -1j * k * to_velocity
-    n_doublings = max(0, ceil(log2(part.length * bore.zeros.max() / radius / SLICE_EXPONENT)))
+    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # 0 of the plane mode alone
+    n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
     slice_ = expm(generator * (part.length / 2**n_doublings))
     s = _as_scattering(slice_, waves / k[:, 0])
     for _ in range(n_doublings):

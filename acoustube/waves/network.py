@@ -119,6 +119,7 @@ def probe_pressure(
     if not time_step > 0:
         raise ValueError(f"time_step = {time_step} s must be positive")
     check_pulse(pulse, duration)
+    checks.check_samples(duration, time_step)
     n = int(np.ceil(duration / time_step)) + 1
     n_cycle = next_fast_len(CYCLE * n, real=True)
     time = np.arange(n_cycle) * time_step

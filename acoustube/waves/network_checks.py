@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import Air
+from acoustube.base.errors import ConfigError
 from acoustube.base.units import KHZ
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import cut_on_frequency
@@ -23,6 +24,8 @@ COARSEST_STEP = 300.0
 With 200 or 300 Hz the echo of a pinched tube at 42 kHz, next to the cut-on of (2,1), was right to
 0.4 %, with 500 Hz to 2 %, or 22 % where a mode was trapped.
 """
+MOST_SAMPLES = 5e6
+"""Largest number of samples of a computed recording; a transform of more takes gigabytes."""
 CUT_ON_TOLERANCE = 0.04
 """Largest relative error of a cut-on that is attributed to the grid, not to another bore."""
 
@@ -148,11 +151,26 @@ def check_places(
         free = end
     if free > length:
         raise ValueError(
-            f"the last press bends the tube up to {free:.4g} m, beyond its end at {length:.4g} m; "
-            "use a longer tube or move the press"
+            f"the last press bends the tube up to {free:.4g} m, beyond its end at length = "
+            f"{length:.4g} m; use a longer tube or move the press"
         )
     for probe in probes:
         if not 0 <= probe <= length or any(start < probe < end for start, end in parts):
             raise ValueError(
                 f"probe = {probe:.4g} m lies outside the tube or within a press; move it"
             )
+
+
+def check_samples(duration: float, time_step: float) -> None:
+    """Raise if a recording has too many samples to be computed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if duration > MOST_SAMPLES * time_step:
+        raise ConfigError(
+            f"is over {MOST_SAMPLES:.0e} samples of time_step = {time_step:g} s",
+            setting="duration", value=duration, unit="s",
+            advice=f"use at most {MOST_SAMPLES * time_step:.3g} s",
+        )  # fmt: skip
