@@ -37,10 +37,10 @@ REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
 """The same where the contact is solved exactly, so that further steps are cheap beside a factor."""
-LEAST_CONDENSED_WORK = 5e8
+LEAST_CONDENSED_WORK = 2e9
 """Unknowns times squared bandwidth from which on the contact is solved exactly.
 
-Below, as on the guide's coarse mesh, a factorisation is cheaper than what it saves of them."""
+Below, as on 2 x 12 x 10 elements of a quarter, a factorisation is cheaper than what is saved."""
 REUSED_TOLERANCE = 0.1
 """Part of the tolerance that the residual must reach by a step with a factor used before."""
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
