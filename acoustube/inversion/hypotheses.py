@@ -30,7 +30,7 @@ from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is taken."""
-SPREADS = 1e-4, 3e-4, 1e-3
+SPREADS = 1e-4, 4e-4, 1.5e-3
 """Errors of the model at all times, relative to the highest echo, that are tried besides none."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
@@ -252,7 +252,9 @@ class Builder:
             return float(cost), error, whiten
 
         best = min((judged(error, 0.0) for error in ERRORS), key=lambda one: one[0])
-        wider = [judged(best[1], spread) for spread in SPREADS]
+        # An error at all times may explain what seemed one of the echo.
+        errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
+        wider = [judged(error, spread) for error in sorted(errors) for spread in SPREADS]
         return min([best, *wider], key=lambda one: one[0])[1:]
 
     def _echo(self, tools: tuple[int, ...], parameters: Array) -> tuple[Complex, Complex]:

@@ -53,7 +53,8 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     axes.set_xlabel("distance from the face (cm)")
     axes.set_ylabel("echo without clutter (counts)")
     words = f"misfit {found.misfit:.3g}" if found.contacts else "no contact"
-    axes.set_title(f"{len(found.contacts)} contacts, {words}", fontsize=10)
+    count = "1 contact, " if len(found.contacts) == 1 else f"{len(found.contacts)} contacts, "
+    axes.set_title((count if found.contacts else "") + words, fontsize=10)
     axes.legend(fontsize=8)
 
 
