@@ -199,8 +199,16 @@ def test_estimator_follows_scikit_learns_conventions():
     [
         (np.zeros((30, 2)), np.arange(30.0), "X has 30 rows, too few"),
         (np.zeros((80, 2)), np.ones(80), "target 0 of y is 1 in all rows"),
-        (np.full((80, 2), np.nan), np.arange(80.0), "80 of 80 rows have an input that is not fini"),
-        (np.zeros((80, 2)), np.full(80, np.inf), "80 of 80 rows have a target that is not finite"),
+        (
+            np.full((80, 2), np.nan),
+            np.arange(80.0),
+            "X has an input that is not finite in 80 of 80 rows",
+        ),
+        (
+            np.zeros((80, 2)),
+            np.full(80, np.inf),
+            "y has a target that is not finite in 80 of 80 rows",
+        ),
         (np.zeros((80, 2)), np.arange(79.0), "one row of targets for each row"),
         (np.zeros(80), np.arange(80.0), r"X has shape \(80,\)"),
         (np.zeros((80, 2)), np.eye(80)[:, :2], "has one target, not 2"),

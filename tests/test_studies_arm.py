@@ -129,7 +129,7 @@ def test_farthest_press_is_one_that_half_its_cycles_tell():
 
 def test_rows_of_the_ground_are_read_at_five_newtons():
     force = np.linspace(0, 8, 9)
-    path = ByForce(force, 1e-3 * force, 0.5e-3 * force, 0 * force, 0 * force)
+    path = ByForce(force, 1e-3 * force, 0.5e-3 * force, *3 * (0 * force,))
     rows = human.ground_rows({"arm": path})
     assert [row.ours for row in rows] == pytest.approx([5.0, 2.5])
 

@@ -343,7 +343,7 @@ MAY_WRITE = {
 """What no user sees, or what is in a folder for the moment; and the log of `live`, which grows."""
 MAY_REPLACE = {
     "cli/reproduce.py", "recordings/reading.py", "reports/studies/report.py",
-    "runs/sweep/dataset.py", "runs/sweep/run.py", "runs/sweep/store.py",
+    "runs/libraries/files.py", "runs/sweep/dataset.py", "runs/sweep/run.py", "runs/sweep/store.py",
 }  # fmt: skip
 """What belongs to a folder that is worked on again; and `recordings.write`, as documented."""
 

@@ -180,7 +180,7 @@ def error_budget(
         else LOSSY_REFLECTION
         if lossy
         else absorber_reflection(),
-        ringing=_ringing(pressure),
+        ringing=_ringing(np.asarray(pressure)),
     )
 
 
