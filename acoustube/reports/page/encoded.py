@@ -42,8 +42,12 @@ class Arrays:
         self._numbers: dict[bytes, int] = {}
 
     def real(self, values: Any) -> int:
-        """Store an array in single precision, and return its index."""
-        return self._keep(np.asarray(values, "<f4").ravel(), "f4", 1.0)
+        """Store an array in single precision, and return its index.
+
+        What exceeds its range, as in a damaged file, becomes infinite and is not drawn.
+        """
+        with np.errstate(over="ignore"):
+            return self._keep(np.asarray(values, "<f4").ravel(), "f4", 1.0)
 
     def coarse(self, values: Any) -> int:
         """Store an array in steps of 1/32767 of its largest value, and return its index."""
