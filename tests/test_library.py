@@ -112,7 +112,7 @@ def test_library_is_that_of_presses_to_its_depths(tmp_path):
     settings = tmp_path / "coarse.toml"
     settings.write_text('[indentation]\nmesh = "coarse"\n')
     words = ["library", "--config", settings, "--indenter", 25, "--depth", "0.8:2:0.4",
-             "--workers", 1, "--out", tmp_path / "lib"]  # fmt: skip
+             "--tolerance", 0.1, "--workers", 1, "--out", tmp_path / "lib"]  # fmt: skip
     done = run_here(*words)
     assert done.returncode == 0, done.stderr
     library = files.open_library(tmp_path / "lib")
