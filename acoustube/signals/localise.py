@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import ABSOLUTE_ZERO
 from acoustube.base import checks
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.types import Array
@@ -236,6 +237,7 @@ def process(
     and includes the sampling.
     """
     time, pressure = _check_signal(time, pressure)
+    _check_rows(temperature, pressure.shape[:-1])
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
     if offset_cutoff is not None:
         check_cutoff("offset_cutoff", offset_cutoff, rate)
@@ -338,6 +340,17 @@ def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> 
     curvature = 2 * middle - left - right
     steps = np.divide(noise, curvature, out=np.full(curvature.shape, np.nan), where=curvature > 0)
     return np.where(np.isfinite(peak), steps * step, np.nan)
+
+
+def _check_rows(temperature: ArrayLike, rows: tuple[int, ...]) -> None:
+    """Raise where temperatures are neither one for all cycles nor one for each."""
+    try:
+        np.broadcast_to(np.asarray(temperature), rows)
+    except ValueError:
+        raise ConfigError(
+            f"temperature has the shape {np.shape(temperature)} and the cycles have {rows}; "
+            "give one for all or one for each"
+        ) from None
 
 
 def _check_signal(time: ArrayLike, pressure: ArrayLike) -> tuple[Array, Array]:

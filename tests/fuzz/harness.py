@@ -22,6 +22,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from acoustube.base.errors import readable
+
 HANG_S, IDLE_S = 10.0, 20.0
 """Processor time, and time without any, after which a case hangs; what other programs take of a
 busy machine counts as neither."""
@@ -369,7 +371,7 @@ def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -
 def _names_something(case: Case, err: str) -> bool:
     """Return whether an error names a word of the command, or an argument with its value."""
     words = case.told or case.words
-    given = [part for word in words for part in (word, Path(word).name) if part]
+    given = [readable(part) for word in words for part in (word, Path(word).name) if part]
     shown = " ".join(err.split())
     return any(word[:20] in shown for word in given) or bool(
         re.search(r"\w+ = |--\w|needs |cannot be read|give |line \d|\"", shown)

@@ -13,7 +13,8 @@ HEAVY = (
     "acoustube.runs.presses:press_to", "acoustube.runs.simulate:press_to",
     "acoustube.waves.scattering:scatter", "acoustube.runs.sweep.run:run_sweep",
     "acoustube.runs.sweep.dataset:run_dataset", "acoustube.cli.reproduce:run_reproduce",
-    "acoustube.runs.selftest:all_trials", "acoustube.estimation:train",
+    "acoustube.runs.libraries.build:build_library", "acoustube.runs.selftest:all_trials",
+    "acoustube.estimation:train",
 )  # fmt: skip
 DRAWING = ("acoustube.reports.scenes.sleeve:draw", "acoustube.cli.check:can_draw")
 PRELOADED = (

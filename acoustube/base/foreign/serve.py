@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import sys
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -18,7 +18,7 @@ MEMORY = 400_000_000
 
 def serve() -> None:
     """Answer requests until standard input ends."""
-    answers = os.dup(1)
+    answers = os.fdopen(os.dup(1), "wb")
     # What a library prints must not come among the answers.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -26,6 +26,7 @@ def serve() -> None:
         request = json.loads(line)
         _limit(request["seconds"], request["bytes"])
         _answer(answers, request)
+        answers.flush()  # small arrays together: each message wakes the other process
 
 
 def _limit(seconds: float, size: int) -> None:
@@ -57,7 +58,7 @@ def _address_space() -> int:
         return 0
 
 
-def _answer(answers: int, request: dict[str, Any]) -> None:
+def _answer(answers: BinaryIO, request: dict[str, Any]) -> None:
     try:
         reader = getattr(readers, request["reader"])
         total = 0
@@ -83,7 +84,7 @@ def _answer(answers: int, request: dict[str, Any]) -> None:
                     "shape": array.shape,
                 },
             )
-            _write(answers, memoryview(array.reshape(-1).view(np.uint8).data))
+            answers.write(array.reshape(-1).view(np.uint8).data)
         _send(answers, {"end": True})
     except readers.Exceeded as error:
         _send(answers, {"exceeds": str(error)})
@@ -96,11 +97,6 @@ def _answer(answers: int, request: dict[str, Any]) -> None:
         _send(answers, {"error": words})
 
 
-def _send(answers: int, head: dict[str, Any]) -> None:
+def _send(answers: BinaryIO, head: dict[str, Any]) -> None:
     content = json.dumps(head).encode()
-    _write(answers, memoryview(len(content).to_bytes(4, "little") + content))
-
-
-def _write(answers: int, content: memoryview) -> None:
-    while content:
-        content = content[os.write(answers, content) :]
+    answers.write(len(content).to_bytes(4, "little") + content)
