@@ -8,11 +8,11 @@ Run it with an earlier version on the path to compare::
 The smallest of several times is printed, after a first reading that starts what is started once
 (libraries, compiled code, the child process).
 
-Against the version before there were limits, on one core, in ms: NPZ 3.7 and 4.1, packed 19.2 and
-19.8, NPY 2.2 and 2.4, WAV 2.2 and 2.4, FLAC 24.9 and 27.4, MAT 8.3 and 9.2, HDF5 3.7 and 4.7,
-netCDF 12.1 and 6.5, CSV 96.9 and 95.5, STL 35.4 and 35.9, as text 230 and 236, PLY 20.5 and 20.3,
-OBJ 64.9 and 65.4, VTP 21.6 and 21.7, markers 3.0 and 3.1, C3D 23.8 and 24.5, settings 0.11 and
-0.16, a scattering matrix 46.9 and 47.6.
+Against the version before there were limits, on one core, in ms: NPZ 3.8 and 4.5, packed 19.1 and
+20.0, NPY 2.3 and 2.4, WAV 2.3 and 2.4, FLAC 25.0 and 27.1, MAT 3.2 and 4.5, HDF5 3.6 and 5.0,
+netCDF 12.1 and 7.1, CSV 90.8 and 96.6, STL 35.7 and 35.3, as text 231 and 230, PLY 20.5 and 20.5,
+OBJ 66.1 and 65.4, VTP 21.7 and 23.3, markers 3.1 and 3.1, C3D 24.3 and 26.0, settings 0.12 and
+0.16, a scattering matrix 47.3 and 47.8.
 """
 
 from __future__ import annotations
