@@ -231,6 +231,7 @@ def test_wrong_signals_are_refused_with_the_reason():
         (time[:100], good[:100], "too short"),
         (time[::-1], good, "not evenly spaced"),
         (time**2, good, "not evenly spaced"),
+        (1e10 * time, good, "time has steps of"),
         (np.where(time > 1e-3, np.nan, time), good, "not finite"),
         (time[:1], good[:1], "at least two samples"),
         (time + 1, good, "leaves fewer than 3 samples"),
