@@ -371,7 +371,9 @@ def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -
 def _names_something(case: Case, err: str) -> bool:
     """Return whether an error names a word of the command, or an argument with its value."""
     words = case.told or case.words
-    given = [readable(part) for word in words for part in (word, Path(word).name) if part]
+    # As it is written, or as a path is told: "./" as ".".
+    forms = ((word, Path(word).name, str(Path(word))) for word in words if word)
+    given = [readable(part) for form in forms for part in form if part]
     shown = " ".join(err.split())
     return any(word[:20] in shown for word in given) or bool(
         re.search(r"\w+ = |--\w|needs |cannot be read|give |line \d|\"", shown)
