@@ -371,8 +371,8 @@ def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -
 def _names_something(case: Case, err: str) -> bool:
     """Return whether an error names a word of the command, or an argument with its value."""
     words = case.told or case.words
-    # As it is written, or as a path is told: "./" as ".".
-    forms = ((word, Path(word).name, str(Path(word))) for word in words if word)
+    # As it is written, or as a path is told: "" and "./" as the folder ".".
+    forms = ((word, Path(word).name, f"{Path(word)} ") for word in words)
     given = [readable(part) for form in forms for part in form if part]
     shown = " ".join(err.split())
     return any(word[:20] in shown for word in given) or bool(
