@@ -36,12 +36,13 @@ def main() -> int:
     passed, found = dict.fromkeys(chosen, 0), dict.fromkeys(chosen, 0)
     share = -(-given.count // len(chosen)) if given.count else sys.maxsize
     reported = 0
-    for start in count(given.first, BATCH):
+    batch = min(BATCH, max(int(given.seconds or BATCH), 10))  # so that all have their share
+    for start in count(given.first, batch):
         left = given.first + share - start
         if time.monotonic() > end or left <= 0:
             break
         for name in chosen:
-            numbers = list(range(start, start + min(BATCH, left)))
+            numbers = list(range(start, start + min(batch, left)))
             for outcome in run(CATEGORIES[name], name, numbers, given.seed, corpus, kept):
                 if isinstance(outcome, Finding):
                     found[name] += 1
