@@ -14,7 +14,7 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
 from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of, offsets
-from acoustube.estimation.splits import named_folds
+from acoustube.estimation.splits import folds
 from acoustube.estimation.trees import export_trees, predict_trees
 
 MIN_SCALE = 0.05
@@ -97,7 +97,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         check_settings(self)
         x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
-        fold = named_folds(groups_of(groups, x), self.n_folds, self.seed, "n_folds")
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
 
         def report(part: float, fraction: float) -> None:
             if progress is not None:

@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
 from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of, offsets
-from acoustube.estimation.splits import named_folds
+from acoustube.estimation.splits import folds
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -94,7 +94,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         check_settings(self)
         x, targets = check_rows(X, y)
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
-        fold = named_folds(groups_of(groups, x), self.n_folds, self.seed, "n_folds")
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
         rest = targets - offsets(x, self.offset_columns, self.n_targets_)
         self.networks_ = network.train(
             self._inputs(x), rest, fold, hidden=tuple(self.hidden), loss="laplace",

@@ -17,7 +17,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
 from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of
-from acoustube.estimation.splits import named_folds
+from acoustube.estimation.splits import folds
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -98,7 +98,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
             raise ConfigError(
                 f"the force network has one target, not {targets.shape[1]}; train one for each"
             )
-        fold = named_folds(groups_of(groups, x), self.n_folds, self.seed, "n_folds")
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
         self.networks_ = network.train(
             x, targets, fold, epochs=self.epochs, batch_size=self.batch_size,
             learning_rate=self.learning_rate, weight_decay=self.weight_decay, seed=self.seed,

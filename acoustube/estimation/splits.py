@@ -52,15 +52,12 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     return np.asarray(np.unique(np.stack(columns), axis=1, return_inverse=True)[1].ravel())
 
 
-RULES = {
-    "groups": Reals(ndim=1, kinds="iufbU"),
-    "count": Number(-1e9, 1e9, "folds", whole=True),
-    "seed": SEED,
-}
-
-
-@checked(**RULES)
-def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
+@checked(
+    groups=Reals(ndim=1, kinds="iufbU"),
+    count=Number(-1e9, 1e9, "folds", whole=True),
+    seed=SEED,
+)
+def folds(groups: ArrayLike, count: int, seed: int = 0, *, name: str = "count") -> Index:
     """Return folds of whole groups with about equal numbers of rows.
 
     Parameters
@@ -71,6 +68,8 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
         Number of folds, 2 or more.
     seed : int
         Random seed of the shuffle.
+    name : str
+        Parameter of the caller that holds `count`, for errors.
 
     Returns
     -------
@@ -87,12 +86,6 @@ def folds(groups: ArrayLike, count: int, seed: int = 0) -> Index:
     The groups are shuffled, then taken from the largest to the smallest, each into the fold that
     has the fewest rows: groups of one row make folds that differ by one row at most.
     """
-    return named_folds(groups, count, seed, "count")
-
-
-@checked(**RULES)
-def named_folds(groups: ArrayLike, count: int, seed: int, name: str) -> Index:
-    """Return the folds of :func:`folds`, whose count an error calls by the name of a parameter."""
     _, member, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if not 2 <= count <= len(sizes):
         raise ConfigError(

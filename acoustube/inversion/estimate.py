@@ -91,7 +91,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """What a recording tells of the presses on a tube.
+    """Posterior of the presses in a recording: contacts, their number, and the misfit.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Inverter:
         samples, noise = self.model.base.of_cycles(array)
         builder = Builder(self.model, self.templates, samples, noise)
         with threadpool_limits(1, user_api="blas"):  # the matrices are small
-            return self._told(self._chain(builder), builder)
+            return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
         """Return the best hypothesis found of each number of presses, up to one too many."""
@@ -183,23 +183,23 @@ class Inverter:
                 found += builder.first_of(chain[0])
             if not found:
                 break
-            found.sort(key=lambda one: one.surprise)
+            found.sort(key=lambda one: one.deviance)
             best = found[0]
-            likelier = best.surprise + FEWER < chain[-1].surprise
+            likelier = best.deviance + FEWER < chain[-1].deviance
             if number > 1 and (likelier or chain[-1].error > GOOD):
                 best = _sought_again(builder, best)
-                likelier = best.surprise + FEWER < chain[-1].surprise
+                likelier = best.deviance + FEWER < chain[-1].deviance
             chain.append(best)
             if number > 1 and not likelier:
                 break
             beam = [best, *_others(best, found)] if best.error > GOOD else [best]
         return chain
 
-    def _told(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
-        """Return what hypotheses of each number of presses tell."""
-        surprise = np.array([one.surprise + FEWER * i for i, one in enumerate(chain)])
+    def _posterior(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
+        """Return the posterior over hypotheses of each number of presses."""
+        deviance = np.array([one.deviance + FEWER * i for i, one in enumerate(chain)])
         inflation = max(1.0, min(one.residual for one in chain))
-        odds = np.exp(-0.5 * (surprise - surprise.min()) / inflation)
+        odds = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         odds /= odds.sum()
         best = chain[int(np.argmax(odds))]
         posterior = Posterior(best)
@@ -318,8 +318,8 @@ def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose presses were sought again one by one, among the others."""
     for i in range(len(known.tools)):
         found = [one for one in builder.replaced(known, i) if len(one.tools) == len(known.tools)]
-        best = min(found, key=lambda one: one.surprise, default=known)
-        if best.surprise < known.surprise:
+        best = min(found, key=lambda one: one.deviance, default=known)
+        if best.deviance < known.deviance:
             known = best
     return known
 

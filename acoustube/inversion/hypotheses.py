@@ -61,7 +61,7 @@ class Hypothesis:
         Relative error of the model, the most likely one.
     whiten : Weights
         With that error.
-    surprise : float
+    deviance : float
         Minus twice the logarithm of the evidence.
     residual : float
         Mean square of the whitened residual: 1 if the model holds.
@@ -71,7 +71,7 @@ class Hypothesis:
     fits: Fits
     error: float
     whiten: Weights
-    surprise: float
+    deviance: float
     residual: float
 
     @property
@@ -210,7 +210,7 @@ class Builder:
                 fit = maximise(self.model, tools, at, self.samples, own, 8)
                 at = fit.parameters
             one = self._judged(tools, fit, error, own)
-            if best is None or one.surprise < best.surprise:
+            if best is None or one.deviance < best.deviance:
                 best = one
         assert best is not None
         return self.shifted(best)
@@ -270,10 +270,10 @@ class Builder:
         self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
     ) -> Hypothesis:
         """Return the hypothesis of fits with its evidence."""
-        surprise = float(evidence(self.model, tools, fits, whiten)[0])
+        deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value, _ = self._echo(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
-        return Hypothesis(tools, fits, error, whiten, surprise, float(np.mean(np.abs(rest) ** 2)))
+        return Hypothesis(tools, fits, error, whiten, deviance, float(np.mean(np.abs(rest) ** 2)))
 
 
 def _first(fits: Fits, n: int) -> Fits:

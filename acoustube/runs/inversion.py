@@ -116,7 +116,7 @@ class RecordingInverter:
     def groups(
         self, path: Path, data: xr.Dataset, size: int, check: Callable[[], None]
     ) -> Iterator[tuple[int, Inversion]]:
-        """Yield the number of each group of cycles of a recording, and what it tells.
+        """Yield the number of each group of cycles of a recording, and its posterior.
 
         Parameters
         ----------
