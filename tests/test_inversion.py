@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from commands import run_here
 
 from acoustube.air import air_at
 from acoustube.inversion import (
@@ -24,7 +25,6 @@ from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import PlacedScatterer, Scattering, transfer
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
-from tests.commands import run_here
 
 RADIUS, MODES = 3.95e-3, ("00", "11c", "21c")
 FREQUENCY = np.arange(30e3, 54e3, 100.0)

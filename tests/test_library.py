@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from commands import run_here
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.build import Refinement, deviation
 from acoustube.runs.libraries.plan import tool_plans
-from tests.commands import run_here
 
 
 class Matrix:
