@@ -131,6 +131,15 @@ class Mesh:
         height = self.points[outer, 1]
         return outer[height - height.min() < BOTTOM_TOLERANCE * np.ptp(height)]
 
+    @cached_property
+    def end_tops(self) -> Index:
+        """Node numbers on the top line of the outer wall at the ends, not at a symmetry plane."""
+        outer = np.unique(self.outer_faces)
+        z = self.points[outer, 2]
+        near = BOTTOM_TOLERANCE * np.ptp(z)
+        ends = [z.max() - z < near] + ([] if self.halved[1] else [z - z.min() < near])
+        return np.array([outer[end][self.points[outer[end], 1].argmax()] for end in ends])
+
 
 def sweep(
     tube: Tube,

@@ -353,7 +353,8 @@ def _fixed(mesh: Mesh, support: Support) -> NDArray[np.bool_]:
     """Return the mask of displacement components held at zero, shape (n_nodes, 3).
 
     Symmetry planes, the support, and constraints against rigid-body motion: a tube modelled whole
-    across is guided sideways along its bottom line, one modelled whole along is held at one node.
+    across is guided sideways along its bottom line and, if free, at the top of its ends, so that it
+    does not roll; one modelled whole along is held at one node.
     """
     x, _, z = mesh.points.T
     fixed = np.zeros(mesh.points.shape, bool)
@@ -363,6 +364,7 @@ def _fixed(mesh: Mesh, support: Support) -> NDArray[np.bool_]:
     fixed[bottom, 1] = support == "held"
     if not mesh.halved[0]:
         fixed[bottom, 0] = True
+        fixed[mesh.end_tops, 0] |= support == "free"
     if not mesh.halved[1]:
         fixed[bottom[np.argmin(np.abs(z[bottom]))], 2] = True
     return fixed
