@@ -6,6 +6,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import product
 
 import jax
 import jax.numpy as jnp
@@ -81,10 +82,18 @@ def assert_same(setup, state, source, tolerance):
     return found, traced
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-@pytest.mark.parametrize("lossy_band", [None, (5e3, 60e3)])
+ENDS = ("release", "absorbing"), ("absorbing", "absorbing"), ("rigid", "rigid")
+BAND = 5e3, 60e3
+OFTEN = {(ENDS[0], BAND, jnp.float64), (ENDS[1], None, jnp.float32), (ENDS[2], BAND, jnp.float32)}
+"""Every end, losses and precision at least once; the other nine cases are long."""
+
+
 @pytest.mark.parametrize(
-    "ends", [("release", "absorbing"), ("absorbing", "absorbing"), ("rigid", "rigid")]
+    ("ends", "lossy_band", "dtype"),
+    [
+        pytest.param(*case, marks=() if case in OFTEN else pytest.mark.long)
+        for case in product(ENDS, (None, BAND), (jnp.float32, jnp.float64))
+    ],
 )
 def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
     """From noise and with a source: several probes, two of them in one layer, in any order."""
@@ -97,7 +106,7 @@ def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
         assert_same(setup, noisy(setup), source, ROUNDING[dtype])
 
 
-@pytest.mark.parametrize("lossy_band", [None, (5e3, 60e3)])
+@pytest.mark.parametrize("lossy_band", [pytest.param(None, marks=pytest.mark.long), BAND])
 def test_a_march_goes_on_from_either_form(pinched, lossy_band):
     """An odd number of steps, of which the rest is marched in the other form, or in the same."""
     with jax.enable_x64(True):
@@ -112,7 +121,7 @@ def test_a_march_goes_on_from_either_form(pinched, lossy_band):
                 assert difference(end.change, whole.change) < 1e-12
 
 
-@pytest.mark.parametrize("lossy", [False, True])
+@pytest.mark.parametrize("lossy", [pytest.param(False, marks=pytest.mark.long), True])
 def test_antisymmetric_halves_march_as_jax_does(lossy):
     """The plane x = 0 has open faces towards zero pressure; the source has the mode's shape."""
     cells = straight_ends_cut(cut_cells(pinched_tube(0.02, 0.5, width=2e-3), 2 * BORE / 16))

@@ -29,7 +29,8 @@ pytestmark = pytest.mark.slow
 
 OVER = {
     "depth_mm": ["0", "0.6"], "position_cm": ["50", "90"], "length_cm": ["150"],
-    "temperature_c": ["15", "25"], "resolution": ["11"], "mesh": ["coarse"],
+    "temperature_c": ["15", "25"], "method": ["spectral"], "losses": ["off"],
+    "mesh": ["coarse"],
 }  # fmt: skip
 RECIPE = Recipe(n_cycles=3, n_tubes=2, n_sessions=2, seed=7)
 

@@ -139,6 +139,7 @@ def test_cluster_hears_echoes_fall_as_the_plane_wave_does(run_example):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_estimates_of_new_presses_beat_a_constant_and_lie_in_their_intervals(run_example):
     """A third of a constant's error at most; 90 % of 40 presses, less three deviations of 5 %."""
     variables = run_example("estimation_can_echoes_tell_depth")

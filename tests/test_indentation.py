@@ -115,6 +115,7 @@ def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolera
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("calculix")
 def test_force_at_4_mm_is_what_tetrahedra_are_held_to():
     """The number that other tests compare with is the press's own; it moves by less than 0.05 %."""
     force = sections(pressed(*DEEP), 4)["force_N"]
@@ -122,6 +123,7 @@ def test_force_at_4_mm_is_what_tetrahedra_are_held_to():
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("calculix")
 def test_press_closes_the_lumen_and_its_walls_never_cross():
     """The reference's height extrapolates to closure near 7.99 mm; the barrier acts 0.02 mm before.
 
@@ -493,7 +495,7 @@ def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
 @pytest.mark.parametrize(
     "tool",
     [
-        Indenter(diameter=10e-3),
+        pytest.param(Indenter(diameter=10e-3), marks=pytest.mark.long),
         pytest.param(Indenter(diameter=35e-3), marks=pytest.mark.long),
         pytest.param(Indenter(shape="punch", diameter=10e-3), marks=pytest.mark.long),
         Indenter(shape="sphere", diameter=20e-3),

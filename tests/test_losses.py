@@ -160,7 +160,7 @@ def test_waves_in_a_straight_tube_go_as_their_closed_form_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution", [12, 18])
+@pytest.mark.parametrize("resolution", [12, pytest.param(18, marks=pytest.mark.long)])
 def test_absorbing_ends_swallow_modes_where_losses_fade_out(resolution):
     """Plane mode under -60 dB, (1,1) under -50 dB at 42 kHz, on either grid.
 

@@ -33,7 +33,8 @@ QUIET = Console(quiet=True)
 OVER = {
     "indenter_mm": ["10", "25"],
     "depth_mm": ["0", "0.6", "4"],
-    "resolution": ["11"],
+    "method": ["spectral"],
+    "losses": ["off"],
     "mesh": ["coarse"],
 }
 TYPES = {"f4": "<f4", "i2": "<i2", "u2": "<u2", "u4": "<u4"}
@@ -63,7 +64,9 @@ def press(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory):
-    config = load_config(indenter_mm=25, depth_mm=4, resolution=11)
+    config = load_config(
+        indenter_mm=25, depth_mm=4, resolution=12, temperature_c=25
+    )  # as test_chain
     return run_simulation(config, tmp_path_factory.mktemp("pages") / "heard", QUIET)
 
 

@@ -101,6 +101,7 @@ def slightly_turned_pinch(degrees):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_slightly_skewed_lumen_couples_modes_of_either_symmetry():
     """A turned pinch sends a plane wave into (1,1) across the tube, and a mirrored one reversed.
 

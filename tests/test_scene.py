@@ -68,6 +68,7 @@ def test_layer_yields_to_the_tube_and_is_flat_beside_it():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_drawing_of_a_run_shows_what_its_settings_say(tmp_path):
     """The pictures of a rod, a yawed rod, a sphere, a punch and a layer all differ."""
     along = np.array([0.0, 0.0, REACH])

@@ -86,6 +86,7 @@ def test_d_bore_has_the_cut_ons_of_its_grid():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_pinched_d_bore_scatters_as_the_march():
     """At 16 cells across; (1,1) cuts on at 30.1 kHz. Measured 2.7e-3, and 1.2e-3 at 24 cells."""
     surface, frequency = d_bore(), np.array([12e3, 20e3, 34e3, 38e3])

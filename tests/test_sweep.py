@@ -352,6 +352,7 @@ def test_a_changed_plan_is_told_and_keeps_what_is_there(finished, tmp_path, caps
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_sweeps_may_write_to_one_folder(finished, tmp_path):
     command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--workers", "1", "--quiet"]
     both = [subprocess.Popen([*command, "--out", "shared"]) for _ in range(2)]

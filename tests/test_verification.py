@@ -59,6 +59,7 @@ def test_cut_ons_are_of_second_order_on_cut_cells_and_not_on_whole_ones():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_pinched_lumen_reflects_as_the_spectral_solution_says():
     """Measured 0.0018 of R and 0.0037 of T at 16 cells, which twice as many cells bring to zero."""
     shown = run("waves_reflection")
@@ -129,6 +130,7 @@ def test_sound_loses_fifteen_decibels_per_metre():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_little_of_what_comes_back_is_a_plane_wave():
     """Power is conserved, measured to 3e-4; 2.9 % of it in the plane mode on this coarse grid.
 
