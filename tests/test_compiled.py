@@ -40,7 +40,7 @@ give up to n^1.5 rounding errors: 300^1.5 times 6e-8 is 3e-4, and times 1.1e-16 
 @pytest.fixture(scope="module")
 def pinched():
     """A pinched half tube with cells that borrow volume; the core has spans of its own."""
-    cells = cut_cells(pinched_tube(0.03, 0.8), 2 * BORE / 20, half=True)
+    cells = cut_cells(pinched_tube(0.03, 0.8), 2 * BORE / 16, half=True)
     volume = cells.volume_fraction
     assert volume[(volume > 0)].min() < 0.1
     assert np.any(share_small_volumes(cells).volume_fraction != volume)

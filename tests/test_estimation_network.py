@@ -251,6 +251,7 @@ def test_stated_intervals_hold_the_truths_they_promise():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_held_out_loss_is_that_of_scikit_learns_network():
     """The same 64-64-1 network of ReLUs without a leak: losses within 5 % of each other.
 

@@ -37,6 +37,7 @@ def flattened():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_flattened_lumen_scatters_as_the_spectral_solution(flattened):
     """Complex R00 and T00 at 16 cells per bore: measured 0.0019 and 0.0039."""
     found, rows = flattened

@@ -178,6 +178,7 @@ def test_dead_zone_is_what_the_transducer_rings():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_calibration_is_that_of_the_tube_and_seldom_alarmed():
     found, factor = calibration.calibrated(3)
     assert found.slope.value == pytest.approx(1.0, abs=3e-3)

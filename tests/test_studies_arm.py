@@ -144,6 +144,7 @@ def test_contact_that_is_followed_is_held_against_the_nearest_true_one():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_swipe_of_a_closed_tube_is_followed_to_a_centimetre():
     """A whole echo, at 5 cm/s: 2.5 mm a cycle."""
     closed = blockage(BAND, 0.5).scattering

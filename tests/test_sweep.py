@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from commands import run_process
+from scipy.interpolate import CubicSpline
 from wave_lumens import BORE, pinched_tube
 
 import acoustube
@@ -374,21 +375,25 @@ def test_nothing_to_open_is_told(tmp_path):
         acoustube.open_dataset(tmp_path)
 
 
-def test_scattering_of_another_air_is_that_of_the_same_wavelengths():
+@pytest.mark.parametrize(
+    ("lossy", "tolerance"), [(False, 2e-6), pytest.param(True, 2e-3, marks=pytest.mark.long)]
+)
+def test_scattering_of_another_air_is_that_of_the_same_wavelengths(lossy, tolerance):
     """Exact without losses, on the grid too: the march itself scales with the speed of sound."""
     tube = pinched_tube(0.04, depth=0.5)
     cells = cut_cells(tube, 2 * BORE / 10)
     cold, warm = air_at(20.0), air_at(38.0)
     ratio = warm.sound_speed / cold.sound_speed
     frequency = np.arange(10e3, 24e3, 500.0)
-    for lossy, tolerance in ((False, 2e-6), (True, 2e-3)):
-        found = scatter(cells, cold, frequency, lossy=lossy, symmetric_only=True)
-        direct = scatter(cells, warm, ratio * frequency, lossy=lossy, symmetric_only=True)
-        moved = at_sound_speed(found, warm.sound_speed)
-        np.testing.assert_allclose(moved.frequency, direct.frequency)
-        assert np.abs(moved.s - direct.s).max() < tolerance
+    found = scatter(cells, cold, frequency, lossy=lossy, symmetric_only=True)
+    direct = scatter(cells, warm, ratio * frequency, lossy=lossy, symmetric_only=True)
+    moved = at_sound_speed(found, warm.sound_speed)
+    np.testing.assert_allclose(moved.frequency, direct.frequency)
+    assert np.abs(moved.s - direct.s).max() < tolerance
     # And it is not as good to leave the frequencies as they are.
-    assert np.abs(found.s - scatter(cells, warm, frequency, symmetric_only=True).s).max() > 0.01
+    above = frequency > direct.frequency[0]
+    left = CubicSpline(direct.frequency, direct.s)(frequency[above])
+    assert np.abs(found.s[above] - left).max() > 0.01
 
 
 def test_scattering_is_cached_under_all_that_it_depends_on():

@@ -36,6 +36,7 @@ def test_mesh_has_the_ring_s_area_to_fourth_order():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_coarse_mesh_is_a_few_per_cent_stiffer_than_the_reference():
     """Measured 2.6 to 4.2 % with one element through the wall; the height is right to 8 um."""
     shown = run("indentation_force")
@@ -118,6 +119,7 @@ def test_modes_of_the_bore_are_where_bessel_s_zeros_put_them():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_upright_mode_is_cut_off_under_a_press_of_three_and_a_half_millimetres():
     """As the scattering of the same rod: (1,1) returns whole from 3.5 mm on (findings)."""
     assert 3.2 < run("physics_pressed_lumen")["blocked"] < 3.7
