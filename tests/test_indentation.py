@@ -150,6 +150,7 @@ def sharpest_turn(indentation):
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("calculix")
 def test_folds_stay_smooth_to_a_closed_lumen():
     """A closed fold turns by 180 degrees over some five chords; creases turn back and forth.
 
@@ -162,6 +163,7 @@ def test_folds_stay_smooth_to_a_closed_lumen():
 
 @pytest.mark.slow
 @pytest.mark.long
+@pytest.mark.xdist_group("calculix")
 def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
     """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
     with_skin = pressed(*DEEP)
