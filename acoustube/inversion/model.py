@@ -120,7 +120,10 @@ class ForwardModel:
         spectrum = np.zeros((n, 2 * m + len(NUISANCES) + 1, len(base.frequency)), complex)
         if m:
             stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
-            matrices = [self.tables[tool](depths[:, i], stretch) for i, tool in enumerate(tools)]
+            matrices = [
+                self.tables[tool](depths[:, i], stretch, last=i == m - 1)
+                for i, tool in enumerate(tools)
+            ]
             heat = base.k_by_temperature[:, : self.modes]
             waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
             found = echo(matrices, places, waves, base.rangefinder.face_reflection)

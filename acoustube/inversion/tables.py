@@ -14,6 +14,17 @@ from acoustube.inversion.tools import Tool
 from acoustube.waves.scattering import Complex
 
 
+FINER = 2
+"""Ratio of the steps of the tool's frequencies and of those of the splines."""
+WIDEST_STRETCH = 0.02
+"""Largest relative change of frequency for which there are splines."""
+EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
+"""Times in s of a press's impulse response: its start, before that of its reference plane, and the
+decay of its power; and its least power, relative to the largest."""
+ROUNDING = 1e-5
+"""Errors of the coefficients to be smoothed, relative to their size."""
+
+
 class Matrices(NamedTuple):
     """Scattering matrices of presses and their derivatives; each (n, n_f, 2, m, 2, m).
 
@@ -32,7 +43,7 @@ class Matrices(NamedTuple):
 
 
 class ToolTable:
-    """Bicubic splines of a tool's scattering, over depth and frequency.
+    """Splines of a tool's scattering, over depth and frequency.
 
     Parameters
     ----------
@@ -44,49 +55,118 @@ class ToolTable:
 
     Notes
     -----
-    Over the frequencies, which are even, by the coefficients of B-splines; these are splined over
-    the depths, which are not. Derivatives are those of the interpolation itself.
+    Trapped sound rings for so long that the tool's frequencies sample it just densely enough: cubics
+    between them would lose what sounds later than 2 ms. They are first interpolated to finer ones by
+    the conditional mean of a stationary Gaussian process, whose covariance is the Fourier transform
+    of the power that is expected of the impulse response over time (:func:`_refinement`). Over these
+    frequencies, which are even, cubics are told by coefficients of B-splines; these are interpolated
+    over the depths, which are not even, by cubic splines. Derivatives are those of the interpolation
+    itself.
     """
 
     def __init__(self, tool: Tool, frequency: Array, modes: int) -> None:
         self.tool, self.frequency, self.modes = tool, frequency, modes
+        low, high = frequency[0] * (1 - WIDEST_STRETCH), frequency[-1] * (1 + WIDEST_STRETCH)
+        step = float(tool.frequency[1] - tool.frequency[0]) / FINER
+        first = max(round((low - tool.frequency[0]) / step) - 3, 0)
+        last = min(round((high - tool.frequency[0]) / step) + 4, FINER * (len(tool.frequency) - 1))
+        self.start, self.step = float(tool.frequency[0] + first * step), step
+        self.count = last - first + 1
         kept = np.ascontiguousarray(tool.s[:, :, :, :modes, :, :modes]).astype(complex)
         flat = kept.reshape(len(tool.depth), len(tool.frequency), -1)
-        filtered = spline_filter1d(flat, axis=1, mode="mirror", output=complex)
-        self.pieces = CubicSpline(tool.depth, filtered).c
-        self.start = float(tool.frequency[0])
-        self.step = float(tool.frequency[1] - tool.frequency[0])
+        fine = _refinement(tool.frequency, self.start + step * np.arange(self.count)) @ flat
+        filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
+        self.value = filtered.astype(np.complex64)
+        self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
+        entries = np.zeros((2, modes, 2, modes), bool)
+        entries[0, :, 0] = entries[0, 0, 1, 0] = entries[1, 0, 0, 0] = True
+        self.seen = np.flatnonzero(entries)
+        self.value_seen, self.slope_seen = (
+            np.ascontiguousarray(part[..., self.seen]) for part in (self.value, self.slope)
+        )
 
     @property
     def range(self) -> tuple[float, float]:
         """Shallowest and deepest depth in m."""
         return float(self.tool.depth[0]), float(self.tool.depth[-1])
 
-    def __call__(self, depth: Array, stretch: Array) -> Matrices:
-        """Return the matrices at depths in m and relative stretches of frequency, both (n,)."""
-        value, slope = self._over_depth(np.asarray(depth, float))
+    def __call__(self, depth: Array, stretch: Array, *, last: bool = False) -> Matrices:
+        """Return the matrices at depths and stretches.
+
+        Parameters
+        ----------
+        depth : ndarray
+            In m, (n,).
+        stretch : ndarray
+            Relative changes of frequency, (n,).
+        last : bool
+            Whether nothing lies behind the press: all but the reflection at its front and the plane
+            wave's transmission is zero then.
+        """
+        value, slope = self._over_depth(np.asarray(depth, float), last)
         place = (np.outer(1 + np.asarray(stretch), self.frequency) - self.start) / self.step
-        first = np.clip(np.floor(place).astype(int), 1, len(self.tool.frequency) - 3)
+        first = np.clip(np.floor(place).astype(int), 1, self.count - 3)
         weights, slopes = _b_spline(place - first)
         rows = np.arange(len(first))[:, None]
-        shape = (*first.shape, 2, self.modes, 2, self.modes)
-        found, by_depth, by_place = (np.zeros((*first.shape, value.shape[2]), complex)
-                                     for _ in range(3))  # fmt: skip
+        found, by_depth, by_place = (
+            np.zeros((*first.shape, value.shape[2]), complex) for _ in range(3)
+        )
         for j in range(4):
             at = value[rows, first + j - 1]
             found += weights[j][..., None] * at
             by_place += slopes[j][..., None] * at
             by_depth += weights[j][..., None] * slope[rows, first + j - 1]
         by_stretch = by_place * (self.frequency / self.step)[None, :, None]
-        return Matrices(*(part.reshape(shape) for part in (found, by_depth, by_stretch)))
+        return Matrices(*(self._spread(part, last) for part in (found, by_depth, by_stretch)))
 
-    def _over_depth(self, depth: Array) -> tuple[Complex, Complex]:
+    def _spread(self, part: Complex, last: bool) -> Complex:
+        """Return the matrices of their coefficients (n, n_f, n_coefficients)."""
+        shape = (*part.shape[:2], 2, self.modes, 2, self.modes)
+        if last:
+            full = np.zeros((*part.shape[:2], 4 * self.modes**2), complex)
+            full[..., self.seen] = part
+            part = full
+        return part.reshape(shape)
+
+    def _over_depth(self, depth: Array, last: bool) -> tuple[Complex, Complex]:
         """Return the coefficients over frequency at depths and their slopes, (n, n_f, values)."""
+        values, slopes = (
+            (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
+        )
         nodes = self.tool.depth
         i = np.clip(np.searchsorted(nodes, depth, side="right") - 1, 0, len(nodes) - 2)
-        a, b, c, d = (piece[i] for piece in self.pieces)
-        x = (depth - nodes[i])[:, None, None]
-        return ((a * x + b) * x + c) * x + d, (3 * a * x + 2 * b) * x + c
+        step = nodes[i + 1] - nodes[i]
+        x = (depth - nodes[i]) / step
+        y = 1 - x
+        ends = values[i], values[i + 1], slopes[i], slopes[i + 1]
+        value_of = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y), step * x * y**2, -step * x**2 * y
+        slope_of = -6 * x * y / step, 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)
+        value, slope = (
+            sum(w[:, None, None] * end for w, end in zip(of, ends, strict=True))
+            for of in (value_of, slope_of)
+        )
+        return np.asarray(value), np.asarray(slope)
+
+
+def _refinement(given: Array, wanted: Array) -> Complex:
+    """Return the matrix (n_wanted, n_given) that interpolates scattering over frequency.
+
+    Conditional mean of a Gaussian process whose impulse response has independent values of a power
+    that falls exponentially from :data:`EARLIEST` on: with the time constant :data:`DECAY`, and to
+    :data:`FAINTEST` of it where the samples tell no later time from an earlier one.
+    """
+    period = 1 / (given[1] - given[0])
+    time = np.linspace(EARLIEST, EARLIEST + 0.98 * period, 4 * len(given))
+    power = np.exp(-np.maximum(time, 0.0) / DECAY) + FAINTEST
+
+    def covariance(a: Array, b: Array) -> Complex:
+        # Of a - b: by the outer product of the phases of a and of b.
+        left, right = (np.exp(-2j * np.pi * np.outer(f - given[0], time)) for f in (a, b))
+        return np.asarray((left * power) @ right.conj().T)
+
+    known = covariance(given, given)
+    known[np.diag_indices(len(given))] += ROUNDING**2 * power.sum()
+    return np.asarray(np.linalg.solve(known.T, covariance(wanted, given).T).T)
 
 
 def _b_spline(u: NDArray[np.float64]) -> tuple[list[Array], list[Array]]:
