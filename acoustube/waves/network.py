@@ -320,9 +320,15 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
     # The response begins before zero, since the press begins before its reference plane.
     early = n // 10
     time = (np.arange(n) - early) / (n * step[0])
-    inverse = np.roll(np.fft.ifft(s.reshape(n, -1), axis=0), early, axis=0)
+    flat, wanted = s.reshape(n, -1), np.asarray(frequency)
+    # Without the line between the ends of the band, which would sound at all times: its samples
+    # there are those of a periodic function then.
+    rise = (flat[-1] - flat[0]) / (given[-1] - given[0])
+    rest = flat - flat[0] - np.outer(given - given[0], rise)
+    inverse = np.roll(np.fft.ifft(rest, axis=0), early, axis=0)
     response = np.exp(2j * pi * given[0] * time)[:, None] * inverse
-    return _spectrum(response, time, np.asarray(frequency)).reshape(len(frequency), *s.shape[1:])
+    found = _spectrum(response, time, wanted) + flat[0] + np.outer(wanted - given[0], rise)
+    return np.asarray(found).reshape(len(frequency), *s.shape[1:])
 
 
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
