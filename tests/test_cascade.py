@@ -140,7 +140,7 @@ def test_modes_that_meet_again_keep_their_power():
 
 
 def test_scattering_between_its_frequencies_is_that_of_its_response():
-    """A reflection delayed by 0.3 ms, known every 100 Hz: exact at these, 1 % between them.
+    """A reflection delayed by 0.3 ms, known every 100 Hz: exact at these, 0.2 % between them.
 
     At a complex frequency it is damped by exp(-eta t).
     """
@@ -155,7 +155,8 @@ def test_scattering_between_its_frequencies_is_that_of_its_response():
     for eta in (0.0, 500.0):
         found = interpolate_scattering(press, between - 1j * eta / (2 * np.pi))[:, 0, 0, 0, 0]
         wanted = np.exp((-2j * np.pi * between - eta) * delay)
-        assert found == pytest.approx(wanted, abs=1e-2)
+        # What the band's ends, which do not agree, leave at its middle.
+        assert found == pytest.approx(wanted, abs=2e-3)
 
 
 FREQUENCY = np.arange(25e3, 59.1e3, 200.0)

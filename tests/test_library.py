@@ -41,12 +41,14 @@ def test_splines_over_refined_depths_meet_the_tolerance(tolerance):
     spline = CubicSpline(depths, np.array([found.known[d].s for d in found.depths]))
     between = np.random.default_rng(0).uniform(depths[0], depths[-1], 60)
     errors = np.array([deviation(spline(d), Matrix(d).s) for d in between])
-    # The expectation of bisection is for the middle of an interval that is resolved.
     assert np.median(errors) < 0.3 * tolerance
-    assert errors.max() < 2 * tolerance
+    # Where the first depths do not resolve a resonance, their errors tell little of it.
+    assert errors.max() < 1.5 * tolerance
     assert len(depths) > 1.5 * len(refined(0.2).depths) if tolerance < 0.01 else len(depths) < 100
     told = found.between()[np.searchsorted(depths, between) - 1]
-    assert np.mean(errors < 2 * told + 1e-4) > 0.85
+    assert np.mean(errors < 2 * told) > 0.95
+    # They exceed the errors by no more than their factor of safety explains.
+    assert np.median(told / errors) < 10
 
 
 def test_depths_are_finest_where_scattering_varies_fastest():
@@ -66,6 +68,21 @@ def test_depth_that_fails_ends_the_tool_there():
     assert max(found.next()) < 5e-3
     assert found.depths[-1] == 5e-3
     assert found.reason == "too narrow"
+
+
+def test_depth_that_fails_between_others_is_left_out():
+    found = Refinement(0.01, [1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3, 3.5e-3])
+    level = list(found.first)
+    while level:
+        for depth in level:
+            if abs(depth - 2.25e-3) < 1e-6:
+                found.fail(depth, "no convergence")
+            else:
+                found.add(depth, Matrix(depth))
+        level = found.next()
+    assert found.depths[-1] == 3.5e-3
+    assert found.reason == ""
+    assert 2.25e-3 not in found.depths
 
 
 def test_plans_are_all_combinations_but_those_of_depths():

@@ -13,7 +13,6 @@ from acoustube.base.types import Array
 from acoustube.inversion.tools import Tool
 from acoustube.waves.scattering import Complex
 
-
 FINER = 2
 """Ratio of the steps of the tool's frequencies and of those of the splines."""
 WIDEST_STRETCH = 0.02
@@ -55,13 +54,12 @@ class ToolTable:
 
     Notes
     -----
-    Trapped sound rings for so long that the tool's frequencies sample it just densely enough: cubics
-    between them would lose what sounds later than 2 ms. They are first interpolated to finer ones by
-    the conditional mean of a stationary Gaussian process, whose covariance is the Fourier transform
-    of the power that is expected of the impulse response over time (:func:`_refinement`). Over these
-    frequencies, which are even, cubics are told by coefficients of B-splines; these are interpolated
-    over the depths, which are not even, by cubic splines. Derivatives are those of the interpolation
-    itself.
+    Trapped sound rings for so long that the tool's frequencies sample it just densely enough:
+    cubics between them lose what sounds later than 2 ms. They are first interpolated to finer ones
+    by the conditional mean of a stationary Gaussian process, whose covariance is the Fourier
+    transform of the power expected of the impulse response over time. Between these frequencies,
+    which are even, coefficients of B-splines are used; between the depths, which are not, cubic
+    splines. Derivatives are those of the interpolation itself.
     """
 
     def __init__(self, tool: Tool, frequency: Array, modes: int) -> None:
@@ -108,9 +106,7 @@ class ToolTable:
         first = np.clip(np.floor(place).astype(int), 1, self.count - 3)
         weights, slopes = _b_spline(place - first)
         rows = np.arange(len(first))[:, None]
-        found, by_depth, by_place = (
-            np.zeros((*first.shape, value.shape[2]), complex) for _ in range(3)
-        )
+        found, by_depth, by_place = np.zeros((3, *first.shape, value.shape[2]), complex)
         for j in range(4):
             at = value[rows, first + j - 1]
             found += weights[j][..., None] * at
@@ -130,9 +126,7 @@ class ToolTable:
 
     def _over_depth(self, depth: Array, last: bool) -> tuple[Complex, Complex]:
         """Return the coefficients over frequency at depths and their slopes, (n, n_f, values)."""
-        values, slopes = (
-            (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
-        )
+        values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
         nodes = self.tool.depth
         i = np.clip(np.searchsorted(nodes, depth, side="right") - 1, 0, len(nodes) - 2)
         step = nodes[i + 1] - nodes[i]
@@ -141,11 +135,11 @@ class ToolTable:
         ends = values[i], values[i + 1], slopes[i], slopes[i + 1]
         value_of = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y), step * x * y**2, -step * x**2 * y
         slope_of = -6 * x * y / step, 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)
-        value, slope = (
-            sum(w[:, None, None] * end for w, end in zip(of, ends, strict=True))
-            for of in (value_of, slope_of)
-        )
-        return np.asarray(value), np.asarray(slope)
+        value, slope = np.zeros((2, *ends[0].shape), complex)
+        for end, w, rate in zip(ends, value_of, slope_of, strict=True):
+            value += w[:, None, None] * end
+            slope += rate[:, None, None] * end
+        return value, slope
 
 
 def _refinement(given: Array, wanted: Array) -> Complex:

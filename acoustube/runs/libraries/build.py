@@ -2,9 +2,8 @@
 
 A press has rows some tenths of a millimetre apart; the shapes between them are interpolated, which
 is accurate to micrometres, whereas scattering itself varies faster with depth where a lumen has
-trapped modes. Each shape is scattered on its own. Level by level the middles of all intervals are
-computed and compared with cubic splines through the depths known before; intervals whose error is
-expected to be too large after bisection too are bisected again.
+trapped modes. Each shape is scattered on its own. Level by level intervals are bisected in which
+the error of cubic splines, found by leaving out each depth in turn, is too large.
 """
 
 from __future__ import annotations
@@ -44,6 +43,10 @@ from acoustube.waves.spectral import SpectralScattering
 
 GAIN_OF_BISECTION = 6.0
 """Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
+REACH = 8
+"""Depths to both sides of one from which its scattering is interpolated to find the error."""
+WIDEST_GAP = 1.6
+"""Widest gap that depths which failed may leave, in the largest distance of the first ones."""
 FINEST = 1 / 32
 """Smallest distance of depths, in distances of the first ones."""
 USUAL_DEPTHS = 3.0
@@ -101,10 +104,8 @@ class Refinement:
     def __init__(self, tolerance: float, first: Sequence[float]) -> None:
         self.tolerance, self.first = tolerance, first
         self.known: dict[float, SpectralScattering] = {}
-        self.errors: dict[float, float] = {}
         self.waiting: set[float] = set(first)
-        self.deepest = np.inf
-        self.reason = ""
+        self.failed: dict[float, str] = {}
         self.level: list[float] = []
         self.least = FINEST * min(np.diff(first))
 
@@ -114,62 +115,64 @@ class Refinement:
         self.waiting.discard(depth)
 
     def fail(self, depth: float, reason: str) -> None:
-        """Leave out a depth that cannot be computed, and all below it."""
-        if depth < self.deepest:
-            self.deepest, self.reason = depth, reason
+        """Leave out a depth that cannot be computed."""
+        self.failed[depth] = reason
         self.waiting.discard(depth)
 
     @property
     def depths(self) -> list[float]:
-        """Depths computed so far, above those that failed, rising."""
-        return sorted(d for d in self.known if d < self.deepest)
+        """Depths computed so far, rising, to the first gap too wide to interpolate over."""
+        depths = sorted(self.known)
+        gaps = np.diff(depths)
+        wide = np.flatnonzero(gaps > WIDEST_GAP * max(np.diff(self.first)))
+        return depths[: wide[0] + 1] if len(wide) else depths
+
+    @property
+    def reason(self) -> str:
+        """Why the depths end before the last one asked for; empty if they do not."""
+        last = max(self.depths, default=0.0)
+        return next((self.failed[d] for d in sorted(self.failed) if d > last), "")
 
     def next(self) -> list[float]:
         """Return the depths of the next level, once all of this one are known; none at the end.
 
-        The middles of the last level are compared with the spline through the depths before it.
+        First the middles of all intervals, then those of the intervals that interpolation does not
+        yet meet the tolerance in.
         """
         depths = self.depths
-        middles = [d for d in depths if d in self.errors]
         if len(depths) < FEWEST_DEPTHS:
             return []
-        if not middles:
-            wanted = list(itertools.pairwise(depths))
-        else:
-            self._measure([d for d in middles if np.isnan(self.errors[d])])
-            wanted = [
-                (a, b)
-                for a, b in itertools.pairwise(depths)
-                if self._new(a) or self._new(b)
-                if max(self._of(a), self._of(b)) > GAIN_OF_BISECTION * self.tolerance
-                if b - a > 1.5 * self.least
-            ]
-        self.level = [round((a + b) / 2, 12) for a, b in wanted]
+        error = self.between() if self.level else np.full(len(depths) - 1, np.inf)
+        self.level = [
+            round((a + b) / 2, 12)
+            for (a, b), one in zip(itertools.pairwise(depths), error, strict=True)
+            if one > self.tolerance and b - a > 1.5 * self.least
+        ]
+        self.level = [depth for depth in self.level if depth not in self.failed]
         self.waiting = set(self.level)
-        self.errors |= dict.fromkeys(self.level, np.nan)
         return self.level
 
-    def _new(self, depth: float) -> bool:
-        return depth in self.level
-
-    def _of(self, depth: float) -> float:
-        return self.errors.get(depth, 0.0) if self._new(depth) else 0.0
-
-    def _measure(self, middles: Sequence[float]) -> None:
-        """Measure the errors of interpolation at new depths."""
-        before = [d for d in self.depths if d not in middles]
-        spline = CubicSpline(before, np.array([self.known[d].s for d in before]))
-        for depth in middles:
-            self.errors[depth] = deviation(spline(depth), self.known[depth].s)
-
     def between(self) -> Array:
-        """Return the expected error of interpolation between each depth and the next."""
-        found = []
-        for a, b in zip(self.depths, self.depths[1:], strict=False):
-            inner = [self.errors[d] for d in (a, b) if d in self.errors]
-            found.append(max(inner, default=np.nan) / GAIN_OF_BISECTION)
-        table = np.array(found)
-        return np.where(np.isnan(table), np.nanmax(table, initial=0.0), table)
+        """Return the expected error of interpolation between each depth and the next.
+
+        By cross-validation: at each depth the error of the spline through all others, which grows
+        with the product of the squared distances to its neighbours, as that in the middle of an
+        interval with its length to the fourth power.
+        """
+        depths = np.array(self.depths)
+        known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])
+        steps = np.diff(depths)
+        found = np.zeros(len(steps))
+        for i in range(1, len(depths) - 1):
+            near = np.arange(max(i - REACH, 0), min(i + REACH + 1, len(depths)))
+            near = near[near != i]
+            if len(near) < FEWEST_DEPTHS:
+                return np.full(len(steps), np.inf)
+            error = deviation(CubicSpline(depths[near], known[near])(depths[i]), known[i])
+            beside = slice(i - 1, i + 1)
+            scale = error / np.prod(steps[beside]) ** 2 / GAIN_OF_BISECTION
+            found[beside] = np.maximum(found[beside], scale * steps[beside] ** 4)
+        return found
 
 
 def deviation(found: Complex, exact: Complex) -> float:
