@@ -42,7 +42,7 @@ class Counts(Checked):
 def dataset(
     *sweep: Path,
     counts: Counts = Counts(),
-    rangefinder: Path | None = None,
+    rangefinder: Annotated[Path | None, Parameter(name=("--rangefinder", "--sensor"))] = None,
     out: Path,
     processes: Workers = Workers(),
     output: Output = Output(),
@@ -54,8 +54,8 @@ def dataset(
     sweep : Path
         Folders that ``acoustube sweep`` wrote.
     rangefinder : Path
-        TOML file with the parameters of the rangefinder; that of the sleeve paper, at the case's
-        carrier, if not given.
+        TOML file with the parameters of the rangefinder, or that of a twin; that of the sleeve
+        paper, at the case's carrier, if not given.
     out : Path
         Folder to write, or to resume.
     """

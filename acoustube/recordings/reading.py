@@ -239,8 +239,8 @@ def _sidecar(path: Path) -> dict[str, Any]:
             f"{sidecars[0]} and {sidecars[1].name} both describe {path.name}; keep one"
         )
     values = read_document(sidecars[0], sidecars[0].suffix)
-    if {"processing", "calibration"} <= set(values):
-        return {}  # a calibration of the same name as its recording
+    if {"processing", "calibration"} <= set(values) or {"twin", "rangefinder"} <= set(values):
+        return {}  # a calibration or a twin of the same name as its recording
     for key in values:
         if key not in _SIDECAR:
             near = difflib.get_close_matches(key, _SIDECAR, n=1) or _SIDECAR

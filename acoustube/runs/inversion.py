@@ -27,6 +27,7 @@ from acoustube.inversion import (
 )
 from acoustube.ranging import Rangefinder
 from acoustube.runs.config import read_document
+from acoustube.runs.sensor_file import sensor_document
 from acoustube.runs.sweep.dataset import rangefinder_in
 
 COLUMNS = (
@@ -66,14 +67,14 @@ def read_sensor(path: Path) -> Sensor:
     path : Path
         With ``length_cm``, the parameters of :class:`acoustube.ranging.Rangefinder`, its drive in a
         table ``[drive]``, and standard deviations of :class:`acoustube.inversion.Priors` in a table
-        ``[priors]``.
+        ``[priors]``. Or that of a twin.
 
     Raises
     ------
     ConfigError
         If it cannot be read, or a name or a value is wrong.
     """
-    document = read_document(path)
+    document = sensor_document(read_document(path), path)
     length, priors = document.pop("length_cm", None), document.pop("priors", {})
     known = [one.name for one in dataclasses.fields(Priors)]
     if not isinstance(priors, dict):

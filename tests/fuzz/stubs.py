@@ -21,6 +21,7 @@ PRELOADED = (
     "acoustube.cli.simulate", "acoustube.cli.indent", "acoustube.cli.sweep", "acoustube.cli.show",
     "acoustube.cli.export", "acoustube.cli.cite", "acoustube.cli.process", "acoustube.cli.train",
     "acoustube.cli.evaluate", "acoustube.cli.calibrate", "acoustube.cli.sleeve",
+    "acoustube.cli.twin",
     "acoustube.cli.scatter", "acoustube.cli.live", "acoustube.recordings", "acoustube.signals",
     "acoustube.runs.recordings", "acoustube.runs.opening", "acoustube.runs.training",
     "acoustube.base.surfaces", "acoustube.indentation.tetrahedra", "acoustube.reports.page",

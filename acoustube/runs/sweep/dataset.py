@@ -25,6 +25,7 @@ from acoustube.base.writing import write
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import read_document
 from acoustube.runs.opening import open_dataset
+from acoustube.runs.sensor_file import KIND, OF_OTHERS, sensor_document
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
 from acoustube.runs.sweep.plan import digest
@@ -270,7 +271,7 @@ def read_rangefinder(path: Path) -> Rangefinder:
     ----------
     path : Path
         With the parameters of :class:`acoustube.ranging.Rangefinder`; those of its drive in a table
-        ``[drive]``.
+        ``[drive]``. Or that of a twin.
 
     Raises
     ------
@@ -288,10 +289,13 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
     ConfigError
         If a name or a value is wrong.
     """
-    given = dict(document)
+    given = sensor_document(document, path)
+    for name in OF_OTHERS if KIND in document else ():
+        given.pop(name, None)
     drive = given.pop("drive", None)
     if not isinstance(drive, dict | None):
         raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
+    drive = None if drive is None else dict(drive)
     kind = "Burst" if drive is None else drive.pop("kind", "Burst")
     if kind != "Burst":
         raise ConfigError(f"{path}: kind = {kind!r} cannot be given by a file; use 'Burst'")

@@ -1,0 +1,120 @@
+"""The command ``acoustube twin``: the simulator fitted to recordings of a sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from acoustube.base.console import ConsoleReporter
+from acoustube.base.errors import ConfigError
+from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import Reporter
+from acoustube.base.rules import Number
+from acoustube.base.units import CM, PERCENT
+from acoustube.base.writing import write_all
+from acoustube.cli._options import WHOLE, Checked, Lead, Output, Recording, check_files
+
+if TYPE_CHECKING:
+    from acoustube.runs.twin import FittedSensor
+
+ODD = 0.95
+"""Share of the echoes' energy below which the model is said not to fit."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Known(Checked):
+    """What is known of the tube and of the converter.
+
+    Attributes
+    ----------
+    length : float
+        Length of the tube in cm.
+    bits : int
+        Resolution of the converter; by default the least that holds the recorded counts.
+    """
+
+    length: Annotated[float | None, Number(1, 1000, "cm", "length of the tube")] = None
+    bits: Annotated[int | None, WHOLE, Number(1, 16, "", "bits", whole=True)] = None
+
+
+def twin(
+    *files: Path,
+    untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    known: Known = Known(),
+    recording: Recording = Recording(),
+    lead: Lead = Lead(),
+    out: Path,
+    figure: Path | None = None,
+    output: Output = Output(),
+) -> None:
+    """Fit the simulator to a sensor: cycles with the tube closed at known places, and untouched.
+
+    Parameters
+    ----------
+    files : Path
+        Recordings with the tube closed, with the label ``true_distance`` (or ``distance_cm``,
+        ``distance_m``), files or folders; the last is that of the untouched tube.
+    untouched : list
+        Recordings of the untouched tube, in place of the last file.
+    out : Path
+        File to write (TOML), which must be new: every parameter with its standard deviation.
+    figure : Path
+        Picture of simulated over recorded cycles to write (PNG, PDF or SVG), which must be new.
+    """
+    if len(files) < (2 if untouched is None else 1):
+        raise ConfigError(
+            "twin needs recordings of the closed and of the untouched tube; name CLOSED UNTOUCHED"
+        )
+    closed, free = (files[:-1], files[-1:]) if untouched is None else (files, untouched)
+    check_files(out=out, figure=figure)
+    from acoustube.runs.twin import fitted_sensor
+    from acoustube.runs.twin_file import in_toml, parameters, time_zero_note
+
+    report = ConsoleReporter(output.console())
+    length = None if known.length is None else known.length / CM
+    with watched_interrupts() as check:
+        found = fitted_sensor(
+            closed, free, dataclasses.asdict(recording), lead.pulse_at,
+            length=length, bits=known.bits, report=report, check=check,
+        )  # fmt: skip
+    contents: dict[Path, bytes | str] = {out: in_toml(found)}
+    if figure is not None:
+        from acoustube.reports.figures.run import picture
+        from acoustube.reports.figures.twin import twin_figure
+
+        contents[figure] = picture(twin_figure(found), figure)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_all(contents)
+    if note := time_zero_note(found):
+        report.note(note)
+    _print_closures(found, report)
+    rows = [
+        (one.name, f"{one.value:.6g} +- {one.deviation:.2g}"
+         + ("" if one.determined else ", not determined by the recordings"))
+        for one in parameters(found)
+    ]  # fmt: skip
+    report.rows(rows)
+    report.line(f"Written to {out}.")
+
+
+def _print_closures(found: FittedSensor, report: Reporter) -> None:
+    """Report the closures that were left out, and how well the others are explained."""
+    for i, reason in found.twin.left_out.items():
+        group = found.closed[i]
+        report.note(
+            f"{group.source}: the closure at {CM * group.place:.1f} cm is left out: {reason}"
+        )
+    explained = found.twin.explained
+    report.line(
+        f"{len(found.twin.used)} of {len(found.closed)} closures are fitted; the model explains "
+        f"{PERCENT * float(explained.mean()):.2f} % of their echoes' energy"
+    )
+    if explained.mean() < ODD:
+        report.note(
+            "so little that the sensor has parts which the model lacks; see the figure of --figure"
+        )

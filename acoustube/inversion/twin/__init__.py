@@ -1,0 +1,12 @@
+"""A rangefinder's parameters from recordings of its tube, closed at known places and untouched.
+
+Reading order: `recorded` (cycles in the band of the carrier), `model` (echoes of closures, with
+derivatives), `fit` (maximum of the posterior), `posterior` (with unknown scatter of the closures),
+`estimate` (the fit as a whole) and `background` (ring-down, far end, clutter, noise).
+"""
+
+from acoustube.inversion.twin.background import Background, Measured, background
+from acoustube.inversion.twin.estimate import Twin, fit_twin
+from acoustube.inversion.twin.recorded import Band, Group
+
+__all__ = ["Background", "Band", "Group", "Measured", "Twin", "background", "fit_twin"]

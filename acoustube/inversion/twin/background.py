@@ -1,0 +1,280 @@
+"""Ring-down, far end, clutter and noise of a sensor whose response to an echo is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+from acoustube.inversion.twin.estimate import SPEED, Twin
+from acoustube.inversion.twin.model import (
+    LOCAL,
+    NOMINAL_FREQUENCY,
+    NOMINAL_RADIUS,
+    SHARED,
+    square_burst,
+    wavenumbers,
+)
+from acoustube.inversion.twin.recorded import QUIET_SHARE, Band, Group, Means
+from acoustube.waves.scattering import Complex
+
+SPACING = 1e-3
+"""Spacing in m of the reflectors of the clutter: a quarter wavelength at 85 kHz."""
+DENSITIES = np.geomspace(1e-8, 1e-2, 25)
+"""Reflected powers in 1/m among which the most likely one is chosen."""
+RING_SHARE = 1.5e-3
+"""Time in s over which the level of the ring-down is fitted."""
+HEARD = 6.0
+"""Level of the far end in standard deviations from which on it is taken for one."""
+AROUND_END = 0.04
+"""Half the width in m of the part of the tube that belongs to the far end."""
+ROUNDING = 1 / 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Value with its standard deviation.
+
+    Attributes
+    ----------
+    value, deviation : float
+    """
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Background:
+    """What cycles hold besides the echoes, in counts where not stated.
+
+    Attributes
+    ----------
+    send : Measured
+        Level of the own drive, steady at resonance.
+    far_reflection : Measured
+        Reflection coefficient of the far end; 0 where it is not heard.
+    length : Measured or None
+        Distance of the far end in m; None where it is not heard.
+    places, reflectivity : ndarray
+        Clutter: places in m of reflectors, and their reflection coefficients, (n_z,).
+    clutter : Measured
+        Its power reflected per length, in 1/m.
+    noise, offset, drift : Measured
+    jitter : Measured
+        Standard deviation of the trigger in s.
+    wander : Measured
+        Relative standard deviation of the gain from cycle to cycle.
+    temperature_noise : Measured
+        Standard deviation of the reported temperature within a group in K.
+    explained : ndarray
+        Baseband of the untouched cycles that these explain, (n_t,).
+    recorded : ndarray
+        Their baseband, (n_t,).
+    """
+
+    send: Measured
+    far_reflection: Measured
+    length: Measured | None
+    places: Array
+    reflectivity: Array
+    clutter: Measured
+    noise: Measured
+    offset: Measured
+    drift: Measured
+    jitter: Measured
+    wander: Measured
+    explained: Complex
+    recorded: Complex
+
+
+def background(
+    twin: Twin, untouched: Group, closed: Sequence[Group], length: float | None = None
+) -> Background:
+    """Return ring-down, far end, clutter and noise of the sensor of a twin.
+
+    Parameters
+    ----------
+    twin : Twin
+    untouched : Group
+    closed : sequence of Group
+    length : float, optional
+        Of the tube in m, near which the far end is sought.
+
+    Notes
+    -----
+    The ring-down's level is fitted by least squares, then the far end by the correlation with its
+    echo, then the clutter by Wiener's estimate: reflectors along the tube, Gaussian a priori, with
+    the density of highest evidence.
+    """
+    band = twin.band
+    heard = band.baseband(twin.untouched.spectrum)
+    used = (band.time >= band.first) & (band.time <= band.last)
+    ring = band.baseband(ring_down(twin))
+    early = used & (band.time < band.first + RING_SHARE)
+    power = float(np.sum(np.abs(ring[early]) ** 2))
+    level = complex(np.sum(heard[early] * ring[early].conj()) / power) if power > 0 else 0j
+    left = heard - level * ring
+    reach = 0.5 * SPEED * band.last - 0.1
+    far, end = _far_end(twin, left, used, length, reach, untouched.temperature)
+    last = end.value if end is not None else min(length or reach, reach)
+    if end is not None:
+        left = left - far.value * _templates(twin, np.array([end.value]), untouched.temperature)[0]
+    places = np.arange(0.5 * SPACING, max(last - AROUND_END, 0.1), SPACING)
+    reflectors, density, explained = _clutter(twin, left, used, places, untouched.temperature)
+    noise = float(np.mean(np.abs(left - explained)[early] ** 2))
+    clutter_share = np.sqrt(noise * early.sum() / max(power, 1e-300) / early.sum())
+    known = level * ring + explained
+    if end is not None:
+        known = known + heard - level * ring - left
+    return Background(
+        send=Measured(value=abs(level), deviation=float(clutter_share) + 0.01 * abs(level)),
+        far_reflection=far, length=end, places=places, reflectivity=reflectors, clutter=density,
+        explained=np.where(used, known, 0), recorded=np.where(used, heard, 0),
+        **_variations(untouched, closed, [twin.untouched, *twin.means], band.carrier),
+    )  # fmt: skip
+
+
+def ring_down(twin: Twin) -> Complex:
+    """Return the spectrum of the ring-down of unit level, faded in as the cycles are, (n_f,)."""
+    band: Band = twin.band
+    shared = dict(zip(SHARED, twin.point.shared.tolist(), strict=True))
+    n = 2 * band.n_samples
+    oversampled = 4 if band.folded else 1
+    f = np.arange(1, oversampled * n // 2) * band.rate / n
+    resonance, quality = (
+        NOMINAL_FREQUENCY * exp(shared["log_resonance"]),
+        exp(shared["log_quality"]),
+    )
+    tuned = 1 / (1 + 1j * quality * (f / resonance - resonance / f))
+    carrier = NOMINAL_FREQUENCY * exp(shared["log_drive_frequency"])
+    spectrum = square_burst(f, carrier, shared["drive_cycles"])[0] * tuned
+    spectrum = spectrum * np.exp(-2j * pi * f * (shared["trigger"] - band.start))
+    full = np.concatenate([[0], spectrum, [0]])
+    samples = np.fft.irfft(full, oversampled * n)[::oversampled][: band.n_samples]
+    return band.spectra(samples * oversampled * band.rate)
+
+
+def _templates(twin: Twin, places: Array, temperature: float) -> Complex:
+    """Return the basebands of echoes of complete reflection, without repetition, (n, n_t)."""
+    band, model = twin.band, twin.model
+    shared = twin.point.shared.copy()
+    for name in ("face_real", "face_imag"):
+        shared[SHARED.index(name)] = 0.0
+    zero = replace(model, places=np.zeros(1), temperatures=np.array([temperature]))
+    radius = NOMINAL_RADIUS * exp(shared[SHARED.index("log_radius")])
+    air = temperature + shared[SHARED.index("temperature_offset")]
+    gradient = shared[SHARED.index("temperature_gradient")]
+    total: Complex = np.zeros((len(places), len(band.frequency)), complex)
+    for f, image in ((band.frequency, False), (band.image, True))[: 1 + band.folded]:
+        pulse = zero._spectra(f, shared, np.zeros((1, len(LOCAL))))[0][0]
+        waves = wavenumbers(f, radius, air)
+        lever = places**2 / 2 - model.middle * places
+        phase = np.outer(places, waves.value) + gradient * np.outer(lever, waves.by_temperature)
+        echo = pulse * np.exp(-2j * phase)
+        total = total + (echo.conj() if image else echo)
+    return band.baseband(total)
+
+
+def _far_end(
+    twin: Twin,
+    left: Complex,
+    used: NDArray[np.bool_],
+    length: float | None,
+    reach: float,
+    temperature: float,
+) -> tuple[Measured, Measured | None]:
+    """Return the reflection coefficient of the far end, and its distance where it is heard."""
+    farthest = float(twin.model.places.max())
+    low, high = (0.97 * length, 1.03 * length) if length else (farthest + 0.02, reach)
+    high = min(high, reach)
+    if not high > low + 0.05:
+        return Measured(value=0.0, deviation=1.0), None
+    places = np.arange(low, high, 0.5e-3)
+    shapes = np.where(used, _templates(twin, places, temperature), 0)
+    energy = np.maximum(np.sum(np.abs(shapes) ** 2, axis=1), 1e-300)
+    level = shapes.conj() @ np.where(used, left, 0) / energy
+    best = int(np.argmax(np.abs(level) * np.sqrt(energy)))
+    away = np.abs(places - places[best]) > 2 * AROUND_END
+    others = np.abs(level[away]) if away.sum() > 20 else np.abs(level)
+    spread = max(
+        float(np.median(others)) / 1.18, float(np.sqrt(twin.untouched.variance / energy[best]))
+    )
+    if abs(level[best]) < HEARD * spread or best in (0, len(places) - 1):
+        return Measured(value=0.0, deviation=spread), None
+    wave = 2 * pi * twin.band.carrier / SPEED
+    place = places[best] - float(np.angle(level[best])) / (2 * wave)
+    sure = np.hypot(0.002, 0.00175 * place * twin.deviation("temperature_offset"))
+    far = Measured(value=min(float(abs(level[best])), 1.0), deviation=float(spread))
+    return far, Measured(value=float(place), deviation=float(sure))
+
+
+def _clutter(
+    twin: Twin, left: Complex, used: NDArray[np.bool_], places: Array, temperature: float
+) -> tuple[Array, Measured, Complex]:
+    """Return the reflectors, their density and what they explain of the untouched cycles."""
+    shapes = _templates(twin, places, temperature).T
+    inside = shapes[used]
+    # Reflectors are real: the real and the imaginary part of the baseband are both data.
+    design = np.concatenate([inside.real, inside.imag]) * np.sqrt(SPACING)
+    target = np.concatenate([left[used].real, left[used].imag])
+    values, vectors = np.linalg.eigh(design @ design.T)
+    rotated, values = vectors.T @ target, np.maximum(values, 0)
+    noise = twin.untouched.variance / 2
+    scores = np.array([
+        -0.5 * np.sum(rotated**2 / (d * values + noise) + np.log(d * values + noise))
+        for d in DENSITIES
+    ])  # fmt: skip
+    share = np.exp(scores - scores.max())
+    share /= share.sum()
+    density = float(share @ DENSITIES)
+    # The grid is coarse against the posterior of many degrees of freedom.
+    deviation = max(float(np.sqrt(share @ (DENSITIES - density) ** 2)), 0.15 * density)
+    strength = density * design.T @ (vectors @ (rotated / (density * values + noise)))
+    reflectors = strength * np.sqrt(SPACING)
+    return reflectors, Measured(value=density, deviation=deviation), shapes @ reflectors
+
+
+def _variations(
+    untouched: Group, closed: Sequence[Group], means: Sequence[Means], carrier: float
+) -> dict[str, Measured]:
+    """Return the noise in counts, and the scatter from cycle to cycle."""
+    groups = [untouched, *closed]
+    variances, levels, count = [], [], 0
+    for group in groups:
+        quiet = np.asarray(group.cycles[:, -int(QUIET_SHARE * group.cycles.shape[1]) :], float)
+        variances.append(quiet.var(axis=1).mean())
+        levels.append(quiet.mean(axis=1))
+        count += quiet.size
+    variance = float(np.median(variances))
+    if np.issubdtype(untouched.cycles.dtype, np.integer):
+        variance = max(variance - ROUNDING, 0.1 * variance)
+    noise = float(np.sqrt(variance))
+    offsets = np.concatenate(levels)
+    n = len(offsets)
+    drift = float(offsets.std()) if n > 1 else 0.0
+    error = drift / np.sqrt(max(n, 1))
+    return {
+        "noise": Measured(value=noise, deviation=float(noise * np.hypot(count**-0.5, 0.1))),
+        "offset": Measured(value=float(offsets.mean()), deviation=float(error)),
+        "drift": Measured(value=drift, deviation=float(drift / np.sqrt(2 * max(n - 1, 1)))),
+        "jitter": _scatter([m.delays for m in means], means, 2 * pi * carrier),
+        "wander": _scatter([m.gains for m in means], means, 1.0),
+    }
+
+
+def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> Measured:
+    """Return the standard deviation of values within groups, without that of the noise."""
+    known = [(v, m.wobble / scale**2) for v, m in zip(values, means, strict=True) if len(v) > 2]
+    if not known:
+        return Measured(value=0.0, deviation=float("inf"))
+    freedom = sum(len(v) - 1 for v, _ in known)
+    total = sum(float(np.sum((v - v.mean()) ** 2)) for v, _ in known) / freedom
+    noise = sum(w * (len(v) - 1) for v, w in known) / freedom
+    value = float(np.sqrt(max(total - noise, 0.0)))
+    spread = float(np.sqrt(total / (2 * freedom)))
+    return Measured(value=value, deviation=max(spread, 1e-12))

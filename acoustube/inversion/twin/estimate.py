@@ -1,0 +1,374 @@
+"""Sensor that recordings of closures tell of: starting values, fit, rejection and posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.report import ignore
+from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
+from acoustube.inversion.twin.fit import Data, Normal, Point, Prior, best_start, maximise
+from acoustube.inversion.twin.model import (
+    LOCAL,
+    NOMINAL_FREQUENCY,
+    NOMINAL_RADIUS,
+    SHARED,
+    EchoModel,
+)
+from acoustube.inversion.twin.posterior import Posterior, posterior, with_scatter
+from acoustube.inversion.twin.recorded import Band, Group, Means, band_of, mean_of
+from acoustube.waves.scattering import Complex
+
+PRIORS = {
+    "log_radius": (0.0, 0.2), "temperature_offset": (0.0, 4.0), "temperature_gradient": (0.0, 1.0),
+    "log_loss": (0.0, 0.002), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
+    "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
+    "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
+} | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
+"""Mean and standard deviation of each parameter of :data:`SHARED`; of logarithms about a bore of
+7.9 mm, a perfectly smooth wall and the carrier that is received. The loss factor's deviation is
+half of that of the air's viscosity, whose root it has."""
+FIRST_PLACEMENT, FIRST_LEVEL, PHASE = 3e-3, 0.1, 1e3
+"""Standard deviations of the closures in the first fit: m, 1 and rad."""
+WINDOW = (-0.3e-3, 2.0e-3)
+"""Data about the arrival of an echo, in s from its time by the nominal speed of sound."""
+SLACK = 0.01
+"""Part of the time of flight by which it may be earlier or later."""
+LEAST_ECHO = 0.5
+"""Share of a closure's energy that the model must explain."""
+WEAKEST = 4.0
+"""Peak in counts below which an echo's level is that of its rounding."""
+DITHERED = 0.4
+"""Noise in counts from which on rounding is linear on average."""
+SPEED = 343.2
+OUTLYING, LEAST_OUTLYING = 8.0, 6e-3
+"""Error of a stated place in standard deviations, and in m, from which on it is taken for wrong."""
+FEWEST = 2
+ROUNDS = 3
+"""Fits between which the error of the model is estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """Sensor that was fitted to recordings.
+
+    Attributes
+    ----------
+    band : Band
+    model : EchoModel
+        Of the closures that are used.
+    data : Data
+    point : Point
+        Maximum of the posterior.
+    posterior : Posterior
+    prior : Prior
+    used : list of int
+        Numbers of the groups that are used.
+    left_out : dict
+        Reasons in words, by number of the group.
+    means : list of Means
+        Of all groups.
+    untouched : Means
+    full : ndarray
+        Spectrum of the untouched cycles, (n_f,).
+    """
+
+    band: Band
+    model: EchoModel
+    data: Data
+    point: Point
+    posterior: Posterior
+    prior: Prior
+    used: list[int]
+    left_out: dict[int, str]
+    means: list[Means]
+    untouched: Means
+
+    def value(self, name: str) -> float:
+        """Return the posterior mean of a parameter of :data:`SHARED`."""
+        return float(self.posterior.mean[SHARED.index(name)])
+
+    def deviation(self, name: str) -> float:
+        """Return the posterior standard deviation of a parameter."""
+        i = SHARED.index(name)
+        return float(np.sqrt(self.posterior.covariance[i, i]))
+
+    @property
+    def explained(self) -> Array:
+        """Share of each used closure's energy that the model explains, (n,)."""
+        inside = self.data.segments == 1
+        left = np.abs(self.data.values - self.model(*self.point).value) ** 2
+        return 1 - _sums(left, inside) / _sums(np.abs(self.data.values) ** 2, inside)
+
+
+def fit_twin(
+    closed: Sequence[Group],
+    untouched: Group,
+    rate: float,
+    start: float = 0.0,
+    *,
+    length: float | None = None,
+    show: Callable[[str, float], None] = ignore,
+) -> Twin:
+    """Return the sensor that recordings of the closed and of the untouched tube tell of.
+
+    Parameters
+    ----------
+    closed : sequence of Group
+        One for each closure.
+    untouched : Group
+    rate : float
+        Samples per second.
+    start : float
+        Time of the first sample in s from the start of the drive.
+    length : float, optional
+        Of the tube in m; up to the farthest closure by default. Half of it is where the
+        temperature is its mean.
+    show : callable
+        Called with the name of a stage and its finished fraction.
+
+    Raises
+    ------
+    ConfigError
+        If fewer than two closures can be used; the first reason is named.
+    """
+    band = band_of(closed, untouched.cycles, rate, start)
+    free, means, left_out = mean_of(band, untouched.cycles), [], {}
+    quiet = np.asarray(untouched.cycles, float).mean(axis=0)
+    near = band.spectra(quiet, band.before_ring_end())
+    for i, group in enumerate(closed):
+        show("reading the echoes", i / len(closed))
+        means.append(mean_of(band, group.cycles))
+        if reason := _unusable(band, group, means[-1].spectrum - near, untouched):
+            left_out[i] = reason
+    used = [i for i in range(len(closed)) if i not in left_out]
+    values = band.baseband(np.array([means[i].spectrum - near for i in range(len(closed))]))
+    places = np.array([group.place for group in closed])
+    middle = (length or float(places.max())) / 2
+    best: Twin | None = None
+    for filtered in (True,) if band.frequency[-1] < 0.4 * rate else (True, False):
+        model = EchoModel(
+            band, places, np.array([group.temperature for group in closed]), middle, filtered
+        )
+        found = _fitted(model, values, used, dict(left_out), means, free, closed, show)
+        if best is None or found.explained.mean() > best.explained.mean():
+            best = found
+    assert best is not None
+    return best
+
+
+def _fitted(
+    model: EchoModel,
+    values: Complex,
+    used: list[int],
+    left_out: dict[int, str],
+    means: list[Means],
+    free: Means,
+    closed: Sequence[Group],
+    show: Callable[[str, float], None],
+) -> Twin:
+    """Return the fit with one model, after closures that it cannot explain are left out."""
+    band, prior = model.band, _first_prior(model.band, len(values))
+    floors = np.array([one.variance for one in means]) + _rounding(closed, band)
+    while True:
+        _check_enough(used, closed, left_out)
+        part = np.array(used)
+        own = replace(model, places=model.places[part], temperatures=model.temperatures[part])
+        data = _windowed(own, values[part], floors[part])
+        mine = replace(prior, local=prior.local[part])
+        start = best_start(own, data, mine, lambda done: show("fitting the echoes", done / 2))
+        data, point, normal = _refined(own, data, mine, start, floors[part], show)
+        wrong = _wrong(own, data, point)
+        if not wrong:
+            break
+        left_out |= {used[i]: reason for i, reason in wrong.items()}
+        used = [i for i in used if i not in left_out]
+    found = posterior(normal, mine, point, _quantised_levels(closed, data, part))
+    return Twin(band, own, data, point, found, mine, used, left_out, means, free)
+
+
+def _refined(
+    model: EchoModel,
+    data: Data,
+    prior: Prior,
+    point: Point,
+    floors: Array,
+    show: Callable[[str, float], None],
+) -> tuple[Data, Point, Normal]:
+    """Return the data with the variances that their residuals have, and the maximum with them."""
+    normal = None
+    for i in range(ROUNDS):
+        show("fitting the echoes", 0.5 + 0.5 * i / ROUNDS)
+        if i > 0:
+            prior = with_scatter(prior, 2e-3, 0.05, 0.01)
+        data = replace(data, variances=_variances(model, data, point, floors))
+        point, normal, _ = maximise(model, data, prior, point)
+    assert normal is not None
+    return data, point, normal
+
+
+def _first_prior(band: Band, n: int) -> Prior:
+    mean, deviation = (np.array([PRIORS[name][k] for name in SHARED]) for k in (0, 1))
+    for name in ("log_resonance", "log_drive_frequency"):
+        mean[SHARED.index(name)] = log(band.carrier / NOMINAL_FREQUENCY)
+    local = np.tile([FIRST_PLACEMENT, FIRST_LEVEL, PHASE], (n, 1))
+    return Prior(mean, deviation, local)
+
+
+def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
+    """Return the data about the echoes and their repetitions."""
+    time, band = model.band.time, model.band
+    segments = np.zeros(values.shape, int)
+    for number in (2, 1):
+        flight = (number * 2 / SPEED * model.places)[:, None]
+        inside = (time >= (1 - SLACK) * flight + WINDOW[0]) & (
+            time <= (1 + SLACK) * flight + WINDOW[1]
+        )
+        segments[inside & (time >= band.first) & (time <= band.last)] = number
+    sizes = [_sums(np.abs(values) ** 2, segments == k) for k in (1, 2)]
+    counts = [np.maximum((segments == k).sum(axis=1), 1) for k in (1, 2)]
+    variances = np.stack([1e-3 * s / c + floors for s, c in zip(sizes, counts, strict=True)], 1)
+    return Data(values, segments, variances)
+
+
+def _variances(model: EchoModel, data: Data, point: Point, floors: Array) -> Array:
+    """Return the variances of the residuals, as large as they are where the echoes have power.
+
+    Notes
+    -----
+    Residuals of clutter have the colour of the echo, and tell in fewer degrees of freedom than
+    they have samples: their variance is that of their spectrum weighted by the echo's power, times
+    its bandwidth's share of degrees of freedom that the fit does not take.
+    """
+    echoes = model(*point).value
+    found = np.empty_like(data.variances)
+    n = len(echoes)
+    for k in (1, 2):
+        inside = data.segments == k
+        count = np.maximum(inside.sum(axis=1), 1)
+        left = np.where(inside, data.values - echoes, 0)
+        power = np.abs(np.fft.fft(np.where(inside, echoes, 0), axis=1)) ** 2
+        density = np.abs(np.fft.fft(left, axis=1)) ** 2
+        total = np.maximum(power.sum(axis=1), 1e-300)
+        coloured = (density * power).sum(axis=1) / total / count
+        plain = (np.abs(left) ** 2).sum(axis=1) / count
+        width = total**2 / (power.shape[1] * np.maximum((power**2).sum(axis=1), 1e-300))
+        freedom = np.maximum(2 * count * width, 4.0)
+        taken = len(LOCAL) + len(SHARED) / n if k == 1 else 0.0
+        spare = freedom / np.maximum(freedom - taken, 0.3 * freedom)
+        # Each alone is uncertain: averaged with the others', relative to the echoes.
+        strength = np.maximum((np.abs(echoes) ** 2 * inside).sum(axis=1) / count, 1e-300)
+        own = np.maximum(coloured * spare, plain)
+        usual = np.median(own / strength) * strength
+        found[:, k - 1] = np.maximum(np.maximum(np.sqrt(own * usual), own / 2), floors)
+    return found
+
+
+def _rounding(closed: Sequence[Group], band: Band) -> Array:
+    """Return the variance in the baseband that rounding leaves in a mean, (n,)."""
+    found = []
+    for group in closed:
+        whole = np.issubdtype(group.cycles.dtype, np.integer)
+        noise = float(np.std(np.asarray(group.cycles[:32, -64:], float), axis=0).mean())
+        found.append(band.white / 12 if whole and noise < DITHERED else 0.0)
+    return np.array(found)
+
+
+def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array:
+    """Return the standard deviations of the levels by rounding without dither, (n,)."""
+    peaks = np.where(data.segments == 1, np.abs(data.values), 0).max(axis=1)
+    whole = [np.issubdtype(closed[i].cycles.dtype, np.integer) for i in part]
+    return np.where(whole, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
+
+
+def _unusable(band: Band, group: Group, spectrum: Complex, untouched: Group) -> str:
+    """Return in words why a closure cannot be used, or nothing."""
+    flight = 2 * group.place / SPEED
+    if not np.isfinite(group.place) or group.place <= 0:
+        return f"its stated distance is {CM * group.place:g} cm"
+    if (1 - SLACK) * flight < band.first:
+        return (
+            f"its echo arrives within the ring-down, which lasts {MM * band.first:.2g} ms; close "
+            f"the tube at {CM * (0.5 * SPEED * band.first + 0.02):.0f} cm or farther"
+        )
+    if flight + 0.8e-3 > band.last:
+        return "its echo arrives after the end of the cycle; record longer cycles"
+    inside = (band.time > 0.99 * flight - 0.1e-3) & (band.time < 1.01 * flight + 1.5e-3)
+    peak = float(np.abs(band.baseband(spectrum))[inside].max())
+    whole = np.issubdtype(group.cycles.dtype, np.integer)
+    noise = float(np.std(np.asarray(group.cycles[:32, -64:], float), axis=0).mean())
+    if whole and peak < WEAKEST and noise < DITHERED:
+        return f"its echo has a peak of {peak:.1f} counts, which rounding distorts; raise the gain"
+    begin = int((0.99 * flight - band.start) * band.rate)
+    echo = np.asarray(group.cycles, float)[:, begin : begin + int(1.5e-3 * band.rate)]
+    low, high = (float(getattr(untouched.cycles, name)()) for name in ("min", "max"))
+    rails = np.sum((echo >= high) | (echo <= low), axis=1)
+    if np.median(rails) >= 3:
+        return "its echo is clipped; lower the gain"
+    return ""
+
+
+def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
+    """Return the closures, by number, that the model cannot explain, and why."""
+    inside = data.segments == 1
+    left = _sums(np.abs(data.values - model(*point).value) ** 2, inside)
+    share = 1 - left / np.maximum(_sums(np.abs(data.values) ** 2, inside), 1e-300)
+    if np.any(share < LEAST_ECHO):
+        return {
+            int(i): "there is no echo of a closure at its stated distance; check the label"
+            for i in np.flatnonzero(share < LEAST_ECHO)
+        }
+    error = point.local[:, 0] - np.median(point.local[:, 0])
+    error = _line_removed(model.places, error)
+    scatter = max(1.48 * float(np.median(np.abs(error))), LEAST_OUTLYING / OUTLYING)
+    far = np.flatnonzero(np.abs(error) > OUTLYING * scatter)
+    if len(error) < 5 or not far.size:
+        return {}
+    worst = int(far[np.argmax(np.abs(error[far]))])
+    return {
+        worst: f"its echo comes from {CM * (model.places[worst] + error[worst]):.1f} cm by all "
+        "others; check the label"
+    }
+
+
+def _line_removed(places: Array, error: Array) -> Array:
+    """Return the errors of places from the line of least absolute deviations."""
+    design = np.stack([np.ones_like(places), places], axis=1)
+    weight = np.ones_like(places)
+    left = error
+    for _ in range(20):
+        fitted = np.linalg.lstsq(design * weight[:, None], error * weight, rcond=None)[0]
+        left = error - design @ fitted
+        weight = 1 / np.sqrt(np.maximum(np.abs(left), 1e-5))
+    return np.asarray(left)
+
+
+def _check_enough(used: list[int], closed: Sequence[Group], left_out: dict[int, str]) -> None:
+    """Raise unless there are closures at two places or more."""
+    if len({round(closed[i].place, 3) for i in used}) >= FEWEST:
+        return
+    first = next(iter(left_out), None)
+    if first is None:
+        reason = f"{closed[used[0]].source}: all are at one place"
+    else:
+        group = closed[first]
+        reason = f"{group.source}, at {CM * group.place:.1f} cm: {left_out[first]}"
+    raise ConfigError(
+        f"{len(used)} of {len(closed)} closures can be used, of the {FEWEST} places that are "
+        f"needed ({reason}); record the tube closed at five places or more"
+    )
+
+
+def _sums(values: Array, inside: Array) -> Array:
+    return np.asarray(np.where(inside, values, 0).sum(axis=1))
+
+
+def radius(twin: Twin) -> tuple[float, float]:
+    """Return the radius of the bore in m and its standard deviation."""
+    value = NOMINAL_RADIUS * float(np.exp(twin.value("log_radius")))
+    return value, value * twin.deviation("log_radius")

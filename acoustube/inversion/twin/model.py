@@ -1,0 +1,254 @@
+"""Echoes of closures of a tube in a rangefinder's band, with derivatives by all parameters.
+
+References
+----------
+* Plane mode of a narrow duct: :func:`acoustube.waves.modes.axial_wavenumber`.
+* Rangefinder: :func:`acoustube.ranging.response`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import exp, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.air import TEMPERATURES, Air, air_at
+from acoustube.base.types import Array
+from acoustube.inversion.twin.recorded import Band
+from acoustube.ranging.analogue import anti_alias
+from acoustube.waves.modes import axial_wavenumber
+from acoustube.waves.scattering import Complex
+
+SHARED = (
+    "log_radius", "temperature_offset", "temperature_gradient", "log_loss", "log_resonance",
+    "log_quality", "log_drive_frequency", "drive_cycles", "log_gain", "trigger", "face_real",
+    "face_imag", "level_1", "level_2", "level_3", "phase_2", "phase_3",
+)  # fmt: skip
+"""Parameters of the sensor: level_k and phase_k are coefficients of x^k, with x from -1 to 1 over
+the band, in the logarithm of the send pulse's spectrum."""
+LOCAL = ("displacement", "log_level", "phase")
+"""Parameters of each closure."""
+CORRECTIONS = tuple(SHARED.index(name) for name in SHARED if name[-1] in "123")
+NOMINAL_RADIUS, NOMINAL_FREQUENCY = 3.95e-3, 42e3
+WARMER = 1.0
+"""Step in K of the differences by temperature."""
+RADIUS_STEP = 1e-4
+"""Step of those by the logarithm of the radius."""
+NODES = 12
+"""Points of the frequency at which wavenumbers are computed."""
+
+
+class Echoes(NamedTuple):
+    """Echoes of closures in the baseband, and their derivatives.
+
+    Attributes
+    ----------
+    value : ndarray
+        (n, n_t).
+    by_shared : ndarray
+        (n, n_shared, n_t).
+    by_local : ndarray
+        (n, n_local, n_t).
+    """
+
+    value: Complex
+    by_shared: Complex
+    by_local: Complex
+
+
+class Waves(NamedTuple):
+    """Axial wavenumber at a temperature, its derivatives, and its lossless part, (n_f,).
+
+    `mixed` is that by the temperature and by the logarithm of the radius.
+    """
+
+    value: Complex
+    by_log_radius: Complex
+    by_temperature: Complex
+    curvature: Complex
+    mixed: Complex
+    lossless: Complex
+
+
+@dataclass(frozen=True, eq=False)
+class EchoModel:
+    """Forward model of the echoes of closures.
+
+    Attributes
+    ----------
+    band : Band
+    places, temperatures : ndarray
+        Stated distances in m, and reported temperatures in degC, (n,).
+    middle : float
+        Distance in m at which the temperature is its mean.
+    filtered : bool
+        With the anti-alias filter of :mod:`acoustube.ranging`.
+    """
+
+    band: Band
+    places: Array
+    temperatures: Array
+    middle: float
+    filtered: bool = True
+
+    def __call__(self, shared: Array, local: Array) -> Echoes:
+        """Return the echoes for parameters (n_shared,) and (n, n_local)."""
+        band = self.band
+        parts = self._spectra(band.frequency, shared, local)
+        if band.folded:
+            images = self._spectra(band.image, shared, local)
+            parts = tuple(a + b.conj() for a, b in zip(parts, images, strict=True))
+        return Echoes(*(band.baseband(part) for part in parts))
+
+    def _spectra(self, f: Array, shared: Array, local: Array) -> tuple[Complex, ...]:
+        """Return the spectra in counts s, and their derivatives."""
+        p = dict(zip(SHARED, shared.tolist(), strict=True))
+        drive, by_drive, by_cycles = square_burst(
+            f, NOMINAL_FREQUENCY * exp(p["log_drive_frequency"]), p["drive_cycles"]
+        )
+        resonance, quality = NOMINAL_FREQUENCY * exp(p["log_resonance"]), exp(p["log_quality"])
+        off = f / resonance - resonance / f
+        tuned = 1 / (1 + 1j * quality * off)
+        x = (f - self.band.carrier) / (self.band.frequency[-1] - self.band.carrier)
+        level = p["level_1"] * x + p["level_2"] * x**2 + p["level_3"] * x**3
+        phase = p["phase_2"] * x**2 + p["phase_3"] * x**3
+        late = exp(p["log_gain"]) * np.exp(level + 1j * phase - 2j * pi * f * p["trigger"])
+        common = late * tuned**2 * (anti_alias(f, self.band.rate) if self.filtered else 1.0)
+        path, by_path = self._path(f, p, local[:, 0])
+        face = p["face_real"] + 1j * p["face_imag"]
+        there = np.exp(-1j * path)
+        bounced = 1 / (1 - face * there)
+        closures = np.exp(local[:, 1] + 1j * local[:, 2])[:, None]
+        rest = closures * there * bounced
+        value = common * drive * rest
+        # Of the logarithm, except for the drive, which has zeros.
+        moved = -1j * bounced
+        by_shared = np.zeros((len(self.places), len(SHARED), len(f)), complex)
+        slopes: dict[str, Complex | Array | complex] = {
+            "log_resonance": 2 * tuned * 1j * quality * (f / resonance + resonance / f),
+            "log_quality": -2 * tuned * 1j * quality * off,
+            "log_gain": 1.0, "trigger": -2j * pi * f,
+            "face_real": there * bounced, "face_imag": 1j * there * bounced,
+            "level_1": x, "level_2": x**2, "level_3": x**3,
+            "phase_2": 1j * x**2, "phase_3": 1j * x**3,
+        }  # fmt: skip
+        slopes |= {name: moved * slope for name, slope in by_path.items() if name in p}
+        for name, slope in slopes.items():
+            by_shared[:, SHARED.index(name)] = value * slope
+        by_shared[:, SHARED.index("log_drive_frequency")] = common * by_drive * rest
+        by_shared[:, SHARED.index("drive_cycles")] = common * by_cycles * rest
+        by_local = np.stack([value * moved * by_path["displacement"], value, 1j * value], axis=1)
+        return value, by_shared, by_local
+
+    def _path(
+        self, f: Array, p: dict[str, float], displacement: Array
+    ) -> tuple[Complex, dict[str, Complex]]:
+        """Return the phase of the way to each closure and back, (n, n_f), and its derivatives."""
+        air = float(np.mean(self.temperatures)) + p["temperature_offset"]
+        waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air)
+        loss = exp(p["log_loss"])
+        heated = (self.temperatures - self.temperatures.mean())[:, None]
+        # Taylor's series about the mean temperature, of the whole and of the part without losses.
+        whole = waves.value + heated * waves.by_temperature + heated**2 / 2 * waves.curvature
+        warmer = waves.by_temperature + heated * waves.curvature
+        ratio = 1 / (air + 273.15)
+        lossless = waves.lossless * (1 - heated * ratio / 2 + 3 / 8 * (heated * ratio) ** 2)
+        lossless_warmer = waves.lossless * ratio * (-1 / 2 + 3 / 4 * heated * ratio)
+        k = lossless + loss * (whole - lossless)
+        slope = lossless_warmer + loss * (warmer - lossless_warmer)
+        narrower = waves.by_log_radius + heated * waves.mixed
+        way = (self.places + displacement)[:, None]
+        lever = way**2 / 2 - self.middle * way
+        gradient = p["temperature_gradient"]
+        return 2 * (k * way + gradient * slope * lever), {
+            "log_radius": 2 * loss * (narrower * way + gradient * waves.mixed * lever),
+            "temperature_offset": 2 * (slope * way + gradient * waves.curvature * lever),
+            "temperature_gradient": 2 * slope * lever,
+            "log_loss": 2
+            * loss
+            * ((whole - lossless) * way + gradient * (warmer - lossless_warmer) * lever),
+            "displacement": 2 * (k + gradient * slope * (way - self.middle)),
+        }
+
+
+def square_burst(
+    frequency: Array, carrier: float, cycles: float
+) -> tuple[Complex, Complex, Complex]:
+    """Return the spectrum of a square burst in s, and its derivatives.
+
+    Parameters
+    ----------
+    frequency : ndarray
+        In Hz, not zero, (n,).
+    carrier, cycles : float
+        Frequency in Hz, and number of periods.
+
+    Returns
+    -------
+    value, by_log_carrier, by_cycles : ndarray
+        (n,), as :meth:`acoustube.ranging.Burst.spectrum`.
+    """
+    omega, end = 2 * pi * frequency, cycles / carrier
+    edges = np.arange(int(np.ceil(2 * cycles))) / (2 * carrier)
+    steps = np.where(np.arange(len(edges)) % 2, -2.0, 2.0)
+    steps[0] = 1.0
+    edges, steps = np.append(edges, end), np.append(steps, -np.sign(steps[-1]))
+    turns = np.exp(-1j * np.outer(omega, edges))
+    return (
+        turns @ steps / (1j * omega),
+        turns @ (steps * edges),
+        -steps[-1] / carrier * turns[:, -1],
+    )
+
+
+def wavenumbers(frequency: Array, radius: float, temperature: float) -> Waves:
+    """Return the plane mode's wavenumber and its derivatives, by central differences.
+
+    Parameters
+    ----------
+    frequency : ndarray
+        In Hz, even, (n,).
+    radius : float
+        Of the bore in m.
+    temperature : float
+        Of the air in degC; beyond the range of :func:`acoustube.air.air_at` that of its end.
+
+    Notes
+    -----
+    Computed at Chebyshev's points and interpolated: a power series of 12 terms in the frequency
+    and its root converges to 1e-12 over a fifth of the carrier to both sides.
+    """
+    low, high = float(frequency.min()), float(frequency.max())
+    nodes = _at_nodes(low, high, radius, temperature)
+    along = (2 * frequency - low - high) / (high - low)
+    return Waves(*(np.polynomial.chebyshev.chebvander(along, NODES - 1) @ nodes).T)
+
+
+@lru_cache(maxsize=32)
+def _at_nodes(low: float, high: float, radius: float, temperature: float) -> Complex:
+    """Return Chebyshev's coefficients of the wavenumber and its derivatives, (n_nodes, 6)."""
+    points = np.polynomial.chebyshev.chebpts1(NODES)
+    frequency = (low + high + points * (high - low)) / 2
+    coldest, warmest = TEMPERATURES
+
+    def air(warmer: float) -> Air:
+        return air_at(min(max(temperature, coldest + WARMER), warmest - WARMER) + warmer)
+
+    by_air = []
+    for warmer in (0.0, -WARMER, WARMER):
+        there = air(warmer)
+        by_air.append([
+            axial_wavenumber(0, 0, frequency, radius * exp(d), there)
+            for d in (-RADIUS_STEP, 0.0, RADIUS_STEP)
+        ])  # fmt: skip
+    across = [(wide - narrow) / (2 * RADIUS_STEP) for narrow, _, wide in by_air]
+    here, low_k, high_k = (one[1] for one in by_air)
+    values = np.stack([
+        here, across[0], (high_k - low_k) / (2 * WARMER), (high_k - 2 * here + low_k) / WARMER**2,
+        (across[2] - across[1]) / (2 * WARMER), 2 * pi * frequency / air(0.0).sound_speed,
+    ], axis=1)  # fmt: skip
+    vander = np.polynomial.chebyshev.chebvander(points, NODES - 1)
+    return np.asarray(np.linalg.solve(vander, values))

@@ -1,0 +1,139 @@
+"""Posterior of a sensor's parameters, with the scatter of its closures unknown.
+
+References
+----------
+* Laplace's approximation and evidence: MacKay, D. J. C. (2003). Information Theory, Inference, and
+  Learning Algorithms. Cambridge University Press.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.twin.fit import Normal, Point, Prior
+from acoustube.inversion.twin.model import CORRECTIONS, LOCAL
+
+PLACEMENTS = np.geomspace(0.02e-3, 10e-3, 13)
+LEVELS = np.geomspace(3e-4, 0.3, 13)
+COLOURS = np.geomspace(1e-4, 0.1, 7)
+"""Standard deviations over which is averaged: of the places of closures in m, of the logarithm of
+their levels, and of the coefficients of the send pulse's correction."""
+USUAL = ((1e-3, 1.5), (0.02, 1.5), (0.01, 2.0))
+"""Log-normal priors of these: median, and deviation of the logarithm."""
+
+
+class Posterior(NamedTuple):
+    """Posterior of the shared parameters.
+
+    Attributes
+    ----------
+    mean : ndarray
+        (n_shared,).
+    covariance : ndarray
+        (n_shared, n_shared).
+    placement, level, colour : float
+        Most likely scatter of places (m), of levels and of the correction.
+    displacement, displacement_deviation : ndarray
+        Errors of the stated places in m, and their standard deviations, (n,).
+    """
+
+    mean: Array
+    covariance: Array
+    placement: float
+    level: float
+    colour: float
+    displacement: Array
+    displacement_deviation: Array
+
+
+def with_scatter(prior: Prior, placement: float, level: Array | float, colour: float) -> Prior:
+    """Return priors with the scatter of closures and of the correction."""
+    deviation = prior.deviation.copy()
+    deviation[list(CORRECTIONS)] = colour
+    local = prior.local.copy()
+    local[:, 0], local[:, 1] = placement, level
+    return replace(prior, deviation=deviation, local=local)
+
+
+def posterior(normal: Normal, prior: Prior, point: Point, extra_level: Array) -> Posterior:
+    """Return the posterior, averaged over the unknown scatter of the closures.
+
+    Parameters
+    ----------
+    normal : Normal
+        Of the data, at the maximum.
+    prior : Prior
+    point : Point
+        The maximum.
+    extra_level : ndarray
+        Known standard deviations of the logarithms of the closures' levels, (n,), by rounding.
+
+    Notes
+    -----
+    The model is linearised at the maximum. With the scatter given, the posterior is normal and its
+    evidence a closed form; the average over a grid has the mean and the covariance of the mixture,
+    and widens with few closures as Student's distribution does.
+    """
+    cases = list(product(PLACEMENTS, LEVELS, COLOURS))
+    n, p = len(point.local), len(point.shared)
+    weights, means, covariances = np.zeros(len(cases)), np.zeros((len(cases), p)), []
+    places, place_variances = np.zeros((len(cases), n)), np.zeros((len(cases), n))
+    for i, scatter in enumerate(cases):
+        spread = np.sqrt(scatter[1] ** 2 + extra_level**2)
+        own = with_scatter(prior, scatter[0], spread, scatter[2])
+        weights[i], means[i], covariance, places[i], place_variances[i] = _given(normal, own, point)
+        covariances.append(covariance)
+        for value, (median, width) in zip(scatter, USUAL, strict=True):
+            weights[i] -= 0.5 * (np.log(value / median) / width) ** 2
+    share = np.exp(weights - weights.max())
+    share /= share.sum()
+    mean = share @ means
+    spread = means - mean
+    covariance = np.einsum("i,ipq->pq", share, covariances) + (share * spread.T) @ spread
+    place = share @ places
+    best = cases[int(np.argmax(weights))]
+    return Posterior(
+        mean, covariance, *best, place,
+        np.sqrt(share @ (place_variances + (places - place) ** 2)),
+    )  # fmt: skip
+
+
+def _given(normal: Normal, prior: Prior, point: Point) -> tuple[float, Array, Array, Array, Array]:
+    """Return the log evidence, and mean and covariance with the scatter given."""
+    precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
+    a = normal.shared + np.diag(precision)
+    c = normal.local + local_precision[:, :, None] * np.eye(len(LOCAL))
+    b_s = normal.right_shared - precision * (point.shared - prior.mean)
+    b_l = normal.right_local - local_precision * point.local
+    inverse = np.linalg.inv(c)
+    passed = normal.mixed @ inverse
+    schur = a - np.einsum("npl,nql->pq", passed, normal.mixed, optimize=True)
+    right = b_s - np.einsum("npl,nl->p", passed, b_l)
+    scale = 1 / np.sqrt(np.diag(schur))
+    scaled = schur * scale[:, None] * scale
+    covariance = np.linalg.inv(scaled) * scale[:, None] * scale
+    step = covariance @ right
+    local = (inverse @ (b_l - np.einsum("npl,p->nl", normal.mixed, step))[:, :, None])[:, :, 0]
+    # Minus half of the objective at the maximum, and the determinants.
+    gained = right @ step + np.einsum("nl,nlm,nm->", b_l, inverse, b_l)
+    offset = ((point.shared - prior.mean) / prior.deviation) ** 2
+    value = offset.sum() + ((point.local / prior.local) ** 2).sum() - gained
+    determinant = np.linalg.slogdet(scaled)[1] - 2 * np.log(scale).sum()
+    determinant += np.linalg.slogdet(c)[1].sum()
+    log_evidence = -0.5 * (value + determinant + 2 * np.log(prior.deviation).sum())
+    log_evidence -= np.log(prior.local).sum()
+    # The place's variance: by its own data, and through the shared parameters.
+    through = passed[:, :, 0]
+    variance = inverse[:, 0, 0] + np.einsum("np,pq,nq->n", through, covariance, through)
+    return (
+        float(log_evidence),
+        point.shared + step,
+        covariance,
+        point.local[:, 0] + local[:, 0],
+        (variance),
+    )

@@ -1,0 +1,260 @@
+"""Recorded closures in the complex baseband: mean, jitter and gain of cycles, and their noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ
+from acoustube.waves.scattering import Complex
+
+HALF_WIDTH = 1 / 5
+"""Half the width of the band in carriers: 33.6 to 50.4 kHz about 42 kHz."""
+TAPER = 1 / 6
+"""Part of the band over which its ends are tapered, at each end."""
+CARRIERS = (15e3, 120e3)
+"""Carriers in Hz that are sought."""
+UNDERSAMPLED = 42e3
+"""Carrier in Hz that is assumed where the sampling rate cannot tell it from its image."""
+AFTER_CLIPPING, FADE, SETTLED = 0.05e-3, 0.2e-3, 0.15e-3
+"""Times in s from the end of clipping to the first data, over which they fade in, and after which
+they are used."""
+QUIET_SHARE = 0.2
+"""Last part of a cycle, whose mean is subtracted from it."""
+RING_LASTS = 4e-3
+"""Time in s after clipping from which the untouched cycles are no longer subtracted."""
+NEAR_RAIL = 0.9
+"""Part of the largest deviation above which a sample may be clipped."""
+CLEAR_CYCLE = 30.0
+"""Ratio of a cycle's energy to its noise from which on its delay and gain are estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Cycles of the tube in one state.
+
+    Attributes
+    ----------
+    cycles : ndarray
+        Counts, (n_cycles, n_samples).
+    temperature : float
+        That the board reports, in degC.
+    place : float
+        Stated distance of the closure from the face in m; nan for an untouched tube.
+    source : str
+        File, for messages.
+    """
+
+    cycles: NDArray[np.generic]
+    temperature: float
+    place: float = float("nan")
+    source: str = ""
+
+
+class Means(NamedTuple):
+    """Mean of the cycles of a group in the band, and how they vary.
+
+    Attributes
+    ----------
+    spectrum : ndarray
+        In counts s, (n_f,).
+    variance : float
+        Of a sample of the mean in the baseband, in counts squared.
+    delays, gains : ndarray
+        Of the cycles relative to their mean, (n_cycles,), in s and 1; empty where the cycles are
+        too weak or too few.
+    wobble : float
+        Variance of a gain, and of a phase in rad squared, by noise alone.
+    """
+
+    spectrum: Complex
+    variance: float
+    delays: Array
+    gains: Array
+    wobble: float
+
+
+class Band:
+    """Grid of frequencies around the carrier, and of times, in which cycles are compared.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second.
+    start : float
+        Time of the first sample in s from the start of the drive.
+    n_samples : int
+        Of a cycle.
+    carrier : float
+        In Hz.
+    clear : float
+        Time in s at which the ring-down is no longer clipped.
+
+    Notes
+    -----
+    Above half the sampling rate the band is folded: the transform at f then holds the conjugate of
+    the one at rate - f, too (`image`).
+    """
+
+    def __init__(
+        self, rate: float, start: float, n_samples: int, carrier: float, clear: float
+    ) -> None:
+        self.rate, self.start, self.n_samples = rate, start, n_samples
+        self.carrier, self.clear = carrier, clear
+        low, high = (1 - HALF_WIDTH) * carrier, (1 + HALF_WIDTH) * carrier
+        self.folded = high > rate / 2
+        if self.folded:
+            low, high = min(low, rate - high), 0.999 * rate / 2
+        if low >= high or carrier > rate:
+            raise ConfigError(
+                f"a sampling rate of {rate:g} Hz is too low for a carrier of {KHZ * carrier:.3g} "
+                f"kHz; record at {2.5 * carrier:.0f} Hz or more"
+            )
+        self.period = next_fast_len(int(n_samples + 2e-3 * rate), real=True)
+        step = rate / self.period
+        self.bins = np.arange(int(np.ceil(low / step)), int(high / step))
+        self.frequency: Array = self.bins * step
+        self.image: Array = rate - self.frequency
+        n = len(self.bins)
+        self.taper = np.ones(n)
+        width = round(TAPER * n)
+        rise = np.sin(pi / 2 * (np.arange(width) + 0.5) / width) ** 2
+        self.taper[:width] = rise
+        if not self.folded:  # the folded band is continuous there
+            self.taper[n - width :] = rise[::-1]
+        self.scale = 2 * n * step
+        self.time: Array = start + np.arange(n) / (n * step)
+        self.white = 2 * float(np.mean(self.taper**2)) * n * step / (rate / 2)
+        """Variance in the baseband of white noise of unit variance of the samples."""
+
+    def spectra(self, samples: Array, keep: Array | float = 1.0) -> Complex:
+        """Return spectra (..., n_f) of samples (..., n_samples), faded in, without offset."""
+        time = self.start + np.arange(samples.shape[-1]) / self.rate
+        since = time - self.clear - AFTER_CLIPPING
+        fade = np.sin(pi / 2 * np.clip(since / FADE, 0, 1)) ** 2
+        quiet = int(QUIET_SHARE * samples.shape[-1])
+        level = samples[..., -quiet:].mean(axis=-1, keepdims=True)
+        found = np.fft.rfft((samples - level) * fade * keep, self.period, axis=-1)[..., self.bins]
+        return np.asarray(found / self.rate * np.exp(-2j * pi * self.frequency * self.start))
+
+    def baseband(self, spectrum: Complex) -> Complex:
+        """Return the baseband (..., n_t) of spectra (..., n_f) in counts s."""
+        turned = spectrum * (self.taper * np.exp(2j * pi * self.frequency * self.start))
+        return np.asarray(self.scale * np.fft.ifft(turned, axis=-1))
+
+    @property
+    def first(self) -> float:
+        """Time in s from which data are used."""
+        return self.clear + AFTER_CLIPPING + FADE + SETTLED
+
+    @property
+    def last(self) -> float:
+        """Time in s up to which data are used."""
+        return self.start + self.n_samples / self.rate - 0.1e-3
+
+    def before_ring_end(self) -> Array:
+        """Return a window over samples that ends when the ring-down has died away."""
+        time = self.start + np.arange(self.n_samples) / self.rate
+        return np.asarray(
+            0.5 + 0.5 * np.cos(pi * np.clip((time - self.clear - RING_LASTS) / FADE, 0, 1))
+        )
+
+
+def band_of(
+    closed: Sequence[Group], untouched: NDArray[np.generic], rate: float, start: float
+) -> Band:
+    """Return the band of recordings: about the carrier, after the clipped ring-down.
+
+    Parameters
+    ----------
+    closed : sequence of Group
+    untouched : ndarray
+        Counts of the cycles without contact, (n_cycles, n_samples).
+    rate, start : float
+        Samples per second; time of the first sample in s from the start of the drive.
+
+    Raises
+    ------
+    ConfigError
+        If the sampling rate is too low, or the ring-down fills the cycles.
+    """
+    n = untouched.shape[1]
+    mean = np.asarray(untouched[:256], float).mean(axis=0)
+    level = mean[-int(QUIET_SHARE * n) :].mean()
+    size = np.abs(mean - level)
+    # Of the first part alone: behind it the largest deviations are echoes.
+    part = size[: n // 3]
+    loud = np.flatnonzero(part >= NEAR_RAIL * part.max())
+    clear = start + (loud[-1] + 1) / rate
+    if loud[-1] > 0.3 * n:
+        raise ConfigError(
+            f"the ring-down of the untouched cycles is clipped up to {1e3 * clear:.3g} ms, most of "
+            "the cycle; lower the gain, or record longer cycles"
+        )
+    power = np.zeros(n // 2 + 1)
+    late = int((clear - start + AFTER_CLIPPING) * rate)
+    for one in closed:
+        samples = np.asarray(one.cycles[:64], float).mean(axis=0)
+        power += np.abs(np.fft.rfft((samples - samples[late:].mean())[late:], n)) ** 2
+    frequency = np.fft.rfftfreq(n, 1 / rate)
+    inside = (frequency > CARRIERS[0]) & (frequency < CARRIERS[1])
+    if not inside.any() or not power[inside].any():
+        raise ConfigError("the closed cycles hold no sound from 15 to 120 kHz; check the sensor")
+    peak = frequency[inside][int(np.argmax(power[inside]))]
+    near = inside & (abs(frequency - peak) < 0.1 * peak)
+    carrier = float((power[near] * frequency[near]).sum() / power[near].sum())
+    if carrier > 0.43 * rate:
+        carrier = UNDERSAMPLED
+    return Band(rate, start, n, carrier, clear)
+
+
+def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
+    """Return the mean of cycles in the band, their delays removed, and its variance.
+
+    Parameters
+    ----------
+    band : Band
+    cycles : ndarray
+        Counts, (n_cycles, n_samples).
+
+    Notes
+    -----
+    The delay of a cycle by the trigger's jitter is the phase of its product with the mean over the
+    carrier's angular frequency, and its gain the product's magnitude: maximum likelihood for small
+    delays.
+    """
+    given = np.asarray(cycles)
+    parts = [band.spectra(given[i : i + 256].astype(float)) for i in range(0, len(given), 256)]
+    each = np.concatenate(parts)
+    n = len(each)
+    quiet = np.asarray(given[:, -int(QUIET_SHARE * given.shape[1]) :], float)
+    power = float(quiet.var(axis=1).mean())
+    mean = each.mean(axis=0)
+    none = np.zeros(0)
+    if n < 3:
+        return Means(mean, power * band.white / n, none, none, 0.0)
+    noise = power / band.rate**2 * band.n_samples  # of a bin of a cycle
+    delays, gains = np.zeros(n), np.ones(n)
+    clear = np.sum(np.abs(mean) ** 2) / len(mean) > CLEAR_CYCLE * noise
+    for _ in range(3 if clear else 0):
+        product = each @ mean.conj() / np.sum(np.abs(mean) ** 2)
+        step = -np.angle(product) / (2 * pi * band.carrier)
+        gains = np.abs(product)
+        delays += step
+        each = each * np.exp(2j * pi * step[:, None] * band.frequency)
+        mean = each.mean(axis=0)
+    left = each - mean * (gains[:, None] if clear else 1.0)
+    basebands = band.baseband(left)[:, band.time >= band.first]
+    scatter = float(np.sum(np.abs(basebands) ** 2)) / ((n - 1) * n * basebands.shape[1])
+    floor = 1e-3 * power * band.white / n
+    variance = max(scatter, floor)
+    wobble = 0.5 * noise / max(float(np.sum(np.abs(mean) ** 2)), 1e-300)
+    return Means(mean, variance, *((delays, gains) if clear else (none, none)), wobble)

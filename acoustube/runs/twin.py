@@ -1,0 +1,259 @@
+"""A sensor's twin from files: reading and checking its recordings, and the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, log2
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube import recordings
+from acoustube.base.errors import ConfigError
+from acoustube.base.report import Reporter
+from acoustube.base.units import CM
+from acoustube.inversion.twin import Background, Group, Twin, background, fit_twin
+from acoustube.inversion.twin.estimate import SPEED
+from acoustube.runs.recordings import aligned
+from acoustube.signals import Processing
+
+BITS = (8, 10, 12, 14, 16)
+"""Resolutions that counts may have."""
+VOLTS = 1.8
+"""Full scale in V that is assumed: counts do not tell it, and only products with it matter."""
+MOST_CLOSURES = 200
+"""Closures that are used, evenly chosen."""
+SAME_PLACE = 1e-4
+"""Difference in m up to which two labels are one place."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FittedSensor:
+    """Twin of a sensor with what it was fitted to.
+
+    Attributes
+    ----------
+    twin : Twin
+    rest : Background
+    closed : list of Group
+    untouched : Group
+    bits : int
+        Resolution of the converter.
+    quantised : bool
+        Whether the recordings are counts.
+    full_scale : float
+        Voltage of ``2**bits`` counts.
+    temperature_noise : float
+        Standard deviation of the reported temperature in a group, in K.
+    length : float or None
+        Stated length of the tube in m.
+    """
+
+    twin: Twin
+    rest: Background
+    closed: list[Group]
+    untouched: Group
+    bits: int
+    quantised: bool
+    full_scale: float
+    temperature_noise: float
+    length: float | None
+
+    @property
+    def per_volt(self) -> float:
+        """Counts per volt."""
+        return float(2**self.bits / self.full_scale)
+
+
+def fitted_sensor(
+    closed: Sequence[Path],
+    untouched: Sequence[Path],
+    options: Mapping[str, Any],
+    pulse_at: str | float | None,
+    *,
+    length: float | None = None,
+    bits: int | None = None,
+    report: Reporter,
+    check: Callable[[], None],
+) -> FittedSensor:
+    """Fit the simulator to recordings of a closed and of an untouched tube.
+
+    Parameters
+    ----------
+    closed, untouched : sequence of Path
+        Files and folders.
+    options : mapping
+        Of :func:`acoustube.recordings.read`.
+    pulse_at : float, "auto" or None
+        As of :func:`acoustube.runs.recordings.aligned`.
+    length : float, optional
+        Of the tube in m.
+    bits : int, optional
+        Resolution of the converter; from the counts by default.
+    report : Reporter
+    check : callable
+        Called with the progress, to raise an interrupt that was lost.
+
+    Raises
+    ------
+    ConfigError
+        If a recording cannot be used; the file and the reason are named.
+    """
+    shut = read_recordings(closed, options, pulse_at)
+    free = read_recordings(untouched, options, pulse_at)
+    rate, start = _alike([*shut, *free])
+    groups = [group for path, data in shut for group in _groups(path, data)]
+    if len(groups) > MOST_CLOSURES:
+        report.note(f"of {len(groups)} closures {MOST_CLOSURES} are used")
+        chosen = np.linspace(0, len(groups) - 1, MOST_CLOSURES).astype(int)
+        groups = [groups[i] for i in chosen]
+    rest = Group(
+        np.concatenate([data["signal"].values for _, data in free]),
+        float(np.mean(np.concatenate([data["temperature"].values for _, data in free]))),
+        source=str(free[0][0]),
+    )
+    stated = length if length is not None else _stated_length([*shut, *free])
+    for path, data in [*shut, *free]:
+        for words in str(data.attrs.get("warnings", "")).splitlines():
+            # Ring-downs are clipped, and clipped echoes are named one by one.
+            if "extreme codes" not in words:
+                report.note(f"{path}: {words}")
+    with report.progress(check) as show:
+        try:
+            twin = fit_twin(
+                groups, rest, rate, start, length=stated, show=lambda what, done: show(what, done)
+            )
+        except ConfigError as error:
+            names = [group.source for group in (rest, *groups)]
+            if any(name in str(error) for name in names):
+                raise
+            raise ConfigError(f"{groups[0].source} and {rest.source}: {error}") from error
+        show("measuring the clutter", 0.5)
+        found = background(twin, rest, groups, stated)
+    _check_untouched(twin, found, rest)
+    converter = _converter([*shut, *free], bits)
+    noises = [float(np.std(data["temperature"].values)) for _, data in [*shut, *free]]
+    return FittedSensor(
+        twin=twin, rest=found, closed=groups, untouched=rest, bits=converter[0],
+        quantised=converter[1], full_scale=converter[2],
+        temperature_noise=float(np.median(noises)), length=stated,
+    )  # fmt: skip
+
+
+def read_recordings(
+    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
+) -> list[tuple[Path, xr.Dataset]]:
+    """Return recordings whose time is zero at the start of the send pulse, with their files.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be read.
+    """
+    found = []
+    for path, data in recordings.read_all(paths, **options):
+        if isinstance(data, ConfigError):
+            raise data
+        try:
+            found.append((path, aligned(data, pulse_at, Processing())[0]))
+        except ValueError as error:
+            words = str(error)
+            raise ConfigError(words if str(path) in words else f"{path}: {words}") from error
+    return found
+
+
+def _alike(parts: Sequence[tuple[Path, xr.Dataset]]) -> tuple[float, float]:
+    """Return sampling rate and start of recordings; raise unless they share them."""
+    first, data = parts[0]
+    rate, n = float(data.attrs["sampling_rate"]), data.sizes["time"]
+    start = float(data["time"].values[0])
+    for path, one in parts[1:]:
+        other, m = float(one.attrs["sampling_rate"]), one.sizes["time"]
+        if abs(other / rate - 1) > 1e-6 or m != n:
+            raise ConfigError(
+                f"{path} has cycles of {m} samples at {other:g} Hz, and {first} of {n} at {rate:g} "
+                "Hz; record all alike"
+            )
+        if abs(float(one["time"].values[0]) - start) > 0.5 / rate:
+            raise ConfigError(
+                f"{path} and {first} begin at different times before the send pulse; record all "
+                "alike"
+            )
+    return rate, start
+
+
+def _groups(path: Path, data: xr.Dataset) -> list[Group]:
+    """Return the cycles of each closure of a recording."""
+    if "true_distance" not in data:
+        raise ConfigError(
+            f"the closed cycles of {path} have no label true_distance; give it in the file or in a "
+            "sidecar"
+        )
+    places = np.asarray(data["true_distance"].values, float)
+    if not np.any(np.isfinite(places)):
+        raise ConfigError(f"the label true_distance of {path} holds no number; correct it")
+    keys = np.round(places / SAME_PLACE)
+    found = []
+    for key in np.unique(keys[np.isfinite(keys)]):
+        these = keys == key
+        found.append(
+            Group(
+                data["signal"].values[these],
+                float(np.mean(data["temperature"].values[these])),
+                float(np.mean(places[these])),
+                str(path),
+            )
+        )
+    return found
+
+
+def _stated_length(parts: Sequence[tuple[Path, xr.Dataset]]) -> float | None:
+    """Return the length of the tube in m that a recording states, if any."""
+    for _, data in parts:
+        if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
+            return float(np.ravel(data["tube_length"].values)[0])
+        if "tube_length" in data.attrs:
+            return float(data.attrs["tube_length"])
+    return None
+
+
+def _converter(
+    parts: Sequence[tuple[Path, xr.Dataset]], bits: int | None
+) -> tuple[int, bool, float]:
+    """Return resolution, whether the samples are counts, and the voltage of full scale."""
+    low = min(float(data["signal"].min()) for _, data in parts)
+    high = max(float(data["signal"].max()) for _, data in parts)
+    whole = all(np.issubdtype(data["signal"].dtype, np.integer) for _, data in parts)
+    if not whole or low < 0 or high >= 2 ** BITS[-1]:
+        # Samples in a unit of their own, which is called a volt.
+        return 16, False, float(2**16)
+    if bits is None:
+        stated = [data.attrs["full_scale"] for _, data in parts if "full_scale" in data.attrs]
+        least = ceil(log2(high + 1)) if high > 0 else 1
+        bits = round(log2(float(stated[0]))) if stated else next(b for b in BITS if b >= least)
+    if high >= 2**bits:
+        raise ConfigError(
+            "is too few", setting="bits", value=bits,
+            advice=f"the recordings hold counts up to {high:g}",
+        )  # fmt: skip
+    return bits, True, VOLTS
+
+
+def _check_untouched(twin: Twin, rest: Background, untouched: Group) -> None:
+    """Raise if the untouched cycles hold the echo of a press or a closure."""
+    reflected = np.abs(np.convolve(rest.reflectivity, np.ones(8), mode="same"))
+    power = np.sqrt(np.convolve(reflected**2, np.ones(8) / 8, mode="same"))
+    beyond = rest.places > 0.5 * SPEED * twin.band.first + 0.05
+    inside = beyond & (rest.places < 0.98 * float(twin.model.places.max()))
+    if not inside.any():
+        return
+    largest = int(np.argmax(np.where(inside, power, 0)))
+    if power[largest] > 0.3:
+        raise ConfigError(
+            f"the untouched cycles of {untouched.source} hold an echo near "
+            f"{CM * rest.places[largest]:.0f} cm as strong as that of a closure; record them "
+            "without contact"
+        )

@@ -1,0 +1,277 @@
+"""TOML files of twins: parameters with standard deviations, and the sensor for other commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from math import exp, isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomlkit
+
+from acoustube.base.files import toml_array
+from acoustube.base.units import CM, KHZ, MM, MS, PERCENT, US
+from acoustube.base.version import __version__
+from acoustube.inversion.twin.background import Measured
+from acoustube.inversion.twin.estimate import PRIORS, radius
+from acoustube.inversion.twin.model import NOMINAL_FREQUENCY, NOMINAL_RADIUS, SHARED
+from acoustube.ranging import Burst, Rangefinder
+from acoustube.runs.sensor_file import KIND
+from acoustube.runs.twin import FittedSensor
+
+TOLD = 0.5
+"""Standard deviation as a fraction of the prior's below which a parameter counts as determined."""
+
+
+class Parameter(NamedTuple):
+    """A parameter in the unit of its name.
+
+    Attributes
+    ----------
+    name : str
+    value, deviation : float
+        The deviation may be infinite.
+    prior : float or None
+        Standard deviation of the prior; None where it is flat.
+    meaning : str
+    """
+
+    name: str
+    value: float
+    deviation: float
+    prior: float | None
+    meaning: str
+
+    @property
+    def determined(self) -> bool:
+        """Whether the recordings tell more than the prior."""
+        if not isfinite(self.deviation):
+            return False
+        return self.prior is None or self.deviation < TOLD * self.prior
+
+
+def parameters(found: FittedSensor) -> list[Parameter]:
+    """Return all parameters of a twin with their standard deviations."""
+    return [*_echo_parameters(found), *_background_parameters(found)]
+
+
+def _echo_parameters(found: FittedSensor) -> Iterator[Parameter]:
+    """Yield the parameters that the echoes of closures tell."""
+    twin = found.twin
+    r, r_sd = radius(twin)
+    yield Parameter(
+        "inner_diameter_mm", 2 * MM * r, 2 * MM * r_sd,
+        2 * MM * NOMINAL_RADIUS * PRIORS["log_radius"][1], "diameter of the bore",
+    )  # fmt: skip
+    logs = (
+        ("log_resonance", "resonance_khz", KHZ * NOMINAL_FREQUENCY, "resonance of the transducer"),
+        ("log_quality", "quality_factor", 1.0, "its quality factor"),
+        ("log_drive_frequency", "drive_frequency_khz", KHZ * NOMINAL_FREQUENCY,
+         "frequency of the drive"),
+        ("log_gain", "gain_v", 1 / found.per_volt, "received level of a complete reflection"),
+        ("log_loss", "loss_factor", 1.0, "losses of the wall over those of a smooth one"),
+    )  # fmt: skip
+    for own, name, unit, meaning in logs:
+        value = unit * exp(twin.value(own))
+        prior = value * PRIORS[own][1]
+        yield Parameter(name, value, value * twin.deviation(own), prior, meaning)
+    plain = (
+        ("temperature_offset", "temperature_offset_c", 1.0, "to add to the reported temperature"),
+        ("temperature_gradient", "temperature_gradient_c_per_m", 1.0, "of the air along the tube"),
+        ("drive_cycles", "drive_cycles", 1.0, "periods of the drive"),
+        ("trigger", "trigger_us", US, "start of the drive after time zero"),
+        ("face_real", "face_reflection_real", 1.0, "reflection coefficient of the face"),
+        ("face_imag", "face_reflection_imag", 1.0, "its imaginary part"),
+        *((name, f"send_{name}", 1.0, "coefficient of the send pulse's correction")
+          for name in SHARED if name[-1] in "123"),
+    )  # fmt: skip
+    for own, name, unit, meaning in plain:
+        prior = unit * PRIORS[own][1]
+        yield Parameter(name, unit * twin.value(own), unit * twin.deviation(own), prior, meaning)
+
+
+def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
+    """Yield the parameters that the untouched cycles, and the scatter of all cycles, tell."""
+    rest, volt = found.rest, 1 / found.per_volt
+    rows: list[tuple[str, Measured, float, float | None, str]] = [
+        ("send_v", rest.send, volt, None, "received level of the own drive"),
+        ("far_reflection", rest.far_reflection, 1.0, 1.0, "reflection coefficient of the far end"),
+        ("clutter_per_m", rest.clutter, 1.0, None, "power that irregularities reflect per metre"),
+        ("noise_v", rest.noise, volt, None, "rms of the noise"),
+        ("offset_v", rest.offset, volt, None, "mean voltage"),
+        ("drift_v", rest.drift, volt, None, "rms of the offset's drift"),
+        ("jitter_us", rest.jitter, US, None, "rms of the trigger from cycle to cycle"),
+        ("gain_wander_percent", rest.wander, PERCENT, None, "rms of the gain, cycle to cycle"),
+    ]
+    if rest.length is not None:
+        rows.append(("far_end_cm", rest.length, CM, None, "distance of the far end"))
+    for name, one, unit, prior, meaning in rows:
+        yield Parameter(name, unit * one.value, unit * one.deviation, prior, meaning)
+    n = len(found.twin.used)
+    for name, value, meaning in (
+        ("placement_mm", MM * found.twin.posterior.placement, "rms error of the stated distances"),
+        ("closure_level_percent", PERCENT * found.twin.posterior.level,
+         "rms scatter of the closures' levels"),
+    ):  # fmt: skip
+        yield Parameter(name, value, value / np.sqrt(max(2 * (n - 2), 1)), None, meaning)
+
+
+def rangefinder_of(found: FittedSensor) -> Rangefinder:
+    """Return the rangefinder that records as the sensor of a twin does."""
+    twin, rest, volt = found.twin, found.rest, 1 / found.per_volt
+    band = twin.band
+    face = complex(twin.value("face_real"), twin.value("face_imag"))
+    tuned = {
+        name: NOMINAL_FREQUENCY * exp(twin.value(f"log_{name}"))
+        for name in ("resonance", "drive_frequency")
+    }
+    return Rangefinder(
+        drive=Burst(frequency=tuned["drive_frequency"], cycles=twin.value("drive_cycles")),
+        resonance=tuned["resonance"], quality_factor=exp(twin.value("log_quality")),
+        send=volt * rest.send.value, gain=volt * exp(twin.value("log_gain")),
+        face_reflection=face, far_reflection=rest.far_reflection.value,
+        clutter=min(rest.clutter.value, 0.1), noise=volt * rest.noise.value,
+        offset=volt * rest.offset.value, drift=volt * rest.drift.value,
+        sampling_rate=band.rate, n_samples=band.n_samples, bits=found.bits,
+        full_scale=found.full_scale, quantised=found.quantised,
+        lead=max(twin.value("trigger") - band.start, 0.0),
+        temperature_bias=-twin.value("temperature_offset"),
+        temperature_noise=found.temperature_noise, temperature_resolution=0.0,
+    )  # fmt: skip
+
+
+def in_toml(found: FittedSensor) -> str:
+    """Return the content of the file of a twin."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("A sensor that acoustube was fitted to; NAME_sd is the standard"))
+    document.add(tomlkit.comment("deviation of NAME. [rangefinder] and [priors] are for other"))
+    document.add(tomlkit.comment("commands: --sensor takes this file."))
+    known = parameters(found)
+    for one in known:
+        document.add(one.name, tomlkit.item(_short(one.value)).comment(one.meaning))
+        document.add(f"{one.name}_sd", tomlkit.item(_short(one.deviation)))
+    document.add("length_cm", tomlkit.item(_short(CM * tube_length(found))).comment("of the tube"))
+    document.add("determined", _words(one.name for one in known if one.determined))
+    document.add("undetermined", _words(one.name for one in known if not one.determined))
+    document.add(KIND, _origin(found))
+    document.add("rangefinder", _rangefinder(rangefinder_of(found)))
+    document.add("priors", _priors(found))
+    document.add("closures", _closures(found))
+    document.add("clutter", _clutter(found))
+    document.add("correlation", _correlation(found))
+    return tomlkit.dumps(document)
+
+
+def tube_length(found: FittedSensor) -> float:
+    """Return the length of the tube in m: stated, heard, or else beyond the last closure."""
+    if found.length is not None:
+        return found.length
+    if found.rest.length is not None:
+        return found.rest.length.value
+    return float(found.twin.model.places.max()) + 0.05
+
+
+def _short(value: float) -> float:
+    """Return a number with seven digits; a large finite one for infinity."""
+    return float(f"{value:.7g}") if isfinite(value) else 1e9
+
+
+def _words(names: Any) -> Any:
+    array = tomlkit.array()
+    array.extend(names)
+    return array.multiline(True)
+
+
+def _origin(found: FittedSensor) -> Any:
+    table = tomlkit.table()
+    table.add("acoustube_version", __version__)
+    files = dict.fromkeys([group.source for group in found.closed] + [found.untouched.source])
+    table.add("recordings", _words(Path(name).name for name in files))
+    table.add("explained", tomlkit.item(_short(float(found.twin.explained.mean()))).comment(
+        "share of the closures' energy"
+    ))  # fmt: skip
+    return table
+
+
+def _rangefinder(rangefinder: Rangefinder) -> Any:
+    words = json.loads(rangefinder.to_json())
+    drive = words.pop("drive")
+    table = tomlkit.table()
+    for name, value in words.items():
+        table.add(name, value)
+    inner = tomlkit.table()
+    for name, value in drive.items():
+        inner.add(name, value)
+    table.add("drive", inner)
+    return table
+
+
+def _priors(found: FittedSensor) -> Any:
+    """Return standard deviations for the inversion, none below the scatter that was seen."""
+    twin = found.twin
+    table = tomlkit.table()
+    for name, value in (
+        ("temperature", max(twin.deviation("temperature_offset"), 0.1)),
+        ("gain", max(twin.posterior.level, found.rest.wander.value, 0.005)),
+        ("resonance", max(twin.deviation("log_resonance"), 1e-4)),
+        ("quality_factor", max(twin.deviation("log_quality"), 1e-3)),
+        ("thermometer", twin.deviation("temperature_offset")),
+    ):
+        table.add(name, _short(value))
+    return table
+
+
+def _closures(found: FittedSensor) -> Any:
+    """Return the closures with the errors of their stated distances."""
+    twin = found.twin
+    rows = tomlkit.aot()
+    error = twin.posterior.displacement
+    for i, group in enumerate(found.closed):
+        row = tomlkit.table()
+        row.add("recording", Path(group.source).name)
+        row.add("distance_cm", _short(CM * group.place))
+        if i in twin.left_out:
+            row.add("left_out", twin.left_out[i])
+        else:
+            k = twin.used.index(i)
+            row.add("placement_error_mm", round(MM * float(error[k]), 4))
+            deviation = MM * float(twin.posterior.displacement_deviation[k])
+            row.add("placement_error_mm_sd", round(deviation, 4))
+        rows.append(row)
+    return rows
+
+
+def _clutter(found: FittedSensor) -> Any:
+    """Return the tube's irregularities as they were measured."""
+    rest = found.rest
+    table = tomlkit.table()
+    spacing = float(rest.places[1] - rest.places[0]) if len(rest.places) > 1 else 1e-3
+    table.add("first_mm", _short(MM * float(rest.places[0])))
+    table.add("spacing_mm", _short(MM * spacing))
+    table.add("reflection", toml_array(float(f"{value:.3g}") for value in rest.reflectivity))
+    return table
+
+
+def _correlation(found: FittedSensor) -> Any:
+    """Return the correlation coefficients of the posterior, row by row."""
+    covariance = found.twin.posterior.covariance
+    root = np.sqrt(np.diag(covariance))
+    table = tomlkit.table()
+    names = [name.removeprefix("log_") for name in SHARED]
+    table.add("names", _words(names))
+    for name, row in zip(names, covariance / np.outer(root, root), strict=True):
+        table.add(name, toml_array(round(float(value), 3) for value in row))
+    return table
+
+
+def time_zero_note(found: FittedSensor) -> str:
+    """Return a remark where the drive starts elsewhere than stated, or nothing."""
+    late = found.twin.value("trigger")
+    if abs(late) < 4e-5:
+        return ""
+    return (
+        f"the drive starts {MS * late:.3f} ms after time zero of the recordings; if they begin "
+        "before it, give --pulse-at"
+    )

@@ -1,0 +1,295 @@
+"""The twin of a sensor: its echoes, derivatives, fit and file, against sensors that are known."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_here
+
+from acoustube.base.errors import ConfigError
+from acoustube.inversion.twin import Band, Group, fit_twin
+from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
+from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
+from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
+from acoustube.recordings import read
+from acoustube.runs.inversion import read_sensor
+from acoustube.runs.sweep.dataset import read_rangefinder
+from acoustube.runs.twin import read_recordings
+
+SIDES = np.array([0.0, 120e3])
+RADIUS, AIR, REPORTED, LENGTH = 4.2e-3, 22.5, 20.9, 2.5
+SENSOR = Rangefinder(
+    drive=Burst(cycles=12), resonance=43.1e3, quality_factor=19.0, gain=0.9, face_reflection=0.35,
+    temperature_bias=REPORTED - AIR,
+)  # fmt: skip
+PLACES = np.linspace(0.35, 1.6, 9)
+MISPLACED = 0.6e-3 * np.array([0.3, -1.2, 0.8, 1.1, -0.6, -1.4, 1.5, 0.1, -0.5])
+"""Errors in m of stated places, whose standard deviation is 0.6 mm."""
+
+
+def voltage(presses, sensor=SENSOR):
+    return response(
+        presses, sensor, radius=RADIUS, length=LENGTH, temperature=AIR, tube_seed=5
+    )[1]  # fmt: skip
+
+
+def cycles_of(volts, seed, n=6, sensor=SENSOR):
+    """Counts of cycles whose trigger jitters by 0.4 us and whose gain wanders by 1 %."""
+    random = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(volts, 2 * len(volts))
+    omega = 2 * np.pi * np.fft.rfftfreq(2 * len(volts), 1 / sensor.sampling_rate)
+    found = []
+    for cycle in range(n):
+        late = np.exp(-1j * omega * random.normal(0, 0.4e-6))
+        one = np.fft.irfft(spectrum * late)[: len(volts)] * (1 + random.normal(0, 0.01))
+        found.append(digitise(one, sensor, np.array([cycle]), seed)[0])
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """Folder with recordings of nine closures, 0.6 mm off their labels, and of the open tube."""
+    folder = tmp_path_factory.mktemp("recorded")
+    closed = [
+        cycles_of(voltage([blockage(SIDES, place + error)]), k)
+        for k, (place, error) in enumerate(zip(PLACES, MISPLACED, strict=True))
+    ]
+    known = {"temperature": REPORTED, "sampling_rate_hz": SENSOR.sampling_rate}
+    np.savez(
+        folder / "closed.npz", signal=np.concatenate(closed), **known,
+        true_distance_cm=np.repeat(100 * PLACES, len(closed[0])),
+    )  # fmt: skip
+    np.savez(folder / "free.npz", signal=cycles_of(voltage([]), 99), **known)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(recorded):
+    """Folder after the command, and its result."""
+    result = run_here(
+        "twin", recorded / "closed.npz", recorded / "free.npz", "--out", recorded / "left.toml",
+        "--figure", recorded / "twin.png",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    return recorded, result, tomllib.loads((recorded / "left.toml").read_text())
+
+
+@pytest.fixture(scope="module")
+def band():
+    return Band(SENSOR.sampling_rate, 0.0, SENSOR.n_samples, SENSOR.resonance, 0.8e-3)
+
+
+def shared(**values):
+    found = np.zeros(len(SHARED))
+    for name, value in values.items():
+        found[SHARED.index(name)] = value
+    return found
+
+
+def true_parameters():
+    counts = 2**SENSOR.bits / SENSOR.full_scale
+    return shared(
+        log_radius=np.log(RADIUS / NOMINAL_RADIUS), temperature_offset=AIR - REPORTED,
+        log_resonance=np.log(SENSOR.resonance / 42e3), log_quality=np.log(19.0),
+        drive_cycles=12.0, log_gain=np.log(0.9 * counts), face_real=0.35,
+    )  # fmt: skip
+
+
+def test_echo_of_a_closure_is_that_of_the_rangefinder(band):
+    """The network of :func:`acoustube.waves.transfer`, in the time domain, to 1e-3 of the peak.
+
+    Clutter is off; the rest is the ring-down's difference, and the cyclic time of both.
+    """
+    from dataclasses import replace
+
+    quiet = replace(SENSOR, clutter=0.0, send=0.0)
+    model = EchoModel(band, np.array([0.7]), np.array([REPORTED]), LENGTH / 2)
+    echo = model(true_parameters(), np.zeros((1, len(LOCAL)))).value[0]
+    counts = voltage([blockage(SIDES, 0.7)], quiet) * 2**SENSOR.bits / SENSOR.full_scale
+    samples = band.baseband(band.spectra(counts))
+    late = band.time > 0.7 * 2 / 350
+    assert np.abs(echo - samples)[late].max() < 1e-3 * np.abs(samples).max()
+
+
+@pytest.mark.parametrize("rate", [SENSOR.sampling_rate, 80e3])
+def test_derivatives_of_echoes_are_those_of_differences(rate):
+    """To 2e-4: the series over the closures' temperatures ends. At 80 kHz the carrier is folded."""
+    band = Band(rate, 0.0, int(0.02 * rate), SENSOR.resonance, 0.8e-3)
+    model = EchoModel(band, PLACES[:3], REPORTED + np.array([0.0, 0.7, -1.2]), 1.2, rate > 1e5)
+    point = true_parameters() + shared(
+        temperature_gradient=0.4, log_loss=0.02, drive_cycles=0.2, trigger=3e-6, face_imag=0.1,
+        level_1=0.02, level_2=-0.01, level_3=0.01, phase_2=0.02, phase_3=-0.03,
+    )  # fmt: skip
+    local = np.array([[1e-3, 0.02, 0.4], [-2e-3, -0.03, 2.0], [0.0, 0.01, -1.0]])
+    echoes = model(point, local)
+    for i, name in enumerate(SHARED):
+        step = shared(**{name: 1e-5 if name != "trigger" else 1e-10})
+        moved = [model(point + sign * step, local).value for sign in (1, -1)]
+        slope = (moved[0] - moved[1]) / (2 * step[i])
+        wrong = np.abs(slope - echoes.by_shared[:, i]).max()
+        assert wrong < 2e-4 * np.abs(slope).max(), name
+    for i, name in enumerate(LOCAL):
+        step = np.zeros_like(local)
+        step[:, i] = 1e-7
+        moved = [model(point, local + sign * step).value for sign in (1, -1)]
+        slope = (moved[0] - moved[1]) / 2e-7
+        assert np.abs(slope - echoes.by_local[:, i]).max() < 1e-5 * np.abs(slope).max(), name
+
+
+def test_step_is_that_of_the_whole_system(band):
+    """The closures' parameters are eliminated; the dense equations have the same solution."""
+    model = EchoModel(band, PLACES[:3], np.full(3, REPORTED), 1.2)
+    point = Point(true_parameters(), np.zeros((3, len(LOCAL))))
+    random = np.random.default_rng(0)
+    values = model(*point).value * np.exp(0.1 * random.normal(size=(3, 1)))
+    data = Data(values, (np.abs(values) > 1).astype(int), np.ones((3, 2)))
+    prior = Prior(np.zeros(len(SHARED)), np.full(len(SHARED), 0.3), np.full((3, 3), 0.2))
+    normal = normal_equations(model, data, point)
+    step, local = solve(normal, prior, point, 0.0)
+    p, n = len(SHARED), len(LOCAL)
+    whole = np.zeros((p + 3 * n, p + 3 * n))
+    whole[:p, :p] = normal.shared + np.eye(p) / 0.3**2
+    right = np.zeros(p + 3 * n)
+    right[:p] = normal.right_shared - point.shared / 0.3**2
+    for i in range(3):
+        own = slice(p + n * i, p + n * (i + 1))
+        whole[own, own] = normal.local[i] + np.eye(n) / 0.2**2
+        whole[:p, own], whole[own, :p] = normal.mixed[i], normal.mixed[i].T
+        right[own] = normal.right_local[i]
+    scale = 1 / np.sqrt(np.diag(whole))
+    dense = scale * np.linalg.solve(whole * scale[:, None] * scale, scale * right)
+    assert step == pytest.approx(dense[:p], rel=1e-5, abs=1e-9)
+    assert local.ravel() == pytest.approx(dense[p:], rel=1e-5, abs=1e-9)
+
+
+def test_hidden_parameters_lie_within_their_deviations(made):
+    """Three standard deviations, each of which is a small part of its prior's."""
+    _, _, found = made
+    for name, true, sharpest in (
+        ("inner_diameter_mm", 2e3 * RADIUS, 0.05), ("resonance_khz", 43.1, 0.01),
+        ("quality_factor", 19.0, 0.2), ("temperature_offset_c", AIR - REPORTED, 0.3),
+        ("drive_cycles", 12.0, 0.1), ("gain_v", 0.9, 0.02), ("face_reflection_real", 0.35, 0.04),
+        ("jitter_us", 0.4, 0.1), ("gain_wander_percent", 1.0, 0.3),
+    ):  # fmt: skip
+        assert abs(found[name] - true) < 3 * found[f"{name}_sd"], name
+        assert found[f"{name}_sd"] < sharpest, name
+        assert name in found["determined"], name
+    assert "loss_factor" in found["undetermined"]
+
+
+def test_errors_of_the_places_are_found(made):
+    """Within three deviations, up to the line that the air's temperature may take up."""
+    _, _, found = made
+    error = np.array([one["placement_error_mm"] for one in found["closures"]])
+    deviation = np.array([one["placement_error_mm_sd"] for one in found["closures"]])
+    assert np.all(np.abs(error - 1e3 * MISPLACED) < 3 * deviation)
+    assert found["placement_mm"] == pytest.approx(0.6, rel=0.6)
+
+
+def test_file_is_a_sensor_for_other_commands(made):
+    folder, _, found = made
+    rangefinder = read_rangefinder(folder / "left.toml")
+    assert rangefinder.resonance == pytest.approx(1e3 * found["resonance_khz"], rel=1e-6)
+    assert rangefinder.temperature_bias == pytest.approx(-found["temperature_offset_c"], rel=1e-6)
+    assert rangefinder.bits == SENSOR.bits
+    sensor = read_sensor(folder / "left.toml")
+    assert sensor.rangefinder == rangefinder
+    assert sensor.length == pytest.approx(found["length_cm"] / 100)
+    assert sensor.priors.quality_factor < 0.01
+    (folder / "left.toml").rename(folder / "free.toml")  # beside a recording it is no sidecar
+    assert read(folder / "free.npz").sizes["cycle"] == 6
+    (folder / "free.toml").rename(folder / "left.toml")
+
+
+def test_twin_records_as_the_sensor_does(made):
+    """The echo of a closure where none was recorded, to 2 % of its energy's root."""
+    folder, _, found = made
+    twin = read_rangefinder(folder / "left.toml")
+    closed = [blockage(SIDES, 1.0)]
+    temperature = REPORTED + found["temperature_offset_c"]
+    _, own = response(
+        closed, twin, radius=found["inner_diameter_mm"] / 2e3, length=LENGTH,
+        temperature=temperature,
+    )  # fmt: skip
+    there = slice(int(5.7e-3 * SENSOR.sampling_rate), int(6.8e-3 * SENSOR.sampling_rate))
+    true = voltage(closed)[there]
+    wave = 2 * np.pi * SENSOR.resonance / 343.0
+    spectrum = np.fft.rfft(own[there])
+    # Up to the phase that a shift within the air's uncertainty has: twice the wavenumber by 2 m.
+    shifts = np.linspace(-1, 1, 401) * 2 * wave * 0.3 * 0.00175
+    left = min(
+        np.linalg.norm(np.fft.irfft(spectrum * np.exp(1j * s), len(true)) - true) for s in shifts
+    )
+    assert left < 0.02 * np.linalg.norm(true)
+
+
+def test_figure_and_table_are_made(made):
+    folder, result, _ = made
+    assert (folder / "twin.png").read_bytes().startswith(b"\x89PNG")
+    told = " ".join(result.stdout.split())
+    assert "9 of 9 closures are fitted" in told
+    assert "temperature_offset_c" in told
+
+
+def groups(recorded):
+    ((_, shut),) = read_recordings([recorded / "closed.npz"], {}, None)
+    ((_, free),) = read_recordings([recorded / "free.npz"], {}, None)
+    signal, places = shut["signal"].values, shut["true_distance"].values
+    closed = [
+        Group(signal[places == place], REPORTED, float(place), "closed.npz")
+        for place in np.unique(places)
+    ]
+    return closed, Group(free["signal"].values, REPORTED, source="free.npz")
+
+
+@pytest.mark.slow
+def test_wrong_label_and_clipped_echo_are_left_out(recorded):
+    """A label that is 4 cm off, and an echo at full scale; the others tell the sensor."""
+    from dataclasses import replace
+
+    closed, free = groups(recorded)
+    closed[3] = replace(closed[3], place=closed[3].place + 0.04)
+    loud = np.array(closed[1].cycles)
+    loud[:, 600:700] = 4095
+    closed[1] = replace(closed[1], cycles=loud)
+    found = fit_twin(closed, free, SENSOR.sampling_rate)
+    assert set(found.left_out) == {1, 3}
+    assert "clipped" in found.left_out[1]
+    assert "label" in found.left_out[3]
+    assert abs(found.value("temperature_offset") - (AIR - REPORTED)) < 3 * found.deviation(
+        "temperature_offset"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda shut, _: shut.pop("true_distance_cm"), "no label true_distance"),
+        (lambda shut, _: shut.update(true_distance_cm=50.0), "1 of 1 closures can be used"),
+        (lambda shut, _: shut.update(true_distance_cm=5.0), "within the ring-down"),
+        (lambda shut, _: shut.update(true_distance_cm=900.0), "after the end of the cycle"),
+        (lambda shut, _: shut.update(sampling_rate_hz=1e5), "free.npz has cycles of 4000 samples"),
+        (lambda _, free: free.update(signal=free["signal"][:, :3000]), "cycles of 3000 samples"),
+        (lambda shut, _: shut.update(signal=np.full((54, 4000), 7)), "closed.npz is silent"),
+        (lambda shut, _: shut.update(temperature=300.0), "temperature = 300 degC"),
+    ],
+)
+def test_bad_recordings_are_named_with_what_is_wrong(recorded, tmp_path, change, part):
+    shut, free = (dict(np.load(recorded / name)) for name in ("closed.npz", "free.npz"))
+    change(shut, free)
+    np.savez(tmp_path / "closed.npz", **shut)
+    np.savez(tmp_path / "free.npz", **free)
+    out = tmp_path / "left.toml"
+    result = run_here("twin", tmp_path / "closed.npz", tmp_path / "free.npz", "--out", out)
+    told = " ".join(result.stderr.split())
+    assert result.returncode == 2, told
+    assert part in told
+    assert str(tmp_path) in told
+    assert not Path(out).exists()
+
+
+def test_slow_sampling_is_refused():
+    group = Group(np.random.default_rng(0).integers(0, 256, (3, 400)), 20.0, 0.5)
+    with pytest.raises(ConfigError, match=r"too low for a carrier|hold no sound"):
+        fit_twin([group], group, 15e3)
