@@ -165,12 +165,15 @@ def test_lumen_that_counts_as_not_reversible_scatters_as_by_halves():
     np.testing.assert_allclose(whole.s, halved.s, atol=1e-6)
 
 
-def rings(case, n_rings=97, n_around=120):
+def rings(case, n_rings=97, n_around=120, deeper=0.0):
     """A lumen of rings as a press leaves it: the pressed part between round rings."""
     w = CASES[case][1]
     z = np.concatenate([[-40e-3, -w], np.linspace(-w, w, n_rings)[1:-1], [w, 40e-3]])
     t = 2 * np.pi * np.arange(n_around) / n_around
-    x, y, _, _ = (np.broadcast_to(part, (len(z), n_around)) for part in shape(case)(z[:, None], t))
+    x, y, _, _ = (
+        np.broadcast_to(part, (len(z), n_around))
+        for part in shape(case, deeper=deeper)(z[:, None], t)
+    )
     points = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1)
     return SimpleNamespace(rings=points + np.array([0, 0, 0.04]), position=0.04, symmetric=True)
 
@@ -330,14 +333,39 @@ def test_derivative_by_depth_is_that_of_differences(case):
             return 0.45 * x * f, -(y + RADIUS) * f
         return -x * f, -y * f
 
-    options = {"symmetric_only": True, "tolerance": 1e-5}
-    found = scattered(wall(case), frequency, velocity=velocity, **options).derivative
-    step = 1e-3
+    found = scattered(wall(case), frequency, velocity=velocity, symmetric_only=True).derivative
+    expected = differences(lambda h: wall(case, deeper=h), 1e-3, frequency, tolerance=1e-6)
+    size = np.abs(expected).max(axis=(1, 2, 3, 4), keepdims=True)
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
+
+
+def differences(wall_at, step, frequency, **options):
+    """Return central differences of S of the fourth order, whose own error is below 1e-6."""
     less, more = (
-        scattered(wall(case, deeper=sign * step), frequency, **options).s for sign in (-1, 1)
+        [
+            scattered(wall_at(sign * n * step), frequency, symmetric_only=True, **options).s
+            for n in (1, 2)
+        ]
+        for sign in (-1, 1)
     )
-    size = np.abs(found).max(axis=(1, 2, 3, 4), keepdims=True)
-    np.testing.assert_allclose(found / size, (more - less) / (2 * step) / size, atol=2e-4)
+    return (8 * (more[0] - less[0]) - (more[1] - less[1])) / (12 * step)
+
+
+def test_derivative_by_the_motion_of_rings_is_that_of_differences():
+    """A lumen as a press leaves it, moved as between two depths; a splined wall has corners."""
+    frequency = np.array([20e3, 42e3, 56e3])
+    shallow, deep = rings("E"), rings("E", deeper=0.02)
+
+    def wall_at(share):
+        moved = shallow.rings + share * (deep.rings - shallow.rings)
+        return spectral.wall_of(SimpleNamespace(**{**vars(shallow), "rings": moved}))
+
+    step = 0.05
+    motion = spectral.wall_motion(wall_at(-step), wall_at(step), 2 * step)
+    found = scattered(wall_at(0.0), frequency, velocity=motion, symmetric_only=True).derivative
+    expected = differences(wall_at, step, frequency, tolerance=1e-5)
+    size = np.abs(expected).max(axis=(1, 2, 3, 4), keepdims=True)
+    np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
 
 
 def test_derivative_with_losses_is_refused():

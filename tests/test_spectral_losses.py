@@ -9,6 +9,7 @@ from test_spectral import AIR, KIRCHHOFF, RADIUS, straight
 
 from acoustube.air import Air
 from acoustube.waves import spectral
+from acoustube.waves.spectral import first_basis
 
 KIRCHHOFFS_AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 FREQUENCY = np.array([5e3, 20e3, 42e3, 60e3])
@@ -122,3 +123,15 @@ def test_one_frequency_has_the_losses_of_a_band():
     band = passed(FREQUENCY)
     for i in (0, 3):
         np.testing.assert_allclose(passed(FREQUENCY[i : i + 1]), band[i], atol=1e-5)
+
+
+def test_shifts_above_the_cut_ons_leave_the_regular_ones():
+    """One just below the top of the band, or below another, is left out; one between is added."""
+    tube = straight(RADIUS, 5e-3)
+    cut_on = 1.8411838 / RADIUS
+    for top in (1.101, 1.11, 1.3, 1.5):
+        band = np.array([0.2, top]) * cut_on
+        shifts = np.sqrt(first_basis.first_basis(tube, False, band, lossy=True).shifts)
+        assert shifts[-1] == pytest.approx(band[-1])
+        assert np.diff(shifts).min() > 0.05 * np.diff(shifts).max()
+        assert np.abs(shifts - 1.1 * cut_on).min() < 0.2 * np.diff(shifts).max()

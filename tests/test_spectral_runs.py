@@ -1,5 +1,7 @@
 """Runs whose scattering matrix is the spectral solver's, on a lumen that needs no press."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_spectral import AIR, RADIUS, rings
@@ -47,6 +49,20 @@ def test_budget_states_the_estimated_error(matrix):
     assert found.spectral_error == pytest.approx(np.quantile(matrix.error, 0.95))
     assert f"{found.spectral_error:.1g}" in found.in_words(1.0)
     assert found.ringing == pytest.approx(-20.0)
+
+
+def test_run_warns_of_an_estimated_error_above_the_tolerance(monkeypatch, matrix):
+    """Of the solver's default tolerance, a typical error of 5 times that; and of none."""
+    for factor in (5.0, 0.5):
+        error = np.full_like(matrix.error, factor * matrix.tolerance)
+        known = dataclasses.replace(matrix, error=error)
+        monkeypatch.setattr(sound, "scatter_spectral", lambda *_, known=known, **__: known)
+        _, _, note = sound.scattering_of(
+            rings("E"), AIR, BAND, method="spectral", bore=2 * RADIUS, resolution=16, lossy=True
+        )
+        n = len(error)
+        expected = f"At {n} of {n} frequencies the estimated error of the scattering matrix, up to "
+        assert note == (expected + "0.005, exceeds the tolerance of 0.001." if factor > 1 else "")
 
 
 @pytest.mark.parametrize("change", ["unlike", "coarse"])

@@ -212,14 +212,7 @@ def _spectral(
         surface, start, air, task.frequency, tolerance=task.tolerance,
         lossy=not task.medium.lossless,
     )  # fmt: skip
-    over = int((found.error > task.tolerance).sum())
-    notes = _cut_on_notes(found)
-    if over:
-        notes.append(
-            f"At {over} of {len(found.error)} frequencies the estimated error, up to "
-            f"{found.error.max():.1g}, exceeds the tolerance of {task.tolerance:g}."
-        )
-    return found, notes
+    return found, [*_cut_on_notes(found), *([found.excess] if found.excess else [])]
 
 
 def _marched(

@@ -92,6 +92,7 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         with stage("check", seconds, report):
             try:
                 check = spectral_check(settings, pressed_part(indentation))
+                notes += [f"Spectral solver: {check.note}"] if check.note else []
             except ValueError as error:
                 notes.append(f"The spectral solver could not verify this run: {error}")
 

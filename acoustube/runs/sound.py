@@ -121,7 +121,8 @@ def scattered_recordings(
     budget : Budget or SpectralBudget
         Known errors of the recordings.
     note : str
-        Why the spectral solver was not used although it was asked for; empty otherwise.
+        Why the spectral solver was not used although it was asked for, or that its estimated error
+        exceeds the tolerance; empty otherwise.
     """
     matrix, cells, note = scattering_of(
         part, settings.air, band_of(settings.pulse), method=settings.method,
@@ -172,12 +173,14 @@ def scattering_of(
     cells : CutCells or None
         The lumen on its grid, where there is one.
     note : str
-        Why the spectral solver was not used although it was asked for; empty otherwise.
+        Why the spectral solver was not used although it was asked for, or that its estimated error
+        exceeds the tolerance; empty otherwise.
     """
     note = ""
     if method == "spectral":
         try:
-            return spectral_scattering_of(part, air, band, lossy=lossy), None, ""
+            found = spectral_scattering_of(part, air, band, lossy=lossy)
+            return found, None, _excess(found)
         except ConfigError as reason:
             note = f"The time-domain method computed the scattering, not the spectral one: {reason}"
     across, length = bore / resolution, 2 * part.position
@@ -195,6 +198,11 @@ def scattering_of(
         progress=progress,
     )
     return matrix, cells, note
+
+
+def _excess(matrix: SpectralScattering) -> str:
+    """Return that the estimated error exceeds the tolerance at over 5 % of the frequencies."""
+    return matrix.excess if matrix.typical_error > matrix.tolerance else ""
 
 
 def spectral_scattering_of(
@@ -242,11 +250,14 @@ class SpectralCheck(NamedTuple):
         Its height, relative to the send pulse.
     error : float
         Estimated error of the scattering coefficients at 95 % of the frequencies.
+    note : str
+        That it exceeds the tolerance; empty otherwise.
     """
 
     distance: tuple[float, ...]
     amplitude: tuple[float, ...]
     error: float
+    note: str = ""
 
 
 def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
@@ -265,6 +276,7 @@ def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
         tuple(float(ranging.distance) for ranging in found),
         tuple(float(ranging.amplitude) for ranging in found),
         matrix.typical_error,
+        _excess(matrix),
     )
 
 

@@ -7,6 +7,7 @@ the tube), `discretisation` (a basis and a richer one), `reduction` (many freque
 `solver` (what is chosen, and the error).
 """
 
+from acoustube.waves.spectral.derivatives import wall_motion
 from acoustube.waves.spectral.lumens import wall_of
 from acoustube.waves.spectral.result import SpectralScattering
 from acoustube.waves.spectral.sections import SurfaceRings, rings_of_surface
@@ -15,5 +16,5 @@ from acoustube.waves.spectral.walls import Wall, analytic_wall
 
 __all__ = [
     "SpectralScattering", "SurfaceRings", "Wall", "analytic_wall", "rings_of_surface",
-    "scatter_spectral", "wall_of",
+    "scatter_spectral", "wall_motion", "wall_of",
 ]  # fmt: skip

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
@@ -29,6 +30,38 @@ from acoustube.waves.spectral.walls import Wall
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
 """From z (n, 1) in m and t (n_points,) to how x and y of the wall move per parameter."""
+
+
+def wall_motion(before: Wall, after: Wall, change: float) -> Velocity:
+    """Return the motion of a wall per unit of a parameter, from the walls at two of its values.
+
+    Parameters
+    ----------
+    before, after : Wall
+        Their lines have the same numbers of points, as those of one press at two depths.
+    change : float
+        Of the parameter between them. For values on either side of that of the wall that moves, the
+        error is of the second order in the change.
+
+    Returns
+    -------
+    callable
+        For the argument `velocity` of :func:`scatter_spectral`.
+    """
+
+    def velocity(z: Array, t: Array) -> tuple[Array, Array]:
+        moved = [
+            (there - here) / change
+            for here, there in zip(before.lines(z[:, 0])[:2], after.lines(z[:, 0])[:2], strict=True)
+        ]
+        turn = 2 * np.pi * np.arange(moved[0].shape[1] + 1) / moved[0].shape[1]
+        x, y = (
+            CubicSpline(turn, np.concatenate([part, part[:, :1]], 1), axis=1, bc_type="periodic")(t)
+            for part in moved
+        )
+        return x, y
+
+    return velocity
 
 
 def moved_scattering(

@@ -31,7 +31,10 @@ ABOVE_CUT_ON = 1.1
 """With losses, one shift more is at so many times each cut-on: there the response of the layers to
 a mode changes fast, whose axial wavenumber has just become real."""
 CLOSEST = 0.2
-"""Distance of two shifts, relative to the largest, below which one is enough."""
+"""Distance of such a shift from the others, relative to their largest, below which they suffice."""
+DERIVATIVE_DEGREES = 2
+"""Degrees more across the tube for derivatives: their error is of the first order in the field's,
+and that of the scattering matrix of the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,9 @@ class Basis:
     shifts: Array
 
 
-def first_basis(wall: Wall, odd: bool | None, k: Array, *, lossy: bool) -> Basis:
+def first_basis(
+    wall: Wall, odd: bool | None, k: Array, *, lossy: bool, moving: bool = False
+) -> Basis:
     """Return the initial discretisation, chosen by the wavelength and the bore.
 
     Parameters
@@ -55,9 +60,12 @@ def first_basis(wall: Wall, odd: bool | None, k: Array, *, lossy: bool) -> Basis
         Wavenumbers in 1/m, (n,), rising.
     lossy : bool
         The wall has boundary layers.
+    moving : bool
+        Derivatives by a motion of the wall are asked for.
     """
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
+    degree += DERIVATIVE_DEGREES * moving
     edges = partition(wall, float(k[-1]))
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
@@ -68,7 +76,14 @@ def first_basis(wall: Wall, odd: bool | None, k: Array, *, lossy: bool) -> Basis
     low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
     shifts = np.linspace(low**GRADING, high**GRADING, n_shifts) ** (1 / GRADING)
     if lossy:
-        above = ABOVE_CUT_ON * modes.zeros[modes.zeros > 0] / wall.radius
-        shifts = np.sort(np.concatenate([shifts, above[above < high]]))
-        shifts = shifts[np.diff(shifts, prepend=0.0) > CLOSEST * np.diff(shifts).max()]
+        shifts = _with_more(shifts, ABOVE_CUT_ON * modes.zeros[modes.zeros > 0] / wall.radius)
     return Basis(degree + degree % 2, edges, shifts**2)
+
+
+def _with_more(shifts: Array, more: Array) -> Array:
+    """Return rising shifts with those of `more` that are below the last and not close to others."""
+    close = CLOSEST * np.diff(shifts).max()
+    for shift in more[more < shifts[-1]]:
+        if np.abs(shifts - shift).min() > close:
+            shifts = np.append(shifts, shift)
+    return np.sort(shifts)

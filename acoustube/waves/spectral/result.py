@@ -48,3 +48,14 @@ class SpectralScattering(ModalScattering):
     def typical_error(self) -> float:
         """Estimated error of the coefficients that 95 % of the frequencies do not exceed."""
         return float(np.quantile(self.error, ERROR_QUANTILE))
+
+    @property
+    def excess(self) -> str:
+        """At how many frequencies the estimated error exceeds the tolerance; empty if at none."""
+        over = int((self.error > self.tolerance).sum())
+        if not over:
+            return ""
+        return (
+            f"At {over} of {len(self.error)} frequencies the estimated error of the scattering "
+            f"matrix, up to {self.error.max():.1g}, exceeds the tolerance of {self.tolerance:g}."
+        )

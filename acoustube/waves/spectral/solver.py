@@ -203,7 +203,8 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    basis, wanted = first_basis(wall, odd, k, lossy=task.lossy), tolerance
+    moving = task.velocity is not None
+    basis, wanted = first_basis(wall, odd, k, lossy=task.lossy, moving=moving), tolerance
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = _adapted(task, odd, basis, wanted)
         spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
