@@ -3,16 +3,20 @@
 Reading order: `tools` (scattering of tools over depth) and `tables` (its interpolation),
 `network` (presses joined by straight tube), `baseband` and `clutter` (the rangefinder and its
 tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates), `hypotheses`
-(sets of presses) and `estimate` (their posterior).
+(sets of presses) and `estimate` (their posterior). For streams: `motion` (the filter), `proposals`,
+`tracks` (one explanation of the cycles) and `tracking`.
 """
 
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, measured_clutter, unknown_clutter
 from acoustube.inversion.estimate import Contact, Estimate, Inversion, Inverter
 from acoustube.inversion.model import ForwardModel, Priors
+from acoustube.inversion.motion import Motion
 from acoustube.inversion.tools import Library, Tool
+from acoustube.inversion.tracking import ContactTracker, Tracked
 
 __all__ = [
-    "Baseband", "Clutter", "Contact", "Estimate", "ForwardModel", "Inversion", "Inverter",
-    "Library", "Priors", "Tool", "measured_clutter", "unknown_clutter",
+    "Baseband", "Clutter", "Contact", "ContactTracker", "Estimate", "ForwardModel", "Inversion",
+    "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "measured_clutter",
+    "unknown_clutter",
 ]  # fmt: skip

@@ -278,7 +278,7 @@ class Posterior:
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
         """Return the marginal distribution of a parameter, with an independent error besides."""
         deviation = np.sqrt(self.variance[:, parameter] + error**2)
-        return self._summed(self.mean[:, parameter], deviation)
+        return mixture(self.weight, self.mean[:, parameter], deviation)
 
     def mapped(
         self, parameter: int, function: Callable[[Array, int], Array], error: float
@@ -296,22 +296,30 @@ class Posterior:
         mean = self.mean[:, parameter]
         slope = function(mean, 1)
         deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error)
-        return self._summed(function(mean, 0), deviation)
+        return mixture(self.weight, function(mean, 0), deviation)
 
-    def _summed(self, mean: Array, deviation: Array) -> Estimate:
-        deviation = np.maximum(deviation, 1e-15)
-        middle = float(self.weight @ mean)
-        spread = float(np.sqrt(self.weight @ (deviation**2 + (mean - middle) ** 2)))
-        grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
-        below = ndtr((grid[:, None] - mean) / deviation) @ self.weight
-        ends = {
-            level: (
-                float(np.interp((1 - level) / 2, below, grid)),
-                float(np.interp((1 + level) / 2, below, grid)),
-            )
-            for level in LEVELS
-        }
-        return Estimate(float(mean[0]), spread, ends, self.weight, mean, deviation)
+
+def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
+    """Return the estimate of a mixture of normal distributions, the most likely one first.
+
+    Parameters
+    ----------
+    weight, mean, deviation : ndarray
+        (n,).
+    """
+    deviation = np.maximum(deviation, 1e-15)
+    middle = float(weight @ mean)
+    spread = float(np.sqrt(weight @ (deviation**2 + (mean - middle) ** 2)))
+    grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
+    below = ndtr((grid[:, None] - mean) / deviation) @ weight
+    ends = {
+        level: (
+            float(np.interp((1 - level) / 2, below, grid)),
+            float(np.interp((1 + level) / 2, below, grid)),
+        )
+        for level in LEVELS
+    }
+    return Estimate(float(mean[0]), spread, ends, weight, mean, deviation)
 
 
 def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:

@@ -1,0 +1,54 @@
+"""What a track of contacts is given of a cycle, and what it keeps of a contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.waves.scattering import Complex
+
+
+class Cycle(NamedTuple):
+    """A cycle.
+
+    Attributes
+    ----------
+    number : int
+        From 0.
+    samples : ndarray
+        Baseband, (n_time,).
+    noise : float
+        Variance of its samples.
+    """
+
+    number: int
+    samples: Complex
+    noise: float
+
+
+@dataclass
+class Known:
+    """What is kept of a contact besides its state.
+
+    Attributes
+    ----------
+    number : int
+    odds : float
+        Logarithm of the odds that there is the contact.
+    age : int
+        In cycles.
+    faint : int
+        Tests since it was deeper than the library's first depth.
+    """
+
+    number: int
+    odds: float
+    age: int = 0
+    faint: int = 0
+
+    @property
+    def probability(self) -> float:
+        """That there is the contact."""
+        return float(1 / (1 + np.exp(-self.odds)))

@@ -1,0 +1,349 @@
+"""Motion of contacts between cycles, and the update of their distribution by a cycle.
+
+The state holds place and depth of each contact in turn, the nuisances, and the velocities of
+places and depths in turn. Several normal distributions, the branches, share one set of tools.
+
+References
+----------
+* Iterated extended Kalman filter as Gauss-Newton: Bell, B. M. and Cathey, F. W. (1993). IEEE
+  Transactions on Automatic Control 38, 294-297.
+* Sums of normal distributions: Alspach, D. L. and Sorenson, H. W. (1972). IEEE Transactions on
+  Automatic Control 17, 439-448.
+* Velocity as an Ornstein-Uhlenbeck process: Singer, R. A. (1970). IEEE Transactions on Aerospace
+  and Electronic Systems 6, 473-483.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.checks import check_fields
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.inversion.fit import LARGEST_STEPS, Weights, bounded, split
+from acoustube.inversion.model import NUISANCES, ForwardModel, Priors
+from acoustube.waves.scattering import Complex
+
+Numbers = NDArray[np.integer[Any]]
+
+LIMITS = 2 * LARGEST_STEPS[0], 2 * LARGEST_STEPS[1]
+"""Largest changes of place and depth in an iteration, in m."""
+CONVERGED = 0.1
+"""Decrease of the cost in an iteration that ends the iterations."""
+LOST = 60.0
+"""Cost over the least from which a branch is not refined further after its second iteration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Motion of contacts and drift of the nuisances, both Ornstein-Uhlenbeck processes.
+
+    Attributes
+    ----------
+    slide, sink : float
+        Standard deviations of the velocities along the tube and of the depth, in m/s. Defaults 0.03
+        and 0.015.
+    memory : float
+        Correlation time of velocities in s. Default 0.4.
+    drift : float
+        Correlation time of the nuisances in s. Default 30.
+    survival : float
+        Probability that a contact is still there a cycle later, without a look. Default 0.9.
+    """
+
+    slide: float = 0.03
+    sink: float = 0.015
+    memory: float = 0.4
+    drift: float = 30.0
+    survival: float = 0.9
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        positive = Number(1e-9, 1e6)
+        check_fields(
+            self, slide=positive, sink=positive, memory=positive, drift=positive,
+            survival=Number(1e-6, 1),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """Mixture of normal distributions of the state of one set of contacts.
+
+    Attributes
+    ----------
+    tools : tuple of int
+        Number of the tool of each contact in the library, by place.
+    mean : ndarray
+        (n, 4 n_contacts + 6).
+    covariance : ndarray
+        (n, 4 n_contacts + 6, 4 n_contacts + 6).
+    level : ndarray
+        Logarithms of the weights, the largest zero, (n,).
+    """
+
+    tools: tuple[int, ...]
+    mean: Array
+    covariance: Array
+    level: Array
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters of the forward model: all of the state but the velocities."""
+        return 2 * len(self.tools) + len(NUISANCES)
+
+    def take(self, rows: Numbers) -> Branches:
+        """Return some of the branches, the largest level zero."""
+        level = self.level[rows]
+        return Branches(self.tools, self.mean[rows], self.covariance[rows], level - level.max())
+
+    def joined(self, other: Branches) -> Branches:
+        """Return these branches and others of the same contacts."""
+        return Branches(
+            self.tools,
+            np.concatenate([self.mean, other.mean]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.level, other.level]),
+        )
+
+    def without(self, contact: int) -> Branches:
+        """Return the branches with one contact marginalised."""
+        p = self.parameters
+        gone = [2 * contact, 2 * contact + 1, p + 2 * contact, p + 2 * contact + 1]
+        kept = np.delete(np.arange(self.mean.shape[1]), gone)
+        tools = self.tools[:contact] + self.tools[contact + 1 :]
+        return Branches(tools, self.mean[:, kept], self.covariance[:, kept][:, :, kept], self.level)
+
+    def added(
+        self, rank: int, tool: int, place: Array, depth: Array, deviations: Array
+    ) -> Branches:
+        """Return the first branch with one contact more, independent of the others.
+
+        Parameters
+        ----------
+        rank : int
+            Number of the contact by place.
+        tool : int
+        place, depth : ndarray
+            In m, (n,): a branch each.
+        deviations : ndarray
+            Standard deviations of place, depth and their velocities, (4,).
+        """
+        n, p, old = len(place), self.parameters, self.mean.shape[1]
+        own = [2 * rank, 2 * rank + 1, p + 2 + 2 * rank, p + 3 + 2 * rank]
+        kept = np.delete(np.arange(old + 4), own)
+        mean = np.zeros((n, old + 4))
+        mean[:, kept], mean[:, own[0]], mean[:, own[1]] = self.mean[0], place, depth
+        covariance = np.zeros((n, old + 4, old + 4))
+        covariance[:, kept[:, None], kept] = self.covariance[0]
+        covariance[:, own, own] = deviations**2
+        tools = (*self.tools[:rank], tool, *self.tools[rank:])
+        return Branches(tools, mean, covariance, np.zeros(n))
+
+
+def at_rest(priors: Priors) -> Branches:
+    """Return the distribution of the nuisances alone, without contacts."""
+    n = len(NUISANCES)
+    return Branches((), np.zeros((1, n)), np.diag(priors.deviations**2)[None], np.zeros(1))
+
+
+def velocities(motion: Motion, contacts: int) -> Array:
+    """Return the standard deviations of the velocities of contacts, (2 n_contacts,)."""
+    return np.tile([motion.slide, motion.sink], contacts)
+
+
+def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -> Branches:
+    """Return the distribution a time later.
+
+    Parameters
+    ----------
+    branches : Branches
+    motion : Motion
+    priors : Priors
+        Stationary distribution of the nuisances.
+    step : float
+        In s.
+    """
+    m, p = len(branches.tools), branches.parameters
+    q = p + 2 * m
+    place, speed, own = np.arange(2 * m), np.arange(p, q), np.arange(2 * m, p)
+    kept, slow = np.exp(-step / motion.memory), np.exp(-step / motion.drift)
+    change = np.eye(q)
+    change[place, speed], change[speed, speed] = motion.memory * (1 - kept), kept
+    change[own, own] = slow
+    noise = np.zeros((q, q))
+    added = velocities(motion, m) ** 2 * (1 - kept**2)
+    # A velocity that changes evenly over the step.
+    noise[speed, speed], noise[place, place] = added, added * step**2 / 3
+    noise[place, speed] = noise[speed, place] = added * step / 2
+    noise[own, own] = priors.deviations**2 * (1 - slow**2)
+    covariance = change @ branches.covariance @ change.T + noise
+    return Branches(branches.tools, branches.mean @ change.T, covariance, branches.level)
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """Distribution after a cycle, and what it was found from.
+
+    Attributes
+    ----------
+    branches : Branches
+        Sorted by weight, the most likely first.
+    evidence : ndarray
+        Logarithm of the likelihood of the cycle given the earlier ones, but for a constant, (n,).
+    rest : ndarray
+        What the model leaves of the cycle, (n, n_time).
+    slopes : ndarray
+        Whitened Jacobian, (n, n_parameters, n_time).
+    information : ndarray
+        Fisher's, of this cycle alone, (n, n_parameters, n_parameters).
+    """
+
+    branches: Branches
+    evidence: Array
+    rest: Complex
+    slopes: Complex
+    information: Array
+
+    def joined(self, other: Update) -> Update:
+        """Return these branches and others of the same contacts, the best first."""
+        both = Update(
+            self.branches.joined(other.branches),
+            *(
+                np.concatenate([getattr(self, name), getattr(other, name)])
+                for name in ("evidence", "rest", "slopes", "information")
+            ),
+        )
+        return both.take(np.argsort(-both.branches.level))
+
+    def take(self, rows: Numbers) -> Update:
+        """Return some of the branches."""
+        return Update(
+            self.branches.take(rows), self.evidence[rows], self.rest[rows], self.slopes[rows],
+            self.information[rows],
+        )  # fmt: skip
+
+
+def updated(
+    model: ForwardModel,
+    prior: Branches,
+    samples: Complex,
+    whiten: Weights,
+    *,
+    iterations: int = 3,
+    forget: float = 1.0,
+    start: Array | None = None,
+) -> Update:
+    """Return the distribution after a cycle, by Gauss-Newton steps about each branch.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    prior : Branches
+        Predicted.
+    samples : ndarray
+        Baseband of the cycle, (n_time,).
+    whiten : Weights
+    iterations : int
+    forget : float
+        Factor of the levels before this cycle's evidence is added.
+    start : ndarray, optional
+        Parameters from which the steps begin, (n, n_parameters); those predicted by default.
+    """
+    p, n = prior.parameters, len(prior.mean)
+    expected, covariance = prior.mean[:, :p], prior.covariance[:, :p, :p]
+    precision = np.asarray(np.linalg.inv(covariance), float)
+    at = bounded(model, prior.tools, expected if start is None else start)
+    known = _Quadratic(model, prior.tools, at, samples, whiten, expected, precision)
+    damping, active = np.full(n, 1e-4), np.ones(n, bool)
+    for number in range(iterations):
+        if number > 1:
+            active &= known.cost < known.cost.min() + LOST
+        i = np.flatnonzero(active)
+        if not len(i):
+            break
+        curved = known.information[i] + precision[i]
+        curved += damping[i, None, None] * np.einsum("nii->ni", curved)[:, :, None] * np.eye(p)
+        step = -np.linalg.solve(curved, known.gradient[i][..., None])[..., 0]
+        promised = -np.einsum("ni,ni->n", step, known.gradient[i])
+        active[i] = promised > CONVERGED
+        i, step = i[promised > CONVERGED], step[promised > CONVERGED]
+        if not len(i):
+            break
+        step = _limited(step, len(prior.tools))
+        tried_at = bounded(model, prior.tools, at[i] + step)
+        tried = _Quadratic(
+            model, prior.tools, tried_at, samples, whiten, expected[i], precision[i]
+        )  # fmt: skip
+        better = tried.cost < known.cost[i]
+        damping[i] = np.where(better, damping[i] / 5, 10 * np.maximum(damping[i], 1e-2))
+        at[i[better]] = tried_at[better]
+        known.replace(i[better], tried, better)
+    posterior = np.asarray(np.linalg.inv(known.information + precision), float)
+    spread = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(posterior)[1]
+    evidence = -0.5 * (known.cost + spread)
+    level = forget * prior.level + evidence
+    branches = Branches(
+        prior.tools, *_with_velocities(prior, at, precision, posterior), level - level.max()
+    )
+    order = np.argsort(-level)
+    found = Update(branches, evidence, known.rest, known.slopes, known.information)
+    return found.take(order)
+
+
+class _Quadratic:
+    """Cost of parameters, half its gradient, and the information of the data, in bulk."""
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        tools: tuple[int, ...],
+        at: Array,
+        samples: Complex,
+        whiten: Weights,
+        expected: Array,
+        precision: Array,
+    ) -> None:
+        value, jacobian = model.baseband(tools, *split(at))
+        self.rest = samples - value
+        white = whiten(self.rest)
+        self.slopes = whiten(jacobian)
+        off = at - expected
+        pulled = np.einsum("nij,nj->ni", precision, off)
+        self.cost = 2 * np.sum(np.abs(white) ** 2, axis=1) + np.einsum("ni,ni->n", off, pulled)
+        drawn = (self.slopes.conj() @ white[..., None])[..., 0].real
+        self.gradient = pulled - 2 * drawn
+        self.information = 2 * (self.slopes.conj() @ self.slopes.swapaxes(1, 2)).real
+
+    def replace(self, rows: Array, other: _Quadratic, taken: Array) -> None:
+        """Take some rows of another."""
+        for name in ("rest", "slopes", "cost", "gradient", "information"):
+            getattr(self, name)[rows] = getattr(other, name)[taken]
+
+
+def _limited(step: Array, contacts: int) -> Array:
+    """Return steps whose changes of places and depths are not too large."""
+    for i, largest in enumerate(LIMITS):
+        part = slice(i, 2 * contacts, 2)
+        step[:, part] = np.clip(step[:, part], -largest, largest)
+    return step
+
+
+def _with_velocities(
+    prior: Branches, at: Array, precision: Array, posterior: Array
+) -> tuple[Array, Array]:
+    """Return mean and covariance of the whole state: velocities follow by regression."""
+    p = prior.parameters
+    gain = prior.covariance[:, p:, :p] @ precision
+    speed = prior.mean[:, p:] + np.einsum("nij,nj->ni", gain, at - prior.mean[:, :p])
+    across = gain @ posterior
+    own = prior.covariance[:, p:, p:] - gain @ prior.covariance[:, :p, p:]
+    own = own + across @ gain.swapaxes(1, 2)
+    upper = np.concatenate([posterior, across.swapaxes(1, 2)], axis=2)
+    lower = np.concatenate([across, own], axis=2)
+    whole = np.concatenate([upper, lower], axis=1)
+    return np.concatenate([at, speed], axis=1), (whole + whole.swapaxes(1, 2)) / 2

@@ -1,0 +1,172 @@
+"""Candidates for a new contact in one cycle, in some milliseconds.
+
+The matched filter of :mod:`acoustube.inversion.search`, with what does not depend on the cycle
+computed beforehand: the turns of the phase over the places, and the energies of the echoes in the
+noise of an untouched tube. Behind a contact the plane wave alone is followed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.fit import CLOSEST, Weights, weights
+from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.search import Candidates, Front
+from acoustube.waves.scattering import Complex
+
+PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
+"""Steps in m of the coarse search."""
+FINE_STEP, FINE_REACH = 0.5e-3, 9e-3
+"""Step in m of the fine search over places, and its reach to both sides."""
+NODES = 0.15
+"""Distance in m of the places at which the energies of echoes are computed."""
+APART = 0.03
+"""Distance in m of candidates that count as different places."""
+SMOOTHED = 0.4e-3
+"""Time in s over which the noise is averaged: the length of an echo."""
+
+
+class Proposals:
+    """Matched filter for the echoes of a tool.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    tool : int
+        Number of the tool in the library.
+    noise : float
+        Variance of a sample of a cycle, typical.
+    """
+
+    def __init__(self, model: ForwardModel, tool: int, noise: float) -> None:
+        self.model, base = model, model.base
+        table = model.tables[tool]
+        low, high = table.range
+        self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
+        stretch = np.full(len(self.depths), model.stretch)
+        found = table(self.depths, stretch).value[:, :, 0, 0, 0, 0] * base.gain
+        self.shapes = found.conj().astype(np.complex64)
+        self.places = np.arange(base.nearest, base.length - 0.05, PLACE_STEP)
+        waves = 2j * base.k[:, :1].conj()
+        self.turns = np.exp(waves * self.places).astype(np.complex64)
+        quiet = weights(model, noise, 0.0, None)
+        self.quiet = _precision(quiet)
+        nodes = np.arange(base.nearest, base.length + NODES, NODES)
+        spectra = found[:, None] * np.exp(waves * nodes).conj().T
+        samples = quiet(base.transformed(spectra))
+        level = np.log(np.maximum(np.sum(np.abs(samples) ** 2, axis=-1), 1e-300))
+        share = np.interp(self.places, nodes, np.arange(len(nodes)))
+        i = np.minimum(share.astype(int), len(nodes) - 2)
+        share = share - i
+        self.energy = np.exp((1 - share) * level[:, i] + share * level[:, i + 1])
+        self.delay = base.rangefinder.lead + base.rangefinder.drive.duration / 2
+
+    def search(
+        self,
+        rest: Complex,
+        whiten: Weights,
+        fronts: list[Front],
+        *,
+        number: int = 2,
+        fine: int = 3,
+        least: float = np.inf,
+        near: float | None = None,
+        temperature: float = 0.0,
+    ) -> Candidates:
+        """Return candidates for one more contact.
+
+        Parameters
+        ----------
+        rest : ndarray
+            Baseband that is not explained yet, (n_time,).
+        whiten : Weights
+        fronts : list of Front
+            Of the contacts known, by place.
+        number, fine : int
+            Number of places, and of candidates at each.
+        least : float
+            Gain from which the nearest place is a candidate too: what lies before a contact changes
+            its echo, which then leaves more than the echo of the new one.
+        near : float, optional
+            Place in m about which alone is searched.
+        temperature : float
+            Deviation in K.
+        """
+        base = self.model.base
+        field = base.adjoint(whiten(rest) @ whiten.matrix.conj())
+        energy = self.energy * self._dimmed(whiten)
+        gain = np.empty(energy.shape)
+        filters, ends = [self.shapes * field], [0.0]
+        scales = [1.0]
+        for front in fronts:
+            # What has passed the contacts, without the path to there, which the turns have.
+            passed = front.out[:, 0] * front.into[:, 0]
+            passed = passed * np.exp(2j * base.k[:, 0] * front.place)
+            filters.append(self.shapes * (passed.conj() * field))
+            scales.append(float(np.median(np.abs(passed)) ** 2))
+            ends.append(front.place)
+        owner = np.searchsorted(ends[1:], self.places)
+        if near is not None:
+            owner[np.abs(self.places - near) > FINE_REACH] = -1
+            gain[:, owner < 0] = -np.inf
+        for i, one in enumerate(filters):
+            here = owner == i
+            level = np.abs(one.astype(np.complex64) @ self.turns[:, here])
+            energy[:, here] *= scales[i]
+            gain[:, here] = 2 * (2 * level - energy[:, here])
+        for place in ends[1:]:
+            gain[:, np.abs(self.places - place) < CLOSEST] = -np.inf
+        found: list[tuple[float, float, float]] = []
+        for best in self._places(gain.max(axis=0), number, least):
+            found += self._refined(filters[owner[best]], energy[:, best], best, fine, temperature)
+        found.sort(key=lambda one: -one[0])
+        table = np.array(found).reshape(-1, 3)
+        return Candidates(table[:, 0], table[:, 1], table[:, 2])
+
+    def _places(self, gain: Array, number: int, least: float) -> list[int]:
+        """Return the nearest place of a gain, and those of the highest gains, apart."""
+        left, found = gain.copy(), []
+        first = np.flatnonzero(gain > least)
+        if len(first):
+            near = np.abs(self.places - self.places[first[0]]) < APART
+            found.append(int(np.argmax(np.where(near, left, -np.inf))))
+            left[np.abs(self.places - self.places[found[0]]) < APART] = -np.inf
+        for _ in range(number):
+            best = int(np.argmax(left))
+            if not left[best] > 0:
+                break
+            found.append(best)
+            left[np.abs(self.places - self.places[best]) < APART] = -np.inf
+        return found
+
+    def _dimmed(self, whiten: Weights) -> Array:
+        """Return the precision at the echoes of the places, relative to the untouched tube's."""
+        base = self.model.base
+        ratio = _precision(whiten) / self.quiet
+        width = max(1, round(SMOOTHED / (base.window[1] - base.window[0])))
+        smooth = np.convolve(ratio, np.ones(width) / width, "same")
+        return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
+
+    def _refined(
+        self, filters: Complex, energy: Array, best: int, count: int, temperature: float
+    ) -> list[tuple[float, float, float]]:
+        """Return the highest separate maxima of the filter with its phase, about a place."""
+        base = self.model.base
+        places = self.places[best] + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE_STEP)
+        waves = base.k[:, :1] + temperature * base.k_by_temperature[:, :1]
+        level = (filters @ np.exp(2j * waves.conj() * places)).real
+        gain = 2 * (2 * level - energy[:, None])
+        found = []
+        for _ in range(count):
+            i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+            if not gain[i, j] > 0:
+                break
+            found.append((float(gain[i, j]), float(places[j]), float(self.depths[i])))
+            gain[max(i - 2, 0) : i + 3, max(j - 3, 0) : j + 4] = -np.inf
+        return found
+
+
+def _precision(whiten: Weights) -> Array:
+    """Return the diagonal of the inverse of the covariance, (n_time,)."""
+    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))

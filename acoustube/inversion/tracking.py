@@ -1,0 +1,236 @@
+"""Contacts followed from cycle to cycle: a posterior that each cycle of a rangefinder updates.
+
+One :class:`~acoustube.inversion.tracks.Track` is followed. Where it explains the cycles badly, a
+second one begins without contacts, and takes its place if it explains them better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
+
+from acoustube.base.checks import Reals, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.inversion.cycle import Cycle
+from acoustube.inversion.estimate import MISFIT, Contact, Estimate, mixture
+from acoustube.inversion.fit import split, weights
+from acoustube.inversion.hypotheses import Builder
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.motion import Branches, Motion, Update, at_rest
+from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.tracks import Track
+from acoustube.waves.scattering import Complex
+
+PATIENCE, TRIAL = 3, 8
+"""Cycles explained badly after which a second track begins, and cycles that it is given."""
+BETTER = 5.0
+"""Logarithm of the likelihood of a cycle by which the second track must be better."""
+SAME = 0.05
+"""Distance in m within which contacts of two tracks are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """Contacts after a cycle.
+
+    Attributes
+    ----------
+    contacts : list of Contact
+        By distance.
+    numbers : list of int
+        Of the contacts, from 0 in the order of their appearance.
+    misfit : float
+        As of :class:`acoustube.inversion.Inversion`.
+    temperature, gain : Estimate
+        Deviations of the air's temperature in K and of the gain's logarithm.
+    place : ndarray
+        Distances in m from which sound comes back at the times of the baseband, (n_time,).
+    measured, explained : ndarray
+        Baseband without what the untouched tube sounds, of the cycle and of the contacts,
+        (n_time,), in counts.
+    """
+
+    contacts: list[Contact]
+    numbers: list[int]
+    misfit: float
+    temperature: Estimate
+    gain: Estimate
+    place: Array
+    measured: Complex
+    explained: Complex
+
+    @property
+    def fits(self) -> bool:
+        """Whether the misfit is less than :data:`acoustube.inversion.estimate.MISFIT`."""
+        return not self.misfit > MISFIT
+
+
+class ContactTracker:
+    """Contacts in the cycles of one sensor, one cycle at a time.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    most : int
+        Largest number of contacts.
+    motion : Motion, optional
+    cycle_rate : float, optional
+        Cycles per second; that of the rangefinder by default.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        most: int = 3,
+        motion: Motion | None = None,
+        cycle_rate: float | None = None,
+    ) -> None:
+        self.model, self.most = model, int(Number(1, 8, whole=True).check("most", most))
+        self.motion = motion or Motion()
+        self.step = 1 / (cycle_rate or model.base.rangefinder.cycle_rate)
+        noise = model.base.noise(1)
+        self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
+        self.quiet = weights(model, noise, 0.0, None)
+        self.n_cycles = 0
+        self.track = self._new(at_rest(model.priors))
+        self.second: Track | None = None
+
+    def _new(self, branches: Branches) -> Track:
+        return Track(self.model, self.proposals, self.motion, self.most, branches, self.quiet)
+
+    @checked(counts=Reals(ndim=1))
+    def update(self, counts: ArrayLike, elapsed: float | None = None) -> Tracked:
+        """Return the contacts after one cycle more.
+
+        Parameters
+        ----------
+        counts : ndarray
+            Of the converter, (n_samples,).
+        elapsed : float, optional
+            Time in s since the cycle before; a period of the cycles by default.
+
+        Raises
+        ------
+        ConfigError
+            If the cycle has another length than the model's.
+        """
+        array, base = np.asarray(counts), self.model.base
+        if len(array) != base.n_samples:
+            raise ConfigError(
+                f"a cycle has {len(array)} samples and the model's {base.n_samples}; give cycles "
+                "of one recorder"
+            )
+        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+            samples, noise = base.of_cycles(array[None])
+            if not self.n_cycles:
+                start = Builder(self.model, [], samples, noise).start
+                own = self.track.branches
+                self.track.branches = replace(own, mean=start[None])
+            cycle = Cycle(self.n_cycles, samples, noise)
+            found = self._followed(cycle, self.step if elapsed is None else elapsed)
+            self.n_cycles += 1
+            return self._told(found, samples)
+
+    def _followed(self, cycle: Cycle, step: float) -> Update:
+        """Return the distribution of the track that explains the cycles best."""
+        found = self.track.update(cycle, step)
+        if self.second is None:
+            if self.track.n_bad > PATIENCE and cycle.number % TRIAL == 0:
+                first = 2 * len(self.track.known)
+                own = self.track.branches
+                branches = at_rest(self.model.priors)
+                mean = own.mean[:1, first : own.parameters].copy()
+                self.second = self._new(replace(branches, mean=mean))
+            return found
+        other = self.second.update(cycle, step)
+        better = self.second.score > self.track.score + BETTER
+        if better and self.second.residual < self.track.residual and self.second.n_cycles > 2:
+            self._renumber(self.second)
+            self.track, self.second = self.second, None
+            return other
+        if self.second.n_cycles > TRIAL:
+            self.second = None
+        return found
+
+    def _renumber(self, track: Track) -> None:
+        """Give the contacts of a track the numbers of those at the same places."""
+        old = self.track.branches.mean[0, : 2 * len(self.track.known) : 2]
+        new = track.branches.mean[0, : 2 * len(track.known) : 2]
+        free = {one.number: place for one, place in zip(self.track.known, old, strict=True)}
+        track.numbers = self.track.numbers
+        for one, place in zip(track.known, new, strict=True):
+            near = min(free, key=lambda i: abs(free[i] - place), default=None)
+            if near is not None and abs(free[near] - place) < SAME:
+                one.number = near
+                del free[near]
+            else:
+                one.number, track.numbers = track.numbers, track.numbers + 1
+
+    def _told(self, found: Update, samples: Complex) -> Tracked:
+        """Return the contacts of the branches."""
+        model, best = self.model, found.branches
+        places = split(best.mean[:1, : best.parameters])[0]
+        measured = samples - self.track.untouched
+        explained = measured - found.rest[0]
+        weight = np.exp(best.level)
+        weight /= weight.sum()
+        variance = np.einsum("nii->ni", best.covariance)[:, : best.parameters]
+        variance = variance + self._lasting(found)
+
+        def told(parameter: int, error: float = 0.0) -> Estimate:
+            deviation = np.sqrt(variance[:, parameter] + error**2)
+            return mixture(weight, best.mean[:, parameter], deviation)
+
+        contacts, numbers = [], []
+        for i, (tool, one) in enumerate(zip(best.tools, self.track.known, strict=True)):
+            known = model.tables[tool].tool
+            depth = best.mean[:, 2 * i + 1]
+            slope = known.force_at(depth, 1) * np.sqrt(variance[:, 2 * i + 1])
+            force = mixture(
+                weight, known.force_at(depth), np.hypot(slope, known.force_error.max())
+            )  # fmt: skip
+            distance = told(2 * i, self._scale_error(places[0, i]))
+            contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))
+            numbers.append(one.number)
+        first = 2 * len(best.tools)
+        base = model.base
+        return Tracked(
+            contacts, numbers, self._misfit(found.rest[0], explained),
+            told(first), told(first + NUISANCES.index("gain")),
+            base.window * base.speed / 2, measured, explained,
+        )  # fmt: skip
+
+    def _lasting(self, found: Update) -> Array:
+        """Return the variance of the parameters by errors that do not change from cycle to cycle.
+
+        Noise averages out, but the errors of model and clutter, which the weights hold too, do not:
+        with Fisher's information I of a cycle they leave I^-1 (I - N) I^-1, in which N is the part
+        of the noise alone.
+        """
+        noise = self.model.base.noise(1)
+        p = found.branches.parameters
+        prior = np.zeros(p)
+        prior[p - len(NUISANCES) :] = 1 / self.model.priors.deviations**2
+        whole = np.linalg.inv(found.information + np.diag(prior + 1e-9))
+        back = found.slopes.conj() @ self.track.whiten.matrix
+        own = found.information - 2 * noise * (back @ back.conj().swapaxes(1, 2)).real
+        return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
+
+    def _scale_error(self, place: float) -> float:
+        """Return the standard deviation of a place by the error of the thermometer."""
+        base = self.model.base
+        if self.model.clutter.behind is None:
+            return 0.0
+        return place * base.speed_by_temperature / base.speed * self.model.priors.thermometer
+
+    def _misfit(self, rest: Complex, explained: Complex) -> float:
+        """Return the unexplained share of the echo, nan without contacts."""
+        if not self.track.known:
+            return float("nan")
+        beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - len(rest)
+        return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(self.quiet(explained)) ** 2)))

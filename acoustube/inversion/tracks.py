@@ -1,0 +1,376 @@
+"""One explanation of the cycles so far, updated by each cycle: contacts that appear and disappear.
+
+The distribution is a mixture of normal distributions, the branches, over one set of contacts
+(:mod:`acoustube.inversion.motion`). A contact appears where the matched filter of what is not
+explained finds one, in a cycle or in the mean of several, and the evidence rises; it disappears
+where the cycles are as likely without.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.cycle import Cycle, Known
+from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.fit import CLOSEST, Weights, split, weights
+from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.motion import (
+    Branches,
+    Motion,
+    Update,
+    predicted,
+    updated,
+)
+from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.search import Front, front_of
+from acoustube.waves.scattering import Complex
+
+BRANCHES, YOUNG_BRANCHES = 2, 5
+"""Most branches that are followed, and while a contact is young."""
+UNLIKELY = -12.0
+"""Logarithm of the odds to the best branch below which one is dropped."""
+FORGET = 0.95
+"""Factor of the logarithms of the branches' odds from cycle to cycle: errors of the model last."""
+BIRTH = 120.0
+"""Decrease of minus twice the logarithm of the likelihood from which a candidate is fitted: weaker
+echoes do not tell half wavelengths apart."""
+MEAN = 8
+"""Cycles in the mean of whose rests weak contacts are sought."""
+START = 3e-3, 0.5e-3
+"""Standard deviations in m of place and depth of a candidate."""
+NEAR, NEAR_CONTACTS = 3, 2
+"""Candidates of a contact that is sought again near its place; contacts of a cycle."""
+LANDING = 0.01
+"""Standard deviation of the velocity along the tube of a new contact, in m/s."""
+RARE = float(np.log(100.0))
+"""Logarithm of the prior odds against a contact more."""
+SURE, GONE = 12.0, -2.0
+"""Logarithms of the odds of a contact: the most, and those at which it is given up."""
+FAINT, FAINT_TESTS = 0.1e-3, 3
+"""Depth in m from the library's first at which a contact tells nothing, and tests until it goes."""
+NEW = 2, 4, 7
+"""Ages in cycles at which a contact is sought again."""
+YOUNG, OFTEN, SELDOM = 15, 2, 6
+"""Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
+LOUD = 3.0
+"""Level of whitened samples, smoothed, that is tested for a new contact at once."""
+BAD = 3.0
+"""Mean square of the whitened residual of a bad explanation; or a misfit, see there."""
+ADAPTED, RISE = 0.2, 1.5
+"""Share that a cycle has in the estimated error of the model, and the most that it may state of
+it: an echo that is not explained yet is no error."""
+ERROR, ERRORS = 0.03, (0.003, 0.4)
+"""Relative error of the model at first, and its range."""
+SPREAD = 5e-4
+"""Error of the model at all times relative to the highest echo."""
+SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
+"""Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
+second one at a time."""
+WIDER = 0.5e-3, 0.15e-3
+"""Standard deviations in m that are added to those of a shifted place and depth."""
+UNUSUAL, RESTARTED = -4.0, -3.0
+"""Logarithms of the prior odds of another maximum than the one followed, and of a contact that has
+jumped."""
+DISTINCT = 0.5e-3, 0.05e-3
+"""Differences of place and depth in m up to which two branches are one."""
+
+
+class Track:
+    """Explanation of cycles.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    proposals : list of Proposals
+        Of each tool.
+    motion : Motion
+    most : int
+        Largest number of contacts.
+    branches : Branches
+        Before the first cycle, without contacts.
+    quiet : Weights
+        Of a cycle without contacts.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        proposals: list[Proposals],
+        motion: Motion,
+        most: int,
+        branches: Branches,
+        quiet: Weights,
+    ) -> None:
+        self.model, self.proposals, self.motion, self.most = model, proposals, motion, most
+        self.branches, self.quiet = branches, quiet
+        self.known: list[Known] = []
+        self.echo: Complex | None = None
+        self.error, self.residual, self.score = ERROR, 1.0, 0.0
+        self.n_cycles, self.n_bad, self.numbers = 0, 0, 0
+        self.rests: deque[Complex] = deque(maxlen=MEAN)
+        self.whiten, self.untouched = quiet, np.zeros(0, complex)
+
+    def update(self, cycle: Cycle, step: float) -> Update:
+        """Return the distribution a time in s later, after a cycle more."""
+        error = self.error if self.known else 0.0
+        self.whiten = weights(self.model, cycle.noise, error, self.echo, SPREAD)
+        prior = predicted(self.branches, self.motion, self.model.priors, step)
+        found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
+        new = any(one.age in NEW for one in self.known)
+        if self.known and (new or self._bad(found, cycle)):
+            found = self._sought_near(prior, found, cycle)
+        self._judge(found, cycle)
+        found = self._without_gone(found, cycle)
+        self.rests.append(found.rest[0])
+        found = self._explored(prior, found, cycle)
+        self.branches = found.branches
+        self._keep_echo(found, cycle)
+        self.n_cycles += 1
+        for one in self.known:
+            one.age += 1
+        return found
+
+    def _updated(
+        self,
+        prior: Branches,
+        samples: Complex,
+        iterations: int = 3,
+        forget: float = 1.0,
+        whiten: Weights | None = None,
+    ) -> Update:
+        whiten = whiten or self.whiten
+        return updated(self.model, prior, samples, whiten, iterations=iterations, forget=forget)
+
+    def _judge(self, found: Update, cycle: Cycle) -> None:
+        """Adapt the model's error to the residual, and count cycles that are explained badly."""
+        self.n_bad = self.n_bad + 1 if self._bad(found, cycle) else 0
+        misfit = self.misfit(found, cycle)
+        if self.known:
+            squared = (1 - ADAPTED) * self.error**2 + ADAPTED * min(misfit, RISE * self.error) ** 2
+            self.error = float(np.clip(np.sqrt(squared), *ERRORS))
+        self.residual = self._mean_square(found)
+        likelihood = float(found.evidence[0]) - self.whiten.log_determinant
+        self.score = likelihood if not self.n_cycles else 0.7 * self.score + 0.3 * likelihood
+
+    def _mean_square(self, found: Update) -> float:
+        return float(np.mean(np.abs(self.whiten(found.rest[0])) ** 2))
+
+    def _bad(self, found: Update, cycle: Cycle) -> bool:
+        return self._mean_square(found) > BAD or self.misfit(found, cycle) > MISFIT
+
+    def misfit(self, found: Update, cycle: Cycle) -> float:
+        """Return the unexplained share of the echo, beyond noise and what is not known of clutter.
+
+        The echo is that of the contacts in the cycle before, or, in their first one, unlimited.
+        """
+        if self.echo is None:
+            return 0.0
+        rest = self.quiet(np.stack([found.rest[0], self.echo]))
+        power = np.sum(np.abs(rest) ** 2, axis=1)
+        return float(np.sqrt(max(power[0] - len(cycle.samples), 0.0) / power[1]))
+
+    def _keep_echo(self, found: Update, cycle: Cycle) -> None:
+        """Keep the echo of the contacts, for the weights of the next cycle."""
+        own = self.branches.mean[:1, 2 * len(self.known) : self.branches.parameters]
+        self.untouched = self.model.without_presses(own)[0]
+        explained = cycle.samples - found.rest[0]
+        self.echo = explained - self.untouched if self.known else None
+
+    def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
+        """Return the branches after a look for new contacts or for other maxima."""
+        turn, room = cycle.number, len(self.known) < self.most
+        young = any(one.age < YOUNG for one in self.known)
+        if room and self._loud(found) and (not self.known or turn % 2 == 0):
+            return self._born(found, cycle, False)
+        if room and turn % SELDOM == 3:
+            return self._born(found, cycle, True)
+        same = found.branches.tools == prior.tools
+        if self.known and same and turn % (OFTEN if young or self.n_bad else SELDOM) == 1:
+            return self._shifted(prior, found, cycle)
+        return found
+
+    def _loud(self, found: Update) -> bool:
+        power = np.abs(self.whiten(found.rest[0])) ** 2
+        return bool(np.sqrt(np.convolve(power, np.ones(4) / 4, "same").max()) > LOUD)
+
+    def _candidates(self, branches: Branches, rest: Complex, whiten: Weights) -> Iterator[Branches]:
+        """Yield branches with one contact more, for each tool and each order along the tube."""
+        places, depths, own = split(branches.mean[:1, : branches.parameters])
+        fronts: list[Front] = []
+        if branches.tools:
+            fronts = front_of(self.model, branches.tools, places[0], depths[0], own[0])
+        deviations = self._new_deviations()
+        for tool, proposals in enumerate(self.proposals):
+            found = proposals.search(rest, whiten, fronts, least=BIRTH, temperature=own[0, 0])
+            apart = np.abs(found.place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
+            apart &= found.gain > BIRTH
+            ranks = np.searchsorted(places[0], found.place)
+            for rank in np.unique(ranks[apart]):
+                here = apart & (ranks == rank)
+                yield branches.added(rank, tool, found.place[here], found.depth[here], deviations)
+
+    def _born(self, found: Update, cycle: Cycle, mean: bool) -> Update:
+        """Return the branches with one contact more, if the evidence for it suffices.
+
+        Parameters
+        ----------
+        found : Update
+        cycle : Cycle
+        mean : bool
+            Whether it is sought in the mean of what the last cycles leave.
+        """
+        branches, whiten = found.branches.take(np.arange(1)), self.whiten
+        rest, explained = found.rest[0], cycle.samples - found.rest[0]
+        if mean:
+            error = self.error if self.known else 0.0
+            rest = np.mean(self.rests, axis=0)
+            whiten = weights(self.model, cycle.noise / len(self.rests), error, self.echo, SPREAD)
+        samples = explained + rest
+        tried = [
+            self._updated(one, samples, 5, whiten=whiten)
+            for one in self._candidates(branches, rest, whiten)
+        ]
+        if not tried:
+            return found
+        best = max(tried, key=lambda one: float(one.evidence[0]))
+        rank = _rank(branches, best.branches)
+        best = self._with_shifts(branches, best, rank, samples, whiten)
+        plain = float(np.sum(np.abs(whiten(rest)) ** 2))
+        odds = float(best.evidence[0]) + plain - RARE - self._uniform(best.branches.tools[rank])
+        if odds < 0:
+            return found
+        self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
+        self.numbers += 1
+        self.rests.clear()
+        self.error = ERROR
+        best = self._pruned(best)
+        return replace(best, rest=best.rest + (cycle.samples - samples))
+
+    def _with_shifts(
+        self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
+    ) -> Update:
+        """Return fits of a new contact and of the same half wavelengths away, the best first."""
+        place = best.branches.mean[0, 2 * rank] + self._half() * np.array([-2, -1, 1, 2])
+        depth = np.full(4, best.branches.mean[0, 2 * rank + 1])
+        deviations = self._new_deviations()
+        start = fewer.added(rank, best.branches.tools[rank], place, depth, deviations)
+        tried = self._updated(start, samples, 3, whiten=whiten)
+        level = tried.branches.level + tried.evidence[0] - best.evidence[0]
+        return best.joined(replace(tried, branches=replace(tried.branches, level=level)))
+
+    def _new_deviations(self) -> Array:
+        """Return the standard deviations of place and depth of a candidate, and of velocities."""
+        return np.array([*START, LANDING, self.motion.sink])
+
+    def _half(self) -> float:
+        """Return half a wavelength in m."""
+        base = self.model.base
+        return base.air.sound_speed / (2 * float(np.mean(base.frequency)))
+
+    def _uniform(self, tool: int) -> float:
+        """Return the logarithm of the volume of a contact's prior over that of :data:`START`."""
+        base = self.model.base
+        low, high = self.model.tables[tool].range
+        volume = (base.length - base.nearest) * (high - low)
+        return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
+
+    def _sought_near(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
+        """Return the branches and those with a contact at any depth, near its place."""
+        # The youngest, of equals in turn.
+        order = sorted(
+            range(len(prior.tools)),
+            key=lambda i: (min(self.known[i].age, YOUNG), (i + cycle.number) % len(prior.tools)),
+        )
+        for i in order[:NEAR_CONTACTS]:
+            tool = prior.tools[i]
+            best = found.branches.take(np.arange(1))
+            fewer = best.without(i)
+            places, depths, own = split(fewer.mean[:, : fewer.parameters])
+            value, _ = self.model.baseband(fewer.tools, places, depths, own)
+            fronts: list[Front] = []
+            if fewer.tools:
+                fronts = front_of(self.model, fewer.tools, places[0], depths[0], own[0])
+            candidates = self.proposals[tool].search(
+                cycle.samples - value[0], self.whiten, fronts, number=1, fine=NEAR,
+                near=best.mean[0, 2 * i], temperature=own[0, 0],
+            )  # fmt: skip
+            n = len(candidates.gain)
+            if n:
+                start = (
+                    prior.take(np.zeros(1, int))
+                    .without(i)
+                    .added(i, tool, candidates.place, candidates.depth, self._new_deviations())
+                )
+                found = self._with_others(found, start, cycle, RESTARTED)
+        return found
+
+    def _shifted(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
+        """Return the branches and those half a wavelength or some depth from the best."""
+        turn, best = cycle.number // OFTEN, found.branches
+        young = [i for i, one in enumerate(self.known) if one.age < YOUNG]
+        among = young or range(len(self.known))
+        i = among[turn % len(among)]
+        moves = np.array(SHIFTS[turn // len(among) % 2 :: 2])
+        n = len(moves)
+        mean = np.repeat(best.mean[:1], n, axis=0)
+        mean[:, 2 * i : 2 * i + 2] += moves * [self._half(), 1.0]
+        covariance = np.repeat(prior.covariance[:1], n, axis=0)
+        for k, deviation in enumerate(WIDER):
+            covariance[:, 2 * i + k, 2 * i + k] += deviation**2
+        start = Branches(best.tools, mean, covariance, np.zeros(n))
+        return self._with_others(found, start, cycle, UNUSUAL if young else UNLIKELY)
+
+    def _with_others(
+        self, found: Update, start: Branches, cycle: Cycle, prior_odds: float
+    ) -> Update:
+        """Return the branches and fits of others to this cycle."""
+        tried = self._updated(start, cycle.samples, 4)
+        level = tried.evidence - found.evidence[0] + prior_odds
+        others = replace(tried, branches=replace(tried.branches, level=level))
+        return self._pruned(found.joined(others))
+
+    def _pruned(self, found: Update) -> Update:
+        """Return the likely branches that differ, the best first."""
+        branches, m = found.branches, 2 * len(found.branches.tools)
+        at = branches.mean[:, :m] / np.tile(DISTINCT, m // 2)
+        kept: list[int] = []
+        for i in range(len(at)):
+            same = any(np.all(np.abs(at[i] - at[j]) < 1) for j in kept)
+            if not kept or (branches.level[i] > branches.level[0] + UNLIKELY and not same):
+                kept.append(i)
+        young = any(one.age < YOUNG for one in self.known)
+        return found.take(np.array(kept[: YOUNG_BRANCHES if young else BRANCHES]))
+
+    def _without_gone(self, found: Update, cycle: Cycle) -> Update:
+        """Return the branches after a test of one contact: whether the cycle is likely without."""
+        if not self.known:
+            return found
+        i = cycle.number % len(self.known)
+        fewer = found.branches.take(np.arange(1)).without(i)
+        value, _ = self.model.baseband(fewer.tools, *split(fewer.mean[:, : fewer.parameters]))
+        rest = self.whiten(np.stack([cycle.samples - value[0], found.rest[0]]))
+        costs = np.sum(np.abs(rest) ** 2, axis=1)
+        one = self.known[i]
+        there = self.motion.survival * one.probability
+        odds = np.log(there / (1 - there)) + costs[0] - costs[1] - 1.0
+        one.odds = float(min(odds, SURE))
+        least = self.model.tables[found.branches.tools[i]].range[0]
+        faint = found.branches.mean[0, 2 * i + 1] < least + FAINT
+        one.faint = one.faint + 1 if faint else 0
+        if one.odds > GONE and one.faint < FAINT_TESTS:
+            return found
+        del self.known[i]
+        self.rests.clear()
+        return self._updated(found.branches.without(i), cycle.samples, 1)
+
+
+def _rank(fewer: Branches, more: Branches) -> int:
+    """Return the number of the contact that is new."""
+    old = fewer.mean[0, : 2 * len(fewer.tools) : 2]
+    new = more.mean[0, : 2 * len(more.tools) : 2]
+    return int(np.argmin([np.abs(np.delete(new, i) - old).sum() for i in range(len(new))]))

@@ -1,0 +1,147 @@
+"""Contacts followed from cycle to cycle: the update, and fingers that come, move and go."""
+
+import numpy as np
+import pytest
+from test_inversion import MODES, RADIUS, press, tool
+
+from acoustube.inversion import (
+    Baseband,
+    ContactTracker,
+    ForwardModel,
+    Library,
+    Motion,
+    measured_clutter,
+)
+from acoustube.inversion.fit import joined, maximise, weights
+from acoustube.inversion.motion import Branches, at_rest, predicted, updated
+from acoustube.ranging import Rangefinder, digitise, record, response
+
+LENGTH, TUBE = 2.0, 7
+
+
+@pytest.fixture(scope="module")
+def model():
+    base = Baseband(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
+    free = record([], n_cycles=100, tube_seed=TUBE, seed=11, length=LENGTH)["signal"].values
+    return ForwardModel(Library((tool(),)), base, measured_clutter(base, free))
+
+
+def counts(presses, number=0):
+    """Return one cycle with presses (place, depth) of the exact scattering."""
+    placed = [press(depth, place) for place, depth in presses]
+    _, voltage = response(placed, Rangefinder(), length=LENGTH, tube_seed=TUBE)
+    return digitise(voltage, Rangefinder(), np.array([number]), 3)[0]
+
+
+def finger(number, first, last, place, slide, depth):
+    """Return place and depth in a cycle of a finger that lands, slides and lifts, or nothing."""
+    u = (number - first) / (last - first)
+    if not 0 < u < 1:
+        return []
+    rise = np.clip(min(number - first, last - number) / 10, 0, 1)
+    return [(place + slide * u, depth * np.sin(np.pi / 2 * rise) ** 2)]
+
+
+def followed(model, hands, n):
+    tracker = ContactTracker(model)
+    return [tracker.update(counts(hands(i), i)) for i in range(n)]
+
+
+def test_fingers_are_followed_while_they_land_slide_and_lift(model):
+    """Two that overlap in time; places within 0.3 mm.
+
+    The echo of these matrices is as the cube of the depth, so that a gain known to 5 % leaves the
+    depth to 1.7 %; three times that.
+    """
+
+    def hands(i):
+        near = finger(i, 2, 44, 0.55, 0.02, 4.5e-3)
+        return near + finger(i, 18, 80, 0.97, -0.01, 5.5e-3)
+
+    found = followed(model, hands, 54)
+    ages: dict[int, int] = {}
+    for i, one in enumerate(found):
+        truth = [pair for pair in hands(i) if pair[1] > 2e-3]
+        settled = (12 < i < 20) or (30 < i < 38) or i > 49
+        if settled:
+            assert len(one.contacts) == len(truth), i
+            assert one.fits
+            for contact, (place, depth) in zip(one.contacts, truth, strict=True):
+                assert contact.distance.value == pytest.approx(place, abs=3e-4)
+                assert contact.depth.value == pytest.approx(depth, rel=0.05)
+        for number in one.numbers:
+            ages[number] = ages.get(number, 0) + 1
+    # The two fingers kept their numbers; nothing else lasted.
+    assert min(sorted(ages.values())[-2:]) >= 29
+    assert sum(sorted(ages.values())[:-2]) < 10
+    assert found[-1].numbers == found[37].numbers[1:]
+    assert found[16].contacts[0].force.value == pytest.approx(2e6 * 4.5e-3**2, rel=0.1)
+
+
+def test_untouched_tube_stays_without_contact(model):
+    assert not any(one.contacts for one in followed(model, lambda _: [], 12))
+
+
+def test_contact_that_is_there_from_the_start_is_found_in_some_cycles(model):
+    found = followed(model, lambda _: [(0.812, 4.03e-3)], 6)
+    assert found[1].contacts[0].distance.value == pytest.approx(0.812, abs=6e-3)
+    assert found[-1].contacts[0].distance.value == pytest.approx(0.812, abs=3e-4)
+    low, high = found[-1].contacts[0].depth.intervals[0.9]
+    assert low < 4.03e-3 < high
+
+
+def test_update_from_a_wide_prior_is_the_maximum_likelihood(model):
+    """The same maximum and information as Levenberg and Marquardt's, with nuisances fixed."""
+    samples, noise = model.base.of_cycles(counts([(0.7, 4e-3)])[None])
+    whiten = weights(model, noise, 0.01, None)
+    start = joined(np.array([[0.7004]]), np.array([[4.05e-3]]), np.zeros((1, 6)))
+    known = maximise(model, (0,), start, samples, whiten, 20)
+    deviations = np.concatenate([[1.0, 1.0], model.priors.deviations, [1.0, 1.0]])
+    prior = Branches(
+        (0,), np.append(start, [[0.0, 0.0]], 1), np.diag(deviations**2)[None], np.zeros(1)
+    )
+    found = updated(model, prior, samples, whiten, iterations=20)
+    scale = 1 / np.sqrt(np.diag(known.information[0]))
+    off = (found.branches.mean[0, :8] - known.parameters[0]) / scale
+    # Both stop when the cost falls by less than 0.1.
+    assert np.abs(off[:2]).max() < 0.3
+    covariance = np.linalg.inv(known.information[0])
+    assert found.branches.covariance[0, :2, :2] == pytest.approx(covariance[:2, :2], rel=0.05)
+
+
+def test_prediction_keeps_the_stationary_distribution(model):
+    """Velocities and nuisances; a place moves by the velocity's integral."""
+    motion, priors = Motion(), model.priors
+    deviations = np.array([1e-4, 1e-4, motion.slide, motion.sink])
+    start = at_rest(priors).added(0, 0, np.array([0.5]), np.array([3e-3]), deviations)
+    start.mean[0, -2] = 0.02
+    once = predicted(start, motion, priors, 0.05)
+    twice = predicted(predicted(start, motion, priors, 0.025), motion, priors, 0.025)
+    decay = np.exp(-0.05 / motion.memory)
+    moved = 0.02 * motion.memory * (1 - decay)
+    assert once.mean[0, 0] == pytest.approx(0.5 + moved, abs=1e-9)
+    for found in (once, twice):
+        variance = np.diag(found.covariance[0])
+        assert np.sqrt(variance[-2:]) == pytest.approx(deviations[2:], rel=1e-9)
+        assert np.sqrt(variance[2:8]) == pytest.approx(priors.deviations, rel=1e-9)
+        assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
+    # Two halves make the whole, up to the velocity's change within a step.
+    assert once.covariance[0, 0, 0] == pytest.approx(twice.covariance[0, 0, 0], rel=0.02)
+
+
+def test_contact_that_is_added_and_taken_away_leaves_the_others():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(1, 14, 14))
+    start = Branches((0, 1), rng.normal(size=(1, 14)), root @ root.swapaxes(1, 2), np.zeros(1))
+    more = start.added(1, 2, np.array([0.4, 0.5]), np.array([1e-3, 2e-3]), np.ones(4))
+    assert more.tools == (0, 2, 1)
+    assert more.mean[:, 2:4] == pytest.approx(np.array([[0.4, 1e-3], [0.5, 2e-3]]))
+    fewer = more.without(1)
+    assert fewer.tools == (0, 1)
+    assert np.array_equal(fewer.mean[1], start.mean[0])
+    assert np.array_equal(fewer.covariance[1], start.covariance[0])
+
+
+def test_cycle_of_another_length_is_refused(model):
+    with pytest.raises(ValueError, match="a cycle has 100 samples and the model's 4000"):
+        ContactTracker(model).update(np.zeros(100))
