@@ -22,8 +22,8 @@ from acoustube.runs.sweep.cycles import seed_of
 from acoustube.signals import Processing
 from acoustube.sleeve import Helix, design, shortened, windings
 from acoustube.tube import Tube
-from acoustube.waves import PlacedScatterer, Scattering
 from acoustube.waves.network import at_sound_speed
+from acoustube.waves.scattering import ModalScattering, PlacedScatterer
 
 SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
 """Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
@@ -79,7 +79,7 @@ def processing_of(tube: int) -> Processing:
     return calibrated(TUBE_SEEDS[tube])[0].processing
 
 
-def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, Scattering]]:
+def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, ModalScattering]]:
     """Return the presses of a sweep, each once, by their depth in m, in air of the studies."""
     speed = air_at(TEMPERATURE).sound_speed
     return {
@@ -92,7 +92,7 @@ def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, Scattering]]:
 
 
 def bent_around(
-    helix: Helix, place: float, like: Scattering, *, flattened: bool = False
+    helix: Helix, place: float, like: ModalScattering, *, flattened: bool = False
 ) -> list[PlacedScatterer]:
     """Return the bends of a wrapped tube that is pressed at a place in m.
 
@@ -100,7 +100,7 @@ def bent_around(
     ----------
     helix : Helix
     place : float
-    like : Scattering
+    like : ModalScattering
         Of a press, for its band and modes.
     flattened : bool
         Whether the bends flatten the tube as much as a free one.
@@ -112,7 +112,7 @@ def bent_around(
 
 
 def cycles_of(
-    matrix: Scattering,
+    matrix: ModalScattering,
     place: float,
     bends: Sequence[PlacedScatterer],
     *,
@@ -125,7 +125,7 @@ def cycles_of(
 
     Parameters
     ----------
-    matrix : Scattering
+    matrix : ModalScattering
     place : float
         In m.
     bends : sequence of PlacedScatterer

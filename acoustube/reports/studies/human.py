@@ -35,7 +35,7 @@ from acoustube.runs import presses as press_runs
 from acoustube.runs.by_force import ByForce, by_force
 from acoustube.runs.config import Config, configured
 from acoustube.sleeve import layout
-from acoustube.waves import Scattering
+from acoustube.waves.scattering import ModalScattering
 
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
 """Ranges of force in N."""
@@ -143,7 +143,7 @@ def forces_of(level: tuple[float, float]) -> Array:
 
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter
-) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, Scattering]]]:
+) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, ModalScattering]]]:
     """Return the estimates for presses by hand, and the presses by their force.
 
     Returns

@@ -15,7 +15,7 @@ from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
-from acoustube.waves import Scattering
+from acoustube.waves.scattering import ModalScattering
 
 
 def swept(
@@ -46,7 +46,11 @@ def swept(
     SimulationError
         If a case fails.
     """
-    given = {"resolution": [str(level.resolution)], "mesh": [level.mesh]}
+    given = {
+        "method": ["spectral"], "mesh": [level.mesh],
+        # Of the march, which computes the lumens that the spectral solver cannot take.
+        "resolution": [str(level.resolution)],
+    }  # fmt: skip
     plan = load_plan(None, {**given, **over})
     if not run_sweep(plan, folder, report=report, workers=scale.workers):
         raise SimulationError(
@@ -55,11 +59,9 @@ def swept(
     return open_dataset(folder).load()
 
 
-def matrices(folder: Path) -> Iterator[tuple[xr.Dataset, Scattering]]:
+def matrices(folder: Path) -> Iterator[tuple[xr.Dataset, ModalScattering]]:
     """Yield the scattering of each press of a sweep, with the cases that have it."""
     for path in files_of(folder):
         cases, matrix = store.read(path)
-        found = None if matrix is None else from_dataset(matrix)
-        # The studies' own plans take the time-domain method.
-        if isinstance(found, Scattering):
-            yield cases, found
+        if matrix is not None:
+            yield cases, from_dataset(matrix)

@@ -16,8 +16,8 @@ from acoustube.reports.studies.presses import matrices
 from acoustube.runs.config import Config
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.sweep import select
-from acoustube.waves import Scattering
 from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.scattering import ModalScattering
 
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
 """Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
@@ -78,7 +78,7 @@ def carried_power(folder: Path) -> dict[tuple[str, float], dict[str, Array]]:
     return found
 
 
-def _fractions(matrix: Scattering) -> dict[str, Array]:
+def _fractions(matrix: ModalScattering) -> dict[str, Array]:
     """Return the fractions of power in each mode, (reflected, transmitted)."""
     weight = np.abs(_spectrum(matrix.frequency)) ** 2
     plane = matrix.modes.index("00")

@@ -19,7 +19,7 @@ from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.reports.studies.report import Row
 from acoustube.sleeve import ContactTracker, TrackingSettings
-from acoustube.waves import PlacedScatterer, Scattering
+from acoustube.waves.scattering import ModalScattering, PlacedScatterer
 
 RATE = Rangefinder().cycle_rate
 SPEED = 0.05
@@ -66,7 +66,9 @@ class Track(NamedTuple):
     seconds: Array
 
 
-def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> tuple[Track, Track]:
+def swiped(
+    presses: Mapping[float, tuple[Any, ModalScattering]], *, quick: bool
+) -> tuple[Track, Track]:
     """Record and track a swipe, and two simultaneous presses.
 
     Parameters
@@ -90,7 +92,7 @@ def swiped(presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool) -> t
 
 
 def resolved_pairs(
-    presses: Mapping[float, tuple[Any, Scattering]], *, quick: bool
+    presses: Mapping[float, tuple[Any, ModalScattering]], *, quick: bool
 ) -> NDArray[np.bool_]:
     """Return the mask of the pairs that are resolved as two presses, each near its place.
 
@@ -115,12 +117,14 @@ def resolved_pairs(
     return resolved
 
 
-def _of_force(presses: Mapping[float, tuple[Any, Scattering]], force: float) -> Scattering:
+def _of_force(
+    presses: Mapping[float, tuple[Any, ModalScattering]], force: float
+) -> ModalScattering:
     """Return the scattering of the press whose force is nearest to one in N."""
     return min(presses.values(), key=lambda press: abs(float(press[0]["force"]) - force))[1]
 
 
-def _followed(matrices: Sequence[Scattering], true: Array, times: Array) -> Track:
+def _followed(matrices: Sequence[ModalScattering], true: Array, times: Array) -> Track:
     """Record presses at places (cycle, contact), find their echoes and track the contacts."""
     candidates, contacts, seconds = [], [], []
     tracker = ContactTracker(TRACKING)
