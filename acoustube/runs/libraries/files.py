@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,9 @@ from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.inversion import Library, Tool
-from acoustube.runs.libraries.plan import ToolPlan
+
+if TYPE_CHECKING:
+    from acoustube.runs.libraries.plan import ToolPlan
 
 PATTERN = "tool-*.nc"
 ADVICE = "make one with acoustube library"

@@ -1,0 +1,143 @@
+"""Arrays of a sensor, from its library, its rangefinder and its tube."""
+
+from __future__ import annotations
+
+from math import log, pi
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ
+from acoustube.inversion import Library
+from acoustube.ranging import Rangefinder
+from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, drive_spectrum
+from acoustube.sensor.cycles import Parts, Shape
+from acoustube.sensor.network import Constants, Pair
+from acoustube.sensor.tables import PressTables, press_tables
+from acoustube.waves.modes import axial_wavenumber
+from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.scattering import Complex
+
+WRAPAROUND_ATTENUATION = 300.0
+"""Attenuation of echoes later than a cycle, which are cyclic; more costs digits of float32."""
+LEFT_OUT, MOST_LEFT_OUT = 5e-5, 3e-4
+"""Fraction of the received energy outside the band, and the largest, if the library ends it."""
+
+TAPER = 0.1
+"""Part of the band over which each end is tapered."""
+
+
+def assembled(
+    library: Library,
+    rangefinder: Rangefinder,
+    length: float,
+    temperature: float,
+    tube_seed: int,
+    tolerance: float,
+) -> tuple[PressTables, Shape, Parts]:
+    """Return the tables of a sensor and what its compiled functions need.
+
+    Parameters
+    ----------
+    library : Library
+    rangefinder : Rangefinder
+    length, temperature, tube_seed, tolerance
+        As of :class:`acoustube.sensor.TubeSensor`.
+
+    Raises
+    ------
+    ConfigError
+        If the library's band does not hold the received spectrum, or its tools do not go together.
+    """
+    r, air = rangefinder, air_at(temperature)
+    stretch = air.sound_speed / library.sound_speed
+    period = next_fast_len(r.n_samples, real=True)
+    step = r.sampling_rate / period
+    damping = log(WRAPAROUND_ATTENUATION) * step
+    grid = np.arange(1, period // 2 + 1) * step
+    damped = grid - 0.5j * damping / pi
+    received = drive_spectrum(r.drive, damped, r.sampling_rate, period, damping)
+    received = received * r.resonator(damped) ** 2 * anti_alias(grid, r.sampling_rate)
+    received *= np.exp(-2j * pi * damped * r.lead)
+    inside = _band(grid, received, (library.band[0] * stretch, library.band[1] * stretch))
+    damped = damped[inside]
+    tables = press_tables(library, damped, stretch, tolerance)
+    names = library.modes[: tables.modes]
+    waves = np.stack(
+        [axial_wavenumber(*mode_numbers(name), damped, library.radius, air) for name in names]
+    )
+    clutter = _clutter_beyond(waves[0], r.clutter, length, tube_seed)
+    scale = r.gain * received[inside] * r.sampling_rate * _taper(int(inside.sum()))
+    growth = np.exp(damping * np.arange(r.n_samples) / r.sampling_rate)
+    constants = Constants(*map(_float32, (
+        tables.values, waves.imag, -waves.real / (2 * pi), np.stack([clutter.real, clutter.imag], axis=1)
+    )))  # fmt: skip
+    end = r.far_reflection * np.exp(-2j * waves[0] * length)
+    untouched = end / (1 - r.face_reflection * end) + clutter[0]
+    parts = Parts(
+        constants, _float32(tables.depths), _float32(tables.diameters),
+        jnp.asarray(tables.first, jnp.int32), _pair(untouched), _pair(scale), _float32(growth),
+    )  # fmt: skip
+    shape = Shape(
+        tuple(int(n) for n in tables.number.ravel()), tables.modes, period, r.n_samples,
+        int(np.flatnonzero(inside)[0]) + 1, length, complex(r.face_reflection), r.far_reflection,
+    )  # fmt: skip
+    return tables, shape, parts
+
+
+def _pair(array: Complex) -> Pair:
+    return Pair(_float32(array.real), _float32(array.imag))
+
+
+def _float32(array: Array | NDArray[np.float32]) -> jax.Array:
+    return jnp.asarray(array, jnp.float32)
+
+
+def _band(
+    frequency: Array, received: Complex, available: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Return the mask of the frequencies that hold nearly all received energy, in one piece."""
+    share = np.cumsum(np.abs(received) ** 2)
+    share /= share[-1]
+    wanted = (share > LEFT_OUT / 2) & (share < 1 - LEFT_OUT / 2)
+    inside = wanted & (frequency >= available[0]) & (frequency <= available[1])
+    energy = np.abs(received) ** 2
+    left_out = float(energy[~inside].sum() / energy.sum())
+    if left_out > MOST_LEFT_OUT:
+        low, high = frequency[wanted][[0, -1]]
+        raise ConfigError(
+            f"the library covers {KHZ * available[0]:.4g} to {KHZ * available[1]:.4g} kHz at this "
+            f"temperature, and the rangefinder receives {KHZ * low:.4g} to {KHZ * high:.4g} kHz; "
+            "make one with acoustube library --frequency"
+        )
+    return inside
+
+
+def _taper(n: int) -> Array:
+    """Return a taper of n frequencies with ends like squared sines, against ringing at the edges."""
+    rise = np.sin(0.5 * pi * (np.arange(n) + 0.5) / (TAPER * n)) ** 2
+    rise[round(TAPER * n) :] = 1.0
+    return rise * rise[::-1]
+
+
+def _clutter_beyond(wave: Complex, density: float, length: float, seed: int) -> Complex:
+    """Return the echo of the clutter beyond each reflector, (n_reflectors + 1, n_f).
+
+    That of :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
+    """
+    if density == 0:
+        return np.zeros((1, len(wave)), complex)
+    n = int(length / REFLECTOR_SPACING)
+    deviation = np.sqrt(density * REFLECTOR_SPACING)
+    reflectors = np.random.default_rng(seed).normal(0.0, deviation, n)
+    place = (np.arange(n) + 0.5) * REFLECTOR_SPACING
+    each = reflectors[:, None] * np.exp(-2j * place[:, None] * wave)
+    found = np.zeros((n + 1, len(wave)), complex)
+    found[:-1] = np.cumsum(each[::-1], axis=0)[::-1]
+    return found

@@ -1,0 +1,196 @@
+"""Contacts as a simulation states them: checked, and with depths for forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
+from acoustube.sensor.tables import PressTables
+
+HALF_PRESS = 0.015
+"""Half the length in m of the tube that a contact deforms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """One contact with the tube.
+
+    Attributes
+    ----------
+    place : float
+        Distance from the source end in m.
+    depth : float or None
+        Indentation depth from first contact in m.
+    force : float or None
+        In N, in place of the depth.
+    diameter : float or None
+        Of the tool in m; None for the only tool of a library.
+
+    Raises
+    ------
+    ConfigError
+        If not exactly one of depth and force is given, or a value is not a number.
+    """
+
+    place: float
+    depth: float | None = None
+    force: float | None = None
+    diameter: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        Number(0, 1e3, "m").check("place", self.place)
+        for name, most, unit in (("depth", 1.0, "m"), ("force", 1e6, "N"), ("diameter", 1.0, "m")):
+            if (value := getattr(self, name)) is not None:
+                Number(0, most, unit).check(name, value)
+        if (self.depth is None) == (self.force is None):
+            raise ConfigError(
+                f"a contact at {self.place:g} m has depth {self.depth} and force {self.force}; "
+                "give one of them"
+            )
+
+
+def contact_arrays(
+    tables: PressTables, contacts: Sequence[Contact], most: int
+) -> tuple[Array, Array, Array]:
+    """Return places, depths and diameters of contacts in m, each (1, most), depth 0 where none is.
+
+    Raises
+    ------
+    ConfigError
+        If there are too many, or a force or a diameter is outside the library's.
+    """
+    if len(contacts) > most:
+        raise ConfigError(
+            f"{len(contacts)} contacts are more than most_contacts = {most}; make a sensor for more"
+        )
+    place, depth = np.zeros((2, 1, most))
+    diameter = np.full((1, most), tables.diameters[0])
+    for i, one in enumerate(contacts):
+        place[0, i], diameter[0, i] = one.place, diameter_of(tables, one.diameter)
+        depth[0, i] = (
+            one.depth if one.depth is not None else depth_at(tables, one.force or 0, one.diameter)
+        )
+    return place, depth, diameter
+
+
+def diameter_of(tables: PressTables, diameter: float | None) -> float:
+    """Return a diameter in m, or that of the only tool.
+
+    Raises
+    ------
+    ConfigError
+        If it is outside the library's, or None and there are several tools.
+    """
+    known = tables.diameters
+    words = " and ".join(f"{MM * one:g}" for one in known)
+    if diameter is None:
+        if len(known) > 1:
+            raise ConfigError(f"the library has tools of {words} mm; state the contact's diameter")
+        return float(known[0])
+    if not known[0] * (1 - 1e-6) <= diameter <= known[-1] * (1 + 1e-6):
+        raise ConfigError(
+            f"a tool of {MM * diameter:g} mm is not in the library, which has {words} mm; make "
+            "one with acoustube library --indenter"
+        )
+    return float(diameter)
+
+
+def force_at(tables: PressTables, depth: float, diameter: float | None) -> float:
+    """Return the force in N of a tool at a depth in m.
+
+    Raises
+    ------
+    ConfigError
+        If the depth or the diameter is outside the library's.
+    """
+    known, forces = _path(tables, diameter)
+    Number(0, float(known[-1]), "m").check("depth", depth)
+    return float(np.interp(depth, known, forces))
+
+
+def depth_at(tables: PressTables, force: float, diameter: float | None) -> float:
+    """Return the depth in m at which a tool exerts a force in N.
+
+    Raises
+    ------
+    ConfigError
+        If the force or the diameter is outside the library's.
+    """
+    known, forces = _path(tables, diameter)
+    Number(0, float(forces[-1]), "N").check("force", force)
+    return float(np.interp(force, forces, known))
+
+
+def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
+    """Return depths of a tool, or of one between two, and its forces."""
+    size = diameter_of(tables, diameter)
+    low, high, share = _neighbours(tables, np.array(size))
+    paths = []
+    for tool in (int(low), int(high)):
+        n = int(np.isfinite(tables.depths[tool]).sum())
+        paths.append((tables.depths[tool, :n], tables.forces[tool, :n]))
+    depth = paths[0][0]
+    depth = depth[depth <= paths[1][0][-1]]
+    forces = [np.interp(depth, *path) for path in paths]
+    return depth, (1 - share) * forces[0] + share * forces[1]
+
+
+def _neighbours(tables: PressTables, diameter: Array) -> tuple[Array, Array, Array]:
+    """Return the numbers of the tools below and above diameters, and the share of the latter."""
+    known = tables.diameters
+    low = np.clip(np.searchsorted(known, diameter, side="right") - 1, 0, max(len(known) - 2, 0))
+    high = np.minimum(low + 1, len(known) - 1)
+    width = np.where(high > low, known[high] - known[low], 1.0)
+    return low, high, np.clip((diameter - known[low]) / width, 0, 1)
+
+
+def check_contacts(
+    tables: PressTables, place: Array, depth: Array, diameter: Array, length: float
+) -> None:
+    """Raise if a contact is beyond the tube or the library, or meets another.
+
+    Parameters
+    ----------
+    tables : PressTables
+    place, depth, diameter : ndarray
+        In m, (n, n_contacts); those of depth 0 do not count.
+    length : float
+        Of the tube in m.
+
+    Raises
+    ------
+    ConfigError
+    """
+    there = depth > 0
+    low, high, _ = _neighbours(tables, diameter)
+    most = np.minimum(tables.deepest[low], tables.deepest[high])
+    known = tables.diameters[[0, -1]] * (1 - 1e-6, 1 + 1e-6)
+    for wrong, words in (
+        (there & ((diameter < known[0]) | (diameter > known[1])), "diameter"),
+        (there & (depth > most * (1 + 1e-6)), "depth"),
+        (there & ((place < HALF_PRESS) | (place > length - HALF_PRESS)), "place"),
+    ):  # fmt: skip
+        if np.any(wrong):
+            i = tuple(np.argwhere(wrong)[0])
+            if words == "diameter":
+                diameter_of(tables, float(diameter[i]))
+            if words == "depth":
+                Number(0, float(most[i]), "m", "of the library").check("depth", depth[i])
+            Number(HALF_PRESS, length - HALF_PRESS, "m", "on the tube").check("place", place[i])
+    ordered = np.sort(np.where(there, place, np.inf), axis=1)
+    near = np.diff(np.where(np.isfinite(ordered), ordered, 1e9 * np.arange(1, 1 + ordered.shape[1])),
+                   axis=1) < 2 * HALF_PRESS  # fmt: skip
+    if np.any(near):
+        row, i = np.argwhere(near)[0]
+        a, b = CM * ordered[row, i : i + 2]
+        raise ConfigError(
+            f"contacts at {a:.4g} and {b:.4g} cm meet; place them {2 * CM * HALF_PRESS:g} cm apart "
+            "or farther"
+        )

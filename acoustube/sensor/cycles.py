@@ -1,0 +1,180 @@
+"""Change that contacts make to the voltage of a cycle, in JAX, for one cycle and for many."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from acoustube.ranging import Rangefinder
+from acoustube.ranging.analogue import REFLECTOR_SPACING
+from acoustube.sensor.network import Constants, Pair, Press, echo
+
+AT_ONCE = 8
+"""Cycles that are computed at once; more do not fit into the nearest caches."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is fixed when a sensor is compiled.
+
+    Attributes
+    ----------
+    number : tuple of int
+        :attr:`acoustube.sensor.tables.PressTables.number`, flat.
+    modes, period, n_samples, first_bin : int
+        Modes; samples of the cyclic time and of a cycle; number of the band's first frequency.
+    length : float
+        Of the tube in m.
+    face : complex
+        Reflection coefficient of the face.
+    far : float
+        Reflection coefficient of the far end.
+    """
+
+    number: tuple[int, ...]
+    modes: int
+    period: int
+    n_samples: int
+    first_bin: int
+    length: float
+    face: complex
+    far: float
+
+
+class Parts(NamedTuple):
+    """Arrays of a sensor.
+
+    Attributes
+    ----------
+    constants : Constants
+    depths : jax.Array
+        Of the rows of each tool in m, rising, padded with infinity, (n_tools, n_most).
+    diameters : jax.Array
+        Of the tools in m, rising, (n_tools,).
+    first : jax.Array
+        First row of each tool, (n_tools,).
+    untouched : Pair
+        Echo of the untouched tube, (n_f,).
+    scale : Pair
+        Spectrum of the voltage of a complete reflection, over the frequencies' step, (n_f,).
+    growth : jax.Array
+        Inverse of the exponential decay that the imaginary part of the frequencies stands for,
+        (n_samples,).
+    """
+
+    constants: Constants
+    depths: jax.Array
+    diameters: jax.Array
+    first: jax.Array
+    untouched: Pair
+    scale: Pair
+    growth: jax.Array
+
+
+def changes_of(
+    shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
+) -> jax.Array:
+    """Return the changes of cycles' voltage by contacts, from that of the untouched tube.
+
+    Parameters
+    ----------
+    shape : Shape
+    parts : Parts
+    place, depth, diameter : jax.Array
+        Of the contacts in m, in any order, (n, n_contacts); of depth 0 where there is none. Outside
+        the tables those at their ends are taken.
+
+    Returns
+    -------
+    jax.Array
+        In V, (n, n_samples).
+    """
+
+    def spectrum_of(contacts: tuple[jax.Array, ...]) -> jax.Array:
+        order = jnp.argsort(contacts[0])
+        found = echo_of(shape, parts, *(one[order].astype(jnp.float32) for one in contacts))
+        changed = (found - parts.untouched) * parts.scale
+        return jax.lax.complex(changed.re, changed.im)
+
+    band = jax.lax.map(spectrum_of, (place, depth, diameter), batch_size=AT_ONCE)
+    spectrum = jnp.zeros((len(place), shape.period // 2 + 1), jnp.complex64)
+    columns = slice(shape.first_bin, shape.first_bin + band.shape[1])
+    spectrum = spectrum.at[:, columns].set(band)
+    return jnp.fft.irfft(spectrum, shape.period)[:, : shape.n_samples] * parts.growth[None]
+
+
+compiled_changes = jax.jit(
+    changes_of, static_argnums=0, compiler_options={"xla_backend_optimization_level": 1}
+)
+"""Compiled :func:`changes_of`; further optimisation makes it slower, by a factor of two."""
+
+
+@partial(jax.jit, static_argnums=0)
+def counts_of(
+    rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
+) -> jax.Array:
+    """Return the counts of cycles, with noise, independent drift and quantisation if there is a key.
+
+    Parameters
+    ----------
+    rangefinder : Rangefinder
+    untouched : array_like
+        Voltage of the untouched tube, (n_samples,).
+    changes : jax.Array
+        In V, (n, n_samples).
+    key : jax.Array or None
+        Random key.
+    """
+    r, per_volt = rangefinder, 2**rangefinder.bits / rangefinder.full_scale
+    counts = (jnp.asarray(untouched, jnp.float32)[None] + r.offset + changes) * per_volt
+    if key is None:
+        return counts
+    noise, drift = jax.random.split(key)
+    white = jax.random.normal(noise, counts.shape, jnp.float32)
+    slow = jax.random.normal(drift, (len(counts), 1), jnp.float32)
+    counts = counts + per_volt * (r.noise * white + r.drift * slow)
+    return jnp.clip(jnp.rint(counts), 0, 2**r.bits - 1) if r.quantised else counts
+
+
+def echo_of(
+    shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
+) -> Pair:
+    """Return the echo of contacts in rising order; parameters as of :func:`changes_of`."""
+    n = parts.constants.clutter.shape[0] - 1
+    reflector = jnp.clip((place / REFLECTOR_SPACING + 0.5).astype(jnp.int32), 0, n)
+    size = 2 * shape.modes
+    return echo(
+        parts.constants, np.reshape(shape.number, (size, size)), _press(parts, depth, diameter),
+        place, reflector, shape.length, shape.face, shape.far,
+    )  # fmt: skip
+
+
+def _press(parts: Parts, depth: jax.Array, diameter: jax.Array) -> Press:
+    """Return the rows and weights of contacts in the tables, of one tool or between two."""
+    n_tools = parts.depths.shape[0]
+    if n_tools == 1:
+        row, weight = _rows(parts, jnp.zeros(depth.shape, jnp.int32), depth)
+        return Press(row[:, None], weight[:, None])
+    low = jnp.searchsorted(parts.diameters, diameter, side="right") - 1
+    low = jnp.clip(low, 0, n_tools - 2)
+    start, end = parts.diameters[low], parts.diameters[low + 1]
+    share = jnp.clip((diameter - start) / (end - start), 0, 1)
+    (row, weight), (other, others) = (_rows(parts, low + i, depth) for i in (0, 1))
+    return Press(jnp.stack([row, other], 1), jnp.stack([weight, others, share], 1))
+
+
+def _rows(parts: Parts, tool: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return the row of each contact's tool before its depth, and the weight of the next one."""
+    known = parts.depths[tool]
+    last = jnp.sum(jnp.isfinite(known), axis=1) - 2
+    found = jax.vmap(partial(jnp.searchsorted, side="right"))(known, depth) - 1
+    found = jnp.clip(found, 0, last)
+    start, end = (jnp.take_along_axis(known, found[:, None] + i, axis=1)[:, 0] for i in (0, 1))
+    weight = jnp.clip((depth - start) / (end - start), 0, 1)
+    return parts.first[tool] + found, weight

@@ -1,0 +1,247 @@
+"""Echo of contacts joined by straight tube, in JAX: for one cycle at all frequencies at once.
+
+The input reflection matrix is built up from the far end to the face, contact by contact, as in
+:mod:`acoustube.waves.network`; matrices are symmetric by reciprocity and of three modes at most, so
+that their products are written out, frequency by frequency along the last axis. Real and imaginary
+parts are kept apart, since compilers vectorise those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pair:
+    """Complex numbers as real and imaginary parts, of any shape that broadcasts."""
+
+    re: Any
+    im: Any
+
+    def __add__(self, other: Pair) -> Pair:
+        """Return the sum."""
+        return Pair(self.re + other.re, self.im + other.im)
+
+    def __sub__(self, other: Pair) -> Pair:
+        """Return the difference."""
+        return Pair(self.re - other.re, self.im - other.im)
+
+    def __mul__(self, other: Pair) -> Pair:
+        """Return the product."""
+        return Pair(
+            self.re * other.re - self.im * other.im, self.re * other.im + self.im * other.re
+        )
+
+    def inverse(self) -> Pair:
+        """Return the reciprocal."""
+        size = 1 / (self.re * self.re + self.im * self.im)
+        return Pair(self.re * size, -self.im * size)
+
+
+Matrix = list[list[Pair]]
+
+
+class Constants(NamedTuple):
+    """Constant arrays of a sensor, in float32.
+
+    Attributes
+    ----------
+    presses : jax.Array
+        :attr:`acoustube.sensor.tables.PressTables.values`.
+    decay, turn : jax.Array
+        Real part of -j times the axial wavenumbers in 1/m, and its imaginary part in revolutions
+        per m, (m, n_f).
+    clutter : jax.Array
+        Echo of the clutter beyond each reflector, (n_reflectors + 1, 2, n_f); or of shape
+        (1, 2, n_f) if there is none.
+    """
+
+    presses: jax.Array
+    decay: jax.Array
+    turn: jax.Array
+    clutter: jax.Array
+
+
+class Press(NamedTuple):
+    """Rows of the tables between which contacts lie, and their weights, (n_contacts, n_rows)."""
+
+    row: jax.Array
+    weight: jax.Array
+
+
+def echo(
+    constants: Constants,
+    number: NDArray[np.int64],
+    press: Press,
+    place: jax.Array,
+    reflector: jax.Array,
+    length: float,
+    face: complex,
+    far: float,
+) -> Pair:
+    """Return the echo of contacts, far end and clutter over the wave that the face launches.
+
+    Parameters
+    ----------
+    constants : Constants
+    number : ndarray of int
+        :attr:`acoustube.sensor.tables.PressTables.number` as (2 m, 2 m); fixed when compiled.
+    press : Press
+        For each contact a row, whose scattering counts 1 - weight, and the next, which counts
+        weight, for each of the tools (1 or 2) that it lies between; of two, the last weight is that
+        of the second tool.
+    place : jax.Array
+        Distances from the face in m, rising, (n_contacts,).
+    reflector : jax.Array
+        Number of the first reflector of the clutter behind each contact, (n_contacts,).
+    length : float
+        Of the tube in m.
+    face, far : complex, float
+        Reflection coefficients of both ends.
+
+    Returns
+    -------
+    Pair
+        (n_f,).
+
+    Notes
+    -----
+    Multiple reflections between contacts and both ends are complete; those with clutter, which is
+    dimmed by the plane wave's transmission of the contacts before it, are neglected, as in
+    :func:`acoustube.ranging.record`.
+    """
+    m, n_f = constants.decay.shape
+    spans = jnp.append(place[1:], length) - place
+    zero = jnp.zeros(n_f, jnp.float32)
+    load = _symmetric(m, lambda i, j: Pair(zero + (far if i == j else 0.0), zero))
+    behind = Pair(*constants.clutter[-1])
+
+    def before(
+        carry: tuple[list[Pair], Pair, Pair], contact: Any
+    ) -> tuple[tuple[list[Pair], Pair, Pair], None]:
+        triangle, seen, beyond = carry
+        row, weight, span, first = contact
+        s = _matrix(constants.presses, number, row, weight)
+        load = _propagated(_full(m, triangle), constants, span)
+        reflected = _input_reflection(s, load, m)
+        onwards = Pair(*constants.clutter[first])
+        # Just behind this contact, then as dimmed by it.
+        seen = onwards - beyond + seen
+        seen = s[0][m] * s[0][m] * seen
+        return (_triangle(m, reflected), seen, onwards), None
+
+    start = (_triangle(m, load), Pair(zero, zero), behind)
+    contacts = (press.row, press.weight, spans, reflector)
+    (triangle, seen, beyond), _ = jax.lax.scan(before, start, contacts, reverse=True)
+    load = _propagated(_full(m, triangle), constants, place[0])
+    ends = Pair(np.float32(np.real(face)), np.float32(np.imag(face)))
+    loop = [[_unit(i == j) - ends * load[i][j] for j in range(m)] for i in range(m)]
+    heard = _dot(_inverse(loop)[0], [load[i][0] for i in range(m)])
+    return heard + (Pair(*constants.clutter[0]) - beyond) + seen
+
+
+def _matrix(
+    table: jax.Array, number: NDArray[np.int64], row: jax.Array, weight: jax.Array
+) -> Matrix:
+    """Return the scattering matrix of a contact, (2 m, 2 m), interpolated."""
+    parts = []
+    for i in range(row.shape[0]):
+        start = (row[i], *(jnp.zeros((), row.dtype),) * 3)
+        low, high = jax.lax.dynamic_slice(table, start, (2, *table.shape[1:]))
+        parts.append(low + weight[i] * (high - low))
+    s = parts[0] if len(parts) == 1 else parts[0] + weight[-1] * (parts[1] - parts[0])
+    return [[Pair(s[0, n], s[1, n]) for n in line] for line in number]
+
+
+def _input_reflection(s: Matrix, load: Matrix, m: int) -> Matrix:
+    """Return the reflection matrix of a contact before a load: R1 + T12 (1 - L R2)^-1 L T21."""
+    loop = [
+        [_unit(i == j) - _dot(load[i], [s[m + k][m + j] for k in range(m)]) for j in range(m)]
+        for i in range(m)
+    ]
+    inverse = _inverse(loop)
+    seen = _symmetric(m, lambda i, j: _dot(inverse[i], load[j]))
+    passed = [[_dot(s[i][m:], seen[j]) for j in range(m)] for i in range(m)]
+    return _symmetric(m, lambda i, j: s[i][j] + _dot(passed[i], s[j][m:]))
+
+
+def _propagated(load: Matrix, constants: Constants, distance: jax.Array) -> Matrix:
+    """Return a reflection matrix as seen from a distance."""
+    m = len(load)
+    size, (cosine, sine) = jnp.exp(constants.decay * distance), _turned(constants.turn * distance)
+    path = [Pair(size[i] * cosine[i], size[i] * sine[i]) for i in range(m)]
+    return _symmetric(m, lambda i, j: path[i] * load[i][j] * path[j])
+
+
+def _inverse(a: Matrix) -> Matrix:
+    """Return the inverse of a matrix of one to three rows, by cofactors.
+
+    Elimination takes fewer operations, but its long chains are computed again and again where a
+    compiler fuses them.
+    """
+    n = len(a)
+    if n == 1:
+        return [[a[0][0].inverse()]]
+    if n == 2:
+        scale = (a[0][0] * a[1][1] - a[0][1] * a[1][0]).inverse()
+        minus = Pair(-scale.re, -scale.im)
+        return [[scale * a[1][1], minus * a[0][1]], [minus * a[1][0], scale * a[0][0]]]
+
+    def cofactor(i: int, j: int) -> Pair:
+        (p, q), (r, s) = ((i + 1) % 3, (i + 2) % 3), ((j + 1) % 3, (j + 2) % 3)
+        return a[p][r] * a[q][s] - a[p][s] * a[q][r]
+
+    cofactors = [[cofactor(i, j) for j in range(3)] for i in range(3)]
+    scale = _dot(a[0], cofactors[0]).inverse()
+    return [[scale * cofactors[j][i] for j in range(3)] for i in range(3)]
+
+
+def _turned(revolutions: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return cosine and sine of angles in revolutions, to 1e-6.
+
+    By the polynomials of a quarter revolution: those of the library reduce angles of any size with
+    more digits than single precision has here, in ten times the time.
+    """
+    quarters = 4 * (revolutions - jnp.round(revolutions))
+    whole = jnp.round(quarters)
+    x = (quarters - whole) * np.float32(np.pi / 2)
+    y = x * x
+    sine = x * (1 + y * (-1 / 6 + y * (1 / 120 - y / 5040)))
+    cosine = 1 + y * (-1 / 2 + y * (1 / 24 + y * (-1 / 720 + y / 40320)))
+    odd, half = jnp.abs(whole) == 1, jnp.abs(whole) == 2
+    turned = jnp.where(odd, -whole * sine, jnp.where(half, -cosine, cosine))
+    return turned, jnp.where(odd, whole * cosine, jnp.where(half, -sine, sine))
+
+
+def _dot(a: Sequence[Pair], b: Sequence[Pair]) -> Pair:
+    found = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        found = found + x * y
+    return found
+
+
+def _unit(same: bool) -> Pair:
+    return Pair(np.float32(same), np.float32(0))
+
+
+def _symmetric(m: int, entry: Callable[[int, int], Pair]) -> Matrix:
+    """Return a symmetric matrix from the entries on and above its diagonal."""
+    return _full(m, [entry(i, j) for i in range(m) for j in range(i, m)])
+
+
+def _triangle(m: int, matrix: Matrix) -> list[Pair]:
+    return [matrix[i][j] for i in range(m) for j in range(i, m)]
+
+
+def _full(m: int, triangle: list[Pair]) -> Matrix:
+    places = [(i, j) for i in range(m) for j in range(i, m)]
+    found = dict(zip(places, triangle, strict=True))
+    return [[found[min(i, j), max(i, j)] for j in range(m)] for i in range(m)]

@@ -1,0 +1,211 @@
+"""Scattering of a library's tools at fixed frequencies, over depths at which it is nearly linear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.inversion import Library, Tool
+from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.network import interpolate_scattering
+from acoustube.waves.scattering import Complex, ModalScattering
+
+MOST_MODES = 3
+"""Modes that carry sound between contacts."""
+MOST_PARTS = 64
+"""Largest number of parts into which an interval between depths of a library is divided."""
+EQUAL = 1e-6
+"""Largest difference, relative to the largest coefficient, of coefficients that are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressTables:
+    """Scattering coefficients of the tools of a library, at rows of depth.
+
+    Attributes
+    ----------
+    values : ndarray
+        Real and imaginary parts of the different coefficients, (n_rows, 2, n_different, n_f)
+        float32; the rows of one tool follow those of the one before.
+    number : ndarray of int
+        Number of each coefficient of a scattering matrix among the different ones, (2, m, 2, m).
+    depths : ndarray
+        Depths of each tool's rows in m, from 0, padded with infinity, (n_tools, n_most).
+    first : ndarray of int
+        Each tool's first row, (n_tools,).
+    forces : ndarray
+        Forces in N at the depths, padded with infinity, (n_tools, n_most).
+    diameters : ndarray
+        Of the tools in m, rising, (n_tools,).
+    between : ndarray
+        Relative rms error of the plane wave's reflection if a tool is interpolated between its
+        neighbours, the largest over the depths they share; nan at the ends, (n_tools,).
+    """
+
+    values: NDArray[np.float32]
+    number: NDArray[np.int64]
+    depths: Array
+    first: NDArray[np.int64]
+    forces: Array
+    diameters: Array
+    between: Array
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return int(self.number.shape[1])
+
+    @property
+    def deepest(self) -> Array:
+        """Largest depth of each tool in m, (n_tools,)."""
+        return np.max(np.where(np.isfinite(self.depths), self.depths, 0), axis=1)
+
+
+def press_tables(
+    library: Library, frequency: Complex, stretch: float, tolerance: float
+) -> PressTables:
+    """Return the scattering of a library's tools at fixed frequencies, over refined depths.
+
+    Parameters
+    ----------
+    library : Library
+    frequency : ndarray
+        In Hz, complex, even, (n_f,).
+    stretch : float
+        Speed of sound over that of the library.
+    tolerance : float
+        Relative rms error that linear interpolation between rows may add to the cubic splines
+        between the library's depths.
+
+    Raises
+    ------
+    ConfigError
+        If tools differ in shape or have equal diameters, or a scattering is not reciprocal.
+
+    Notes
+    -----
+    At depth 0 the tube is untouched: all is transmitted. Coefficients that are equal at all depths
+    and frequencies, by reciprocity and by the mirror symmetry of a press, are stored once.
+    """
+    tools = sorted(library.tools, key=lambda tool: tool.diameter)
+    diameters = np.array([tool.diameter for tool in tools])
+    if len({tool.shape for tool in tools}) > 1 or np.any(np.diff(diameters) <= 0):
+        raise ConfigError(
+            f"the library holds {', '.join(tool.name for tool in tools)}; give one whose tools "
+            "have one shape and different diameters"
+        )
+    number, kept = _different(tools)
+    rows, depths, forces, splines = [], [], [], []
+    for tool in tools:
+        nodes = np.concatenate([[0.0], tool.depth])
+        spline = CubicSpline(nodes, _at_frequencies(tool, kept, frequency, stretch))
+        splines.append(spline)
+        found = _refined(spline, nodes, number, tolerance)
+        value = spline(found)
+        rows.append(np.stack([value.real, value.imag], axis=1).astype(np.float32))
+        depths.append(found)
+        shallow = found < tool.depth[0]
+        rising = np.where(shallow, tool.force[0] * found / tool.depth[0],
+                          tool.force_at(np.maximum(found, tool.depth[0])))  # fmt: skip
+        forces.append(np.maximum.accumulate(rising))
+    return PressTables(
+        values=np.concatenate(rows), number=number, depths=_padded(depths), forces=_padded(forces),
+        first=np.cumsum([0, *(len(d) for d in depths[:-1])]), diameters=diameters,
+        between=_error_between(splines, depths, diameters, int(number[0, 0, 0, 0])),
+    )  # fmt: skip
+
+
+def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
+    """Return the number of each coefficient among the different ones, and where these are first."""
+    m = min(len(tools[0].modes), MOST_MODES)
+    if tools[0].modes[0] != "00":
+        raise ConfigError(f"the first mode of the library is {tools[0].modes[0]}, not 00")
+    flat = np.concatenate(
+        [tool.s[:, :, :, :m, :, :m].reshape(-1, (2 * m) ** 2) for tool in tools]
+    )
+    equal = EQUAL * float(np.abs(flat).max())
+    number, kept = np.zeros(flat.shape[1], int), list[int]()
+    for i in range(flat.shape[1]):
+        same = (n for n, j in enumerate(kept) if np.abs(flat[:, i] - flat[:, j]).max() <= equal)
+        number[i] = next(same, len(kept))
+        if number[i] == len(kept):
+            kept.append(i)
+    square = number.reshape(2 * m, 2 * m)
+    if np.any(square != square.T):
+        raise ConfigError("the scattering of the library is not reciprocal; make it anew")
+    return number.reshape(2, m, 2, m), kept
+
+
+def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: float) -> Complex:
+    """Return the different coefficients with those of the untouched tube first, (n, u, n_f)."""
+    m = min(len(tool.modes), MOST_MODES)
+    s = tool.s[:, :, :, :m, :, :m]
+    untouched = np.zeros((1, *s.shape[1:]), complex)
+    for mode in range(m):
+        propagates = np.any(s[:, :, :, mode] != 0, axis=(0, 2, 3, 4))
+        for port in (0, 1):
+            untouched[0, :, port, mode, 1 - port, mode] = propagates
+    columns = np.concatenate([untouched, s]).reshape(len(s) + 1, len(tool.frequency), -1)[..., kept]
+    speed = stretch * tool.sound_speed
+    cut_ons = [cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in tool.modes]
+    whole = ModalScattering(
+        frequency=tool.frequency * stretch, modes=tool.modes[:m],
+        s=np.moveaxis(columns, 1, 0), propagates=np.ones((len(tool.frequency), m), bool),
+        cut_ons=np.array(cut_ons[:m]), sound_speed=speed, extent=(0.0, 0.0),
+    )  # fmt: skip
+    return np.moveaxis(interpolate_scattering(whole, frequency), 0, -1)
+
+
+def _refined(
+    spline: CubicSpline, nodes: Array, number: NDArray[np.int64], tolerance: float
+) -> Array:
+    """Return the nodes and depths between them, so that linear interpolation meets the tolerance.
+
+    The error of a chord across an interval is that at its middle; it falls with the square of the
+    number of parts.
+    """
+    middle = (nodes[1:] + nodes[:-1]) / 2
+    ends, exact = spline(nodes), spline(middle)
+    off = _rms((ends[1:] + ends[:-1]) / 2 - exact)
+    size = np.ones_like(off)
+    plane = number[0, 0, 0, 0]
+    size[:, plane] = np.maximum(_rms(exact)[:, plane], 1e-6)
+    parts = np.ceil(np.sqrt((off / size).max(axis=1) / tolerance)).astype(int)
+    parts = np.clip(parts, 1, MOST_PARTS)
+    pieces = [
+        a + (b - a) * np.arange(n) / n for a, b, n in zip(nodes[:-1], nodes[1:], parts, strict=True)
+    ]
+    return np.concatenate([*pieces, nodes[-1:]])
+
+
+def _rms(values: Complex) -> Array:
+    """Return the rms over the last axis."""
+    return np.sqrt(np.mean(np.abs(values) ** 2, axis=-1))
+
+
+def _padded(arrays: list[Array]) -> Array:
+    """Return arrays of different length as rows, padded with infinity."""
+    found = np.full((len(arrays), max(map(len, arrays))), np.inf)
+    for row, one in zip(found, arrays, strict=True):
+        row[: len(one)] = one
+    return found
+
+
+def _error_between(
+    splines: list[CubicSpline], depths: list[Array], diameters: Array, plane: int
+) -> Array:
+    """Return the error of each tool's reflection interpolated between those of its neighbours."""
+    found = np.full(len(splines), np.nan)
+    for i in range(1, len(splines) - 1):
+        deepest = min(depths[j][-1] for j in (i - 1, i, i + 1))
+        d = depths[i][(depths[i] > 0) & (depths[i] <= deepest)]
+        low, exact, high = (splines[j](d)[:, plane] for j in (i - 1, i, i + 1))
+        w = (diameters[i] - diameters[i - 1]) / (diameters[i + 1] - diameters[i - 1])
+        found[i] = np.max(_rms((1 - w) * low + w * high - exact) / _rms(exact))
+    return found

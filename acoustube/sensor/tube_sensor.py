@@ -1,0 +1,289 @@
+"""Sensor for simulations: contacts in, cycles of counts out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from os import PathLike
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acoustube.base.checks import LENGTH, SEED, TEMPERATURE, Optional, Reals, Several, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.inversion import Library
+from acoustube.ranging import Rangefinder, digitise, response
+from acoustube.runs.libraries.files import open_library
+from acoustube.sensor.assembly import assembled
+from acoustube.sensor.contacts import (
+    Contact,
+    check_contacts,
+    contact_arrays,
+    depth_at,
+    diameter_of,
+    force_at,
+)
+from acoustube.sensor.cycles import changes_of, compiled_changes, counts_of
+
+BATCH = 256
+"""Cycles of a compiled batch, which one core computes."""
+
+
+class TubeSensor:
+    """Rangefinder on a straight tube, whose cycles take a fraction of a millisecond.
+
+    Parameters
+    ----------
+    library : Library
+        Scattering of the tools; see :meth:`from_library` for a folder.
+    rangefinder : Rangefinder, optional
+        Default: the sleeve paper's board.
+    length : float
+        Of the tube in m.
+    temperature : float
+        Of the air in degC.
+    tube_seed : int
+        Random seed of the tube's clutter, as of :func:`acoustube.ranging.record`.
+    most_contacts : int
+        Largest number of contacts of a cycle.
+    tolerance : float
+        Relative rms error of the reflection that the tables add to the library's interpolation.
+
+    Attributes
+    ----------
+    library, rangefinder, length, temperature, most_contacts, tolerance
+        The parameters.
+    tables : acoustube.sensor.tables.PressTables
+        Scattering and forces over depth.
+
+    Raises
+    ------
+    ConfigError
+        If the library's band does not hold the received spectrum, or its tools do not go together.
+
+    Notes
+    -----
+    A cycle is the untouched tube's, from :func:`acoustube.ranging.response`, and the change that
+    the contacts make. That is computed in the band of the received spectrum, at frequencies with a
+    constant negative imaginary part, so that echoes later than the cycle hardly wrap around; see
+    :mod:`acoustube.sensor.network`. Where a contact's depth and diameter are those of one of the
+    library's matrices, the cycle is that of :func:`acoustube.ranging.record` with it, but for
+    rounding and the rest of the band. Between depth 0, where the tube is untouched, and the
+    library's first depth all is interpolated.
+    """
+
+    @checked(
+        library=Library, rangefinder=Optional(Rangefinder), length=LENGTH, temperature=TEMPERATURE,
+        tube_seed=SEED, most_contacts=Number(1, 64, whole=True), tolerance=Number(1e-6, 0.1),
+    )  # fmt: skip
+    def __init__(
+        self,
+        library: Library,
+        rangefinder: Rangefinder | None = None,
+        *,
+        length: float = 2.5,
+        temperature: float = 20.0,
+        tube_seed: int = 0,
+        most_contacts: int = 3,
+        tolerance: float = 1e-3,
+    ) -> None:
+        self.library, self.rangefinder = library, rangefinder or Rangefinder()
+        self.length, self.temperature, self.tolerance = length, temperature, tolerance
+        self.most_contacts = most_contacts
+        r = self.rangefinder
+        self._untouched = response(
+            [], r, radius=library.radius, length=length, temperature=temperature,
+            tube_seed=tube_seed,
+        )[1]  # fmt: skip
+        self.tables, self._shape, self._parts = assembled(
+            library, r, length, temperature, tube_seed, tolerance
+        )
+
+    @classmethod
+    def from_library(cls, path: str | PathLike[str], *given: Any, **options: Any) -> TubeSensor:
+        """Return the sensor of a library in a folder; the other parameters are those of the class.
+
+        Raises
+        ------
+        ConfigError
+            As :func:`acoustube.runs.libraries.files.open_library`, and as the class.
+        """
+        return cls(open_library(path), *given, **options)
+
+    def force_of(self, depth: float, diameter: float | None = None) -> float:
+        """Return the force in N of a tool at a depth in m.
+
+        Raises
+        ------
+        ConfigError
+            If the depth or the diameter is outside the library's.
+        """
+        return force_at(self.tables, depth, diameter)
+
+    def depth_of(self, force: float, diameter: float | None = None) -> float:
+        """Return the depth in m at which a tool exerts a force in N.
+
+        Raises
+        ------
+        ConfigError
+            If the force or the diameter is outside the library's.
+        """
+        return depth_at(self.tables, force, diameter)
+
+    @property
+    def errors(self) -> list[Array]:
+        """Estimated relative rms error of the reflection between the library's depths, by tool."""
+        tools = sorted(self.library.tools, key=lambda tool: tool.diameter)
+        return [tool.interpolation_error + self.tolerance for tool in tools]
+
+    @property
+    def diameter_errors(self) -> Array:
+        """Relative rms error of the reflection of each tool, if interpolated between its neighbours.
+
+        The largest over the depths; nan at the ends, for which there are no neighbours.
+        """
+        return self.tables.between
+
+    @checked(contacts=Several(Contact), cycle=Number(0, 2**53, whole=True), seed=Optional(SEED))
+    def read(
+        self, contacts: Sequence[Contact], *, cycle: int = 0, seed: int | None = None
+    ) -> NDArray[Any]:
+        """Return the counts of one cycle.
+
+        Parameters
+        ----------
+        contacts : sequence of Contact
+            In any order; those of depth or force 0 do not count.
+        cycle : int
+            Number of the cycle, on which its noise and drift depend.
+        seed : int, optional
+            Random seed of noise and drift, as of :func:`acoustube.ranging.record`, after which the
+            counts are rounded; by default there is none of them.
+
+        Returns
+        -------
+        ndarray
+            (n_samples,), uint16; float64 without a seed, or if the rangefinder does not quantise.
+
+        Raises
+        ------
+        ConfigError
+            If there are too many contacts, or one is beyond the tube or the library, or meets
+            another.
+        """
+        given = contact_arrays(self.tables, contacts, self.most_contacts)
+        check_contacts(self.tables, *given, self.length)
+        changes = compiled_changes(self._shape, self._parts, *(a.astype(np.float32) for a in given))
+        voltage = self._untouched + np.asarray(changes[0], float)
+        r = self.rangefinder
+        if seed is None:
+            return (voltage + r.offset) * 2**r.bits / r.full_scale
+        return digitise(voltage, r, np.array([cycle]), seed)[0]
+
+    @checked(places=Reals(0, 1e3, "m", ndim=2), depths=Reals(0, 1.0, "m", ndim=2),
+             diameters=Optional(Reals(0, 1.0, "m", ndim=2)), seed=Optional(SEED))  # fmt: skip
+    def read_many(
+        self,
+        places: ArrayLike,
+        depths: ArrayLike,
+        diameters: ArrayLike | None = None,
+        *,
+        seed: int | None = None,
+    ) -> NDArray[np.float32]:
+        """Return the counts of many cycles, computed on all cores.
+
+        Parameters
+        ----------
+        places, depths : array_like
+            Of the contacts in m, (n, n_contacts); of depth 0 where there is none.
+        diameters : array_like, optional
+            Of their tools in m, (n, n_contacts).
+        seed : int, optional
+            Random seed of noise, drift and, if the rangefinder has it, quantisation. Each cycle's
+            drift is independent of the others'.
+
+        Returns
+        -------
+        ndarray
+            (n, n_samples).
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`read`, or if the arrays differ in shape.
+        """
+        given = self._checked_arrays(places, depths, diameters)
+        n = len(given[0])
+        parts = [slice(i, min(i + BATCH, n)) for i in range(0, n, BATCH)]
+        keys: Sequence[jax.Array | None] = [None] * len(parts)
+        if seed is not None:
+            keys = list(jax.random.split(jax.random.key(seed), len(parts)))
+        found = np.empty((n, self.rangefinder.n_samples), np.float32)
+
+        def compute(part: slice, key: jax.Array | None) -> None:
+            missing = ((0, BATCH - (part.stop - part.start)), (0, 0))
+            block = [np.pad(a[part], missing) for a in given]
+            changes = compiled_changes(self._shape, self._parts, *block)
+            counts = counts_of(self.rangefinder, self._untouched.astype(np.float32), changes, key)
+            found[part] = counts[: part.stop - part.start]
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            list(pool.map(compute, parts, keys))
+        return found
+
+    def cycles(
+        self,
+        places: jax.Array,
+        depths: jax.Array,
+        diameters: jax.Array | None = None,
+        key: jax.Array | None = None,
+    ) -> jax.Array:
+        """Return the counts of many cycles, as part of a larger JAX computation.
+
+        For ``jax.jit`` and ``jax.grad``; nothing is checked.
+
+        Parameters
+        ----------
+        places, depths, diameters : jax.Array
+            As of :meth:`read_many`; outside the library's range those at its end are taken.
+        key : jax.Array, optional
+            Random key of noise, drift and, if the rangefinder has it, quantisation, which has no
+            derivative.
+
+        Returns
+        -------
+        jax.Array
+            (n, n_samples) float32.
+        """
+        sizes = jnp.zeros_like(depths) if diameters is None else diameters
+        changes = changes_of(self._shape, self._parts, places, depths, sizes)
+        return counts_of(self.rangefinder, self._untouched.astype(np.float32), changes, key)
+
+    def _checked_arrays(
+        self, places: ArrayLike, depths: ArrayLike, diameters: ArrayLike | None
+    ) -> list[NDArray[np.float32]]:
+        """Return the arrays of contacts, checked, with most_contacts columns.
+
+        Raises
+        ------
+        ConfigError
+        """
+        place, depth = np.asarray(places, float), np.asarray(depths, float)
+        if diameters is None:
+            diameters = np.full_like(depth, diameter_of(self.tables, None))
+        size = np.asarray(diameters, float)
+        n, k = place.shape
+        if not place.shape == depth.shape == size.shape or k > self.most_contacts:
+            raise ConfigError(
+                f"places, depths and diameters have shapes {place.shape}, {depth.shape} and "
+                f"{size.shape}; give equal ones of at most {self.most_contacts} contacts a cycle"
+            )
+        check_contacts(self.tables, place, depth, size, self.length)
+        missing = ((0, 0), (0, self.most_contacts - k))
+        return [np.pad(a, missing).astype(np.float32) for a in (place, depth, size)]

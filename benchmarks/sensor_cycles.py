@@ -1,0 +1,151 @@
+"""Cycles of TubeSensor beside the full chain, on random contacts off its nodes; its speed and memory.
+
+The full chain scatters each deformed lumen by the spectral solver, at depths that the library does
+not have, places the matrices in the tube and records them (``acoustube.ranging.record``), without
+noise. Echoes are compared in place (the lag of the highest correlation), in amplitude (of the
+envelope's peak) and sample by sample, each contact's from 2 ms before the next one's.
+
+Usage: acoustube library --indenter 25 --depth 0.5:8:0.25 --out FOLDER
+       python benchmarks/sensor_cycles.py FOLDER --count 200
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import resource
+import time
+
+import numpy as np
+from scipy.signal import hilbert
+
+from acoustube.indentation import DepthPath
+from acoustube.lumen import pressed_part
+from acoustube.ranging import Rangefinder, record
+from acoustube.runs import presses
+from acoustube.runs.libraries.build import scattering_at
+from acoustube.runs.libraries.plan import tool_plans
+from acoustube.sensor import Contact, TubeSensor
+from acoustube.waves import PlacedScatterer
+
+PLACES, DEPTHS, FORMS = (0.3, 2.3), (0.7e-3, 7.9e-3), 40
+"""Ranges in m of places and depths, and the number of different depths."""
+QUIET = dataclasses.replace(Rangefinder(), noise=0.0, drift=0.0, quantised=False, offset=0.0)
+
+
+def matrices():
+    """Return depths off the library's and their scattering, computed or from the cache."""
+    (plan,) = tool_plans({"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}, 0.005)
+    path = DepthPath(presses.press_to(plan.settings, plan.pressed))
+    found = {}
+    for depth in np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7):
+        matrix = scattering_at(plan, float(depth), pressed_part(path.at([depth]))).result
+        if isinstance(matrix, str):
+            print(f"{1e3 * depth:.4f} mm is left out: {matrix}")
+        else:
+            found[float(depth)] = matrix
+    return found
+
+
+def transparent(matrix):
+    """Return the scattering of no press, in the band of a press: the chain has no other sound."""
+    s = np.zeros_like(matrix.s)
+    for mode in range(len(matrix.modes)):
+        s[:, 0, mode, 1, mode] = s[:, 1, mode, 0, mode] = matrix.propagates[:, mode]
+    return dataclasses.replace(matrix, s=s)
+
+
+def compared(sensor, known, places, depths):
+    """Return errors of place in mm, of amplitude and of samples, of the first contact's echo."""
+    placed = [PlacedScatterer(known[d], z) for z, d in zip(places, depths, strict=True)]
+    free = PlacedScatterer(transparent(known[depths[0]]), places[0])
+    truth, untouched = (
+        record(these, sensor.rangefinder, length=sensor.length)["signal"].values[0]
+        for these in (placed, [free])
+    )
+    given = [Contact(place=z, depth=d) for z, d in zip(places, depths, strict=True)]
+    exact, found = truth - untouched, sensor.read(given) - sensor.read([])
+    speed, rate = sensor.library.sound_speed, sensor.rangefinder.sampling_rate
+    start = int(rate * (2 * places[0] / speed - 0.1e-3))
+    part = slice(start, start + int(1.5e-3 * rate))
+    a, b = exact[part], found[part]
+    lags = np.arange(-40, 41) / 8  # eighths of a sample
+    spectrum, f = np.fft.rfft(a, 4 * len(a)), np.fft.rfftfreq(4 * len(a))
+    shifted = [np.fft.irfft(spectrum * np.exp(-2j * np.pi * f * lag))[: len(a)] for lag in lags]
+    best = int(np.argmax([x @ b for x in shifted]))
+    height = np.abs(hilbert(b)).max() / np.abs(hilbert(a)).max() - 1
+    place = 1e3 * lags[best] / rate * speed / 2
+    return place, height, np.linalg.norm(b - a) / np.linalg.norm(a), \
+        np.linalg.norm(found - exact) / np.linalg.norm(exact)  # fmt: skip
+
+
+def in_words(values, scale=1.0):
+    """Return median, 90 % and largest magnitude."""
+    q = np.quantile(np.abs(values) * scale, [0.5, 0.9, 1.0])
+    return " / ".join(f"{x:.3g}" for x in q)
+
+
+def accuracy(sensor, count):
+    """Print errors for one, two and three contacts."""
+    known, rng = matrices(), np.random.default_rng(8)
+    depths = np.array(sorted(known))
+    for n in (1, 2, 3):
+        rows = []
+        for _ in range(count if n == 1 else count // 4):
+            while True:
+                places = np.sort(rng.uniform(*PLACES, n))
+                if n == 1 or np.diff(places).min() > 0.15:
+                    break
+            rows.append(compared(sensor, known, places, rng.choice(depths, n)))
+        place, height, first, whole = np.array(rows).T
+        print(f"{n} contacts, {len(rows)} cycles; median / 90 % / largest of the first echo:")
+        print(f"  place {in_words(place)} mm, amplitude {in_words(height, 100)} %, "
+              f"samples {in_words(first, 100)} %; whole cycle {in_words(whole, 100)} %")  # fmt: skip
+
+
+def speed(sensor):
+    """Print the times of cycles, alone and in batches, and the memory."""
+    rng = np.random.default_rng(0)
+    contacts = [Contact(place=0.6, depth=3.1e-3), Contact(place=1.1, force=3.0)]
+    for words, seed in (("without", None), ("with", 1)):
+        sensor.read(contacts, seed=seed)
+        times = []
+        for _ in range(200):
+            start = time.perf_counter()
+            sensor.read(contacts, seed=seed)
+            times.append(time.perf_counter() - start)
+        print(f"read, {words} noise: {1e3 * np.quantile(times, 0.1):.2f} ms")
+    for n in range(1, sensor.most_contacts + 1):
+        places = np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
+        depths = rng.uniform(1e-3, 7e-3, (2048, n))
+        own = TubeSensor(sensor.library, length=sensor.length, most_contacts=n)
+        for words, seed in (("without", None), ("with", 1)):
+            own.read_many(places[:256], depths[:256], seed=seed)
+            times = []
+            for _ in range(3):
+                start = time.perf_counter()
+                own.read_many(places, depths, seed=seed)
+                times.append(time.perf_counter() - start)
+            print(f"read_many, {n} contacts, {words} noise: {len(places) / min(times):.0f} cycles/s")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"tables {sensor.tables.values.nbytes / 1e6:.0f} MB, largest resident set {peak:.0f} MB")
+
+
+def main():
+    """Compare, and measure times."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", help="of the library")
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--only", choices=("accuracy", "speed"))
+    given = parser.parse_args()
+    if given.only != "speed":
+        accuracy(TubeSensor.from_library(given.folder, QUIET), given.count)
+    start = time.process_time()
+    sensor = TubeSensor.from_library(given.folder)
+    print(f"sensor made in {time.process_time() - start:.1f} s")
+    if given.only != "accuracy":
+        speed(sensor)
+
+
+if __name__ == "__main__":
+    main()

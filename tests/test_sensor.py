@@ -1,0 +1,242 @@
+"""The fast sensor: its cycles are those of the full chain, alone, in batches and with noise."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from test_inversion import MODES, RADIUS, matrices, press, tool
+
+from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
+from acoustube.inversion import Library
+from acoustube.ranging import Rangefinder, record
+from acoustube.sensor import Contact, TubeSensor
+from acoustube.sensor.network import _turned
+
+QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
+NODE = 4.2e-3
+"""A depth of the library."""
+
+
+def chain(contacts, rangefinder=QUIET, **options):
+    """Return the cycle of the full chain, with exact scattering at each contact's depth."""
+    placed = [press(one.depth, one.place) for one in contacts]
+    return record(placed, rangefinder, tube_seed=7, **options)["signal"].values[0].astype(float)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return TubeSensor(Library((tool(),)), QUIET, tube_seed=7)
+
+
+@pytest.fixture(scope="module")
+def free():
+    """The untouched tube over the bands of the presses, as of a press of no scattering."""
+    placed = press(1e-3, 0.5)
+    s = np.zeros_like(placed.scattering.s)
+    for mode in range(3):
+        s[:, 0, mode, 1, mode] = s[:, 1, mode, 0, mode] = 1
+    none = dataclasses.replace(placed.scattering, s=s)
+    placed = dataclasses.replace(placed, scattering=none)
+    return record([placed], QUIET, tube_seed=7)["signal"].values[0]
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [[(0.47, NODE)], [(1.9, 2.1e-3)], [(0.52, NODE), (0.81, 5.5e-3)],
+     [(1.31, 3.3e-3), (0.44, 6.1e-3), (0.71, NODE)]],
+)  # fmt: skip
+def test_cycle_at_the_librarys_depths_is_that_of_the_full_chain(sensor, free, contacts):
+    """With multiple reflections of all modes, clutter behind contacts and the far end, in any order.
+
+    The band leaves out 5e-5 of the energy, a part 0.7 % of amplitude, and tapers as much again.
+    """
+    given = [Contact(place=z, depth=d) for z, d in contacts]
+    exact, found = chain(given) - free, sensor.read(given) - sensor.read([])
+    assert np.abs(exact).max() > 0.5
+    assert np.linalg.norm(found - exact) < 0.02 * np.linalg.norm(exact)
+    assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+
+
+def test_contacts_are_not_told_by_single_scattering_alone(sensor, free):
+    """The far one's echo alone, and with a near one before it, differ by far more than 2 %."""
+    near, far = Contact(place=0.44, depth=6.1e-3), Contact(place=0.81, depth=5.5e-3)
+    alone = sensor.read([near]) + sensor.read([far]) - sensor.read([])
+    both = chain([near, far])
+    assert np.linalg.norm(alone - both) > 0.05 * np.linalg.norm(both - free)
+
+
+def test_error_between_the_librarys_depths_is_the_stated_one(sensor):
+    """The tables' chords, at a tolerance ten times the library's own error, against its splines."""
+    coarse = TubeSensor(Library((tool(),)), QUIET, tube_seed=7, tolerance=0.01)
+    assert len(coarse.tables.values) < len(sensor.tables.values)
+    for depth in (1.23e-3, 3.456e-3, 6.78e-3):
+        contact = [Contact(place=0.9, depth=depth)]
+        changes = [one.read(contact) - one.read([]) for one in (coarse, sensor)]
+        off = np.linalg.norm(changes[0] - changes[1]) / np.linalg.norm(changes[1])
+        assert off < 2 * coarse.tolerance
+    assert np.allclose(coarse.errors[0], 1e-4 + 0.01)
+
+
+def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
+    free = sensor.read([])
+    sizes = [
+        np.linalg.norm(sensor.read([Contact(place=0.6, depth=d)]) - free)
+        for d in (0.0, 2e-4, 6e-4, 1e-3)
+    ]
+    assert sizes[0] == 0
+    assert 0 < sizes[1] < sizes[2] < sizes[3]
+
+
+def test_force_is_that_of_the_librarys_depth(sensor):
+    assert sensor.depth_of(2e6 * NODE**2) == pytest.approx(NODE, rel=1e-6)
+    assert sensor.force_of(NODE) == pytest.approx(2e6 * NODE**2, rel=1e-6)
+    by_force = sensor.read([Contact(place=0.6, force=2e6 * NODE**2)])
+    by_depth = sensor.read([Contact(place=0.6, depth=NODE)])
+    assert np.abs(by_force - by_depth).max() < 1e-2
+
+
+def test_noise_and_rounding_are_those_of_the_rangefinder():
+    noisy = Rangefinder()
+    sensor = TubeSensor(Library((tool(),)), noisy, tube_seed=7)
+    contacts = [Contact(place=0.8, depth=NODE)]
+    found = sensor.read(contacts, cycle=4, seed=9)
+    exact = chain(contacts, noisy, seed=9, first_cycle=4)
+    assert found.dtype == np.uint16
+    # The same random numbers, on an echo of 2 % of error: most counts are the same.
+    assert np.mean(found == exact) > 0.8
+    assert np.abs(found - exact).max() < 0.02 * np.ptp(exact[800:])
+    many = sensor.read_many(np.full((600, 1), 0.8), np.full((600, 1), NODE), seed=1)
+    assert np.all(many == np.rint(many))
+    quiet = sensor.read(contacts)
+    late = slice(3600, None)  # where there is no echo, half a count of rounding about the noise
+    per_volt = 2**noisy.bits / noisy.full_scale
+    spread = many[:, late] - quiet[late]
+    shift = spread.mean(axis=1, keepdims=True)
+    # The deviation of a deviation of 600 draws is 3 %.
+    assert np.std(shift) == pytest.approx(noisy.drift * per_volt, rel=0.12)
+    assert np.std(spread - shift) == pytest.approx(np.hypot(noisy.noise * per_volt, 0.29), rel=0.1)
+    assert np.array_equal(many[:10], sensor.read_many(np.full((600, 1), 0.8),
+                                                      np.full((600, 1), NODE), seed=1)[:10])  # fmt: skip
+
+
+def test_batch_is_its_cycles(sensor):
+    """Over more than one compiled batch, in any order of contacts, some of them absent."""
+    rng = np.random.default_rng(1)
+    places = rng.permuted(np.cumsum(rng.uniform(0.1, 0.7, (300, 2)), axis=1), axis=1)
+    depths = rng.uniform(1e-3, 7e-3, (300, 2)) * (rng.random((300, 2)) < 0.8)
+    many = sensor.read_many(places, depths)
+    for i in (0, 17, 299):
+        one = sensor.read([Contact(place=z, depth=d) for z, d in zip(places[i], depths[i],
+                                                                      strict=True)])  # fmt: skip
+        # Single precision, of counts up to some 1e5 while the transducer rings.
+        assert np.abs(many[i] - one)[800:].max() < 0.01
+
+
+def test_cycles_are_differentiable_and_compiled_once(sensor):
+    """The derivative of the echo by place and depth, against differences."""
+    place, depth = np.array([[0.8]], np.float32), np.array([[4.53e-3]], np.float32)
+    weight = np.sin(np.arange(4000) * 0.01) * (np.arange(4000) > 900)
+
+    @jax.jit
+    def value(place, depth):
+        return (sensor.cycles(place, depth) - sensor.cycles(place, 0 * depth))[0] @ weight
+
+    slopes = jax.jit(jax.grad(value, (0, 1)))(place, depth)
+    for i, step in enumerate((2e-4, 1e-5)):
+        e = np.zeros((2, 1, 1), np.float32)
+        e[i] = step
+        ends = [float(value(place + s * e[0], depth + s * e[1])) for s in (-1, 1)]
+        assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(float(slopes[i][0, 0]), rel=0.02)
+    assert value._cache_size() == 1
+
+
+def test_tools_between_two_are_interpolated_and_their_error_is_stated():
+    tools = [
+        tool(0.5e-3, diameter=size, s=scale * matrices(np.arange(1e-3, 7.01e-3, 0.5e-3),
+                                                       np.arange(30e3, 54e3, 100.0)))
+        for size, scale in ((10e-3, 0.8), (15e-3, 0.92), (20e-3, 1.0))
+    ]  # fmt: skip
+    sensor = TubeSensor(Library(tuple(tools)), QUIET, most_contacts=1)
+    assert np.isnan(sensor.diameter_errors[[0, 2]]).all()
+    # Halfway between 0.8 and 1 is 0.9, not 0.92.
+    assert sensor.diameter_errors[1] == pytest.approx(0.02 / 0.92, rel=1e-3)
+    free, heights = sensor.read([]), []
+    for size in (10e-3, 12.5e-3, 15e-3, 17.5e-3, 20e-3):
+        cycle = sensor.read([Contact(place=0.8, depth=3e-3, diameter=size)])
+        heights.append(np.abs(cycle - free)[900:1300].max())
+    assert np.all(np.diff(heights) > 0)
+    assert heights[1] == pytest.approx((heights[0] + heights[2]) / 2, rel=0.01)
+    with pytest.raises(ConfigError, match="state the contact's diameter"):
+        sensor.read([Contact(place=0.8, depth=3e-3)])
+    with pytest.raises(ConfigError, match="25 mm is not in the library, which has 10"):
+        sensor.read([Contact(place=0.8, depth=3e-3, diameter=25e-3)])
+
+
+@pytest.mark.parametrize(
+    ("contacts", "sentence"),
+    [
+        ([{"place": 0.8, "depth": 9e-3}], "depth = 0.009 .*0.007"),
+        ([{"place": 0.8, "force": 1e3}], "force = 1000 .*98 N"),
+        ([{"place": 2.6, "depth": 3e-3}], "place = 2.6 .*2.485 m"),
+        ([{"place": 0.8, "depth": 3e-3}, {"place": 0.81, "depth": 3e-3}], "80 and 81 cm meet"),
+        ([{"place": 0.3 * i, "depth": 3e-3} for i in range(1, 5)], "4 contacts .*most_contacts"),
+        ([{"place": 0.8, "depth": 3e-3, "diameter": 5e-3}], "5 mm is not in the library"),
+        ([{"place": 0.8}], "depth None and force None"),
+        ([{"place": 0.8, "depth": np.nan}], "depth"),
+    ],
+)
+def test_contact_out_of_range_is_one_sentence(sensor, contacts, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        sensor.read([Contact(**one) for one in contacts])
+
+
+def test_batch_out_of_range_is_one_sentence(sensor):
+    with pytest.raises(ConfigError, match="shapes"):
+        sensor.read_many(np.ones((3, 2)), np.zeros((2, 2)))
+    with pytest.raises(ConfigError, match="depth = "):
+        sensor.read_many([[0.8]], [[8e-3]])
+
+
+def test_library_of_another_band_or_kind_is_refused():
+    with pytest.raises(ConfigError, match=r"covers 30 to 53.9 kHz .* --frequency"):
+        TubeSensor(Library((tool(),)), Rangefinder(resonance=25e3))
+    other = tool(diameter=10e-3, shape="sphere")
+    with pytest.raises(ConfigError, match="one shape"):
+        TubeSensor(Library((other, tool())))
+    lopsided = matrices(np.arange(1e-3, 7.01e-3, 0.5e-3), np.arange(30e3, 54e3, 100.0))
+    lopsided[:, :, 0, 0, 1, 0] *= 2
+    with pytest.raises(ConfigError, match="not reciprocal"):
+        TubeSensor(Library((tool(0.5e-3, s=lopsided),)))
+
+
+def test_one_mode_alone_serves_below_the_first_cut_on():
+    """A library of the plane wave at 10 kHz: an audio band, in warmer air than the library's."""
+    frequency, depth = np.arange(7e3, 13e3, 50.0), np.arange(1e-3, 7.01e-3, 0.25e-3)
+    s = matrices(depth, frequency)[:, :, :, :1, :, :1]
+    low = tool(0.25e-3, modes=("00",), s=s, frequency=frequency)
+    rangefinder = dataclasses.replace(
+        QUIET, resonance=10e3, drive=dataclasses.replace(QUIET.drive, frequency=10e3)
+    )
+    sensor = TubeSensor(Library((low,)), rangefinder, temperature=30.0)
+    echo = np.abs(sensor.read([Contact(place=1.5, depth=5e-3)]) - sensor.read([]))
+    start = 2 * 1.5 / air_at(30.0).sound_speed
+    # A tenth of the burst's rise to its top, and nothing before.
+    first = np.argmax(echo > 0.1 * echo.max()) / rangefinder.sampling_rate
+    assert start - 0.1e-3 < first < start + 0.5e-3
+
+
+def test_cosine_and_sine_of_revolutions():
+    turns = np.random.default_rng(0).uniform(-400, 400, 20000).astype(np.float32)
+    angle = 2 * np.pi * turns.astype(float)
+    cosine, sine = _turned(turns)
+    assert np.abs(cosine - np.cos(angle)).max() < 1e-6
+    assert np.abs(sine - np.sin(angle)).max() < 1e-6
+
+
+def test_tables_hold_reciprocal_and_mirrored_coefficients_once(sensor):
+    assert sensor.tables.number.shape == (2, len(MODES), 2, len(MODES))
+    different = sensor.tables.values.shape[2]
+    assert different < 36 / 2
+    assert sensor.library.radius == RADIUS
