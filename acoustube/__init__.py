@@ -2,7 +2,8 @@
 
 Three storeys, of which each imports only what stands below it::
 
-    cli, reports, runs                     commands; figures and files; settings and computations
+    cli, reports, sensor, runs             commands; figures and files; a sensor for simulations of
+                                           robots; settings and computations
     tube -> indentation -> lumen -> waves (air) -> ranging -> recordings -> signals -> estimation
     -> sleeve                              the stages, in the order of the data
     base                                   errors, rules, files, the cache

@@ -1,4 +1,4 @@
-"""Cycles of TubeSensor beside the full chain, on random contacts off its nodes; its speed and memory.
+"""Cycles of TubeSensor beside the full chain, on random contacts off its nodes; speed and memory.
 
 The full chain scatters each deformed lumen by the spectral solver, at depths that the library does
 not have, places the matrices in the tube and records them (``acoustube.ranging.record``), without
@@ -65,7 +65,7 @@ def compared(sensor, known, places, depths):
     )
     given = [Contact(place=z, depth=d) for z, d in zip(places, depths, strict=True)]
     exact, found = truth - untouched, sensor.read(given) - sensor.read([])
-    speed, rate = sensor.library.sound_speed, sensor.rangefinder.sampling_rate
+    speed, rate = sensor.tool_library.sound_speed, sensor.rangefinder.sampling_rate
     start = int(rate * (2 * places[0] / speed - 0.1e-3))
     part = slice(start, start + int(1.5e-3 * rate))
     a, b = exact[part], found[part]
@@ -100,7 +100,7 @@ def accuracy(sensor, count):
         place, height, first, whole = np.array(rows).T
         print(f"{n} contacts, {len(rows)} cycles; median / 90 % / largest of the first echo:")
         print(f"  place {in_words(place)} mm, amplitude {in_words(height, 100)} %, "
-              f"samples {in_words(first, 100)} %; whole cycle {in_words(whole, 100)} %")  # fmt: skip
+              f"samples {in_words(first, 100)} %; cycle {in_words(whole, 100)} %")  # fmt: skip
 
 
 def speed(sensor):
@@ -118,7 +118,7 @@ def speed(sensor):
     for n in range(1, sensor.most_contacts + 1):
         places = np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
         depths = rng.uniform(1e-3, 7e-3, (2048, n))
-        own = TubeSensor(sensor.library, length=sensor.length, most_contacts=n)
+        own = TubeSensor(sensor.tool_library, length=sensor.length, most_contacts=n)
         for words, seed in (("without", None), ("with", 1)):
             own.read_many(places[:256], depths[:256], seed=seed)
             times = []
@@ -126,7 +126,8 @@ def speed(sensor):
                 start = time.perf_counter()
                 own.read_many(places, depths, seed=seed)
                 times.append(time.perf_counter() - start)
-            print(f"read_many, {n} contacts, {words} noise: {len(places) / min(times):.0f} cycles/s")
+            rate = len(places) / min(times)
+            print(f"read_many, {n} contacts, {words} noise: {rate:.0f} cycles/s")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"tables {sensor.tables.values.nbytes / 1e6:.0f} MB, largest resident set {peak:.0f} MB")
 

@@ -13,7 +13,7 @@ STAGES = (
     "tube", "air", "indentation", "lumen", "waves", "ranging", "recordings", "signals",
     "estimation", "inversion", "sleeve",
 )  # fmt: skip
-STOREYS = ("base", *STAGES, "runs", "reports", "cli")
+STOREYS = ("base", *STAGES, "runs", "sensor", "reports", "cli")
 """From the ground up: a room imports rooms that stand before it."""
 AT_TOP = {"__init__", "__main__", "py"}
 PRINTING = {"rich", "cyclopts", "argparse"}

@@ -75,9 +75,9 @@ def assembled(
     clutter = _clutter_beyond(waves[0], r.clutter, length, tube_seed)
     scale = r.gain * received[inside] * r.sampling_rate * _taper(int(inside.sum()))
     growth = np.exp(damping * np.arange(r.n_samples) / r.sampling_rate)
-    constants = Constants(*map(_float32, (
-        tables.values, waves.imag, -waves.real / (2 * pi), np.stack([clutter.real, clutter.imag], axis=1)
-    )))  # fmt: skip
+    parted = np.stack([clutter.real, clutter.imag], axis=1)
+    arrays = tables.values, waves.imag, -waves.real / (2 * pi), parted
+    constants = Constants(*map(_float32, arrays))
     end = r.far_reflection * np.exp(-2j * waves[0] * length)
     untouched = end / (1 - r.face_reflection * end) + clutter[0]
     parts = Parts(
@@ -99,9 +99,7 @@ def _float32(array: Array | NDArray[np.float32]) -> jax.Array:
     return jnp.asarray(array, jnp.float32)
 
 
-def _band(
-    frequency: Array, received: Complex, available: tuple[float, float]
-) -> NDArray[np.bool_]:
+def _band(frequency: Array, received: Complex, available: tuple[float, float]) -> NDArray[np.bool_]:
     """Return the mask of the frequencies that hold nearly all received energy, in one piece."""
     share = np.cumsum(np.abs(received) ** 2)
     share /= share[-1]
@@ -120,7 +118,7 @@ def _band(
 
 
 def _taper(n: int) -> Array:
-    """Return a taper of n frequencies with ends like squared sines, against ringing at the edges."""
+    """Return a taper of n frequencies, whose ends are squared sines, against ringing."""
     rise = np.sin(0.5 * pi * (np.arange(n) + 0.5) / (TAPER * n)) ** 2
     rise[round(TAPER * n) :] = 1.0
     return rise * rise[::-1]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
@@ -142,7 +144,9 @@ def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
     return depth, (1 - share) * forces[0] + share * forces[1]
 
 
-def _neighbours(tables: PressTables, diameter: Array) -> tuple[Array, Array, Array]:
+def _neighbours(
+    tables: PressTables, diameter: Array
+) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]], Array]:
     """Return the numbers of the tools below and above diameters, and the share of the latter."""
     known = tables.diameters
     low = np.clip(np.searchsorted(known, diameter, side="right") - 1, 0, max(len(known) - 2, 0))
@@ -185,8 +189,8 @@ def check_contacts(
                 Number(0, float(most[i]), "m", "of the library").check("depth", depth[i])
             Number(HALF_PRESS, length - HALF_PRESS, "m", "on the tube").check("place", place[i])
     ordered = np.sort(np.where(there, place, np.inf), axis=1)
-    near = np.diff(np.where(np.isfinite(ordered), ordered, 1e9 * np.arange(1, 1 + ordered.shape[1])),
-                   axis=1) < 2 * HALF_PRESS  # fmt: skip
+    apart = np.diff(np.where(np.isfinite(ordered), ordered, 1e9), axis=1)
+    near = (apart < 2 * HALF_PRESS) & np.isfinite(ordered[:, 1:])
     if np.any(near):
         row, i = np.argwhere(near)[0]
         a, b = CM * ordered[row, i : i + 2]

@@ -119,7 +119,7 @@ compiled_changes = jax.jit(
 def counts_of(
     rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
 ) -> jax.Array:
-    """Return the counts of cycles, with noise, independent drift and quantisation if there is a key.
+    """Return the counts of cycles, with noise, drift and quantisation if there is a key.
 
     Parameters
     ----------
@@ -140,6 +140,59 @@ def counts_of(
     slow = jax.random.normal(drift, (len(counts), 1), jnp.float32)
     counts = counts + per_volt * (r.noise * white + r.drift * slow)
     return jnp.clip(jnp.rint(counts), 0, 2**r.bits - 1) if r.quantised else counts
+
+
+@partial(
+    jax.tree_util.register_dataclass, data_fields=("parts", "untouched"),
+    meta_fields=("shape", "rangefinder"),
+)  # fmt: skip
+@dataclass(frozen=True)
+class CycleModel:
+    """Cycles of a sensor as a part of larger JAX computations.
+
+    Give it to compiled functions as an argument: they would compile its tables if they closed over
+    it, for minutes.
+
+    Attributes
+    ----------
+    parts : Parts
+    untouched : jax.Array
+        Voltage of the untouched tube, (n_samples,).
+    shape : Shape
+    rangefinder : Rangefinder
+    """
+
+    parts: Parts
+    untouched: jax.Array
+    shape: Shape
+    rangefinder: Rangefinder
+
+    def __call__(
+        self,
+        places: jax.Array,
+        depths: jax.Array,
+        diameters: jax.Array | None = None,
+        key: jax.Array | None = None,
+    ) -> jax.Array:
+        """Return the counts of cycles; nothing is checked.
+
+        Parameters
+        ----------
+        places, depths, diameters : jax.Array
+            Of the contacts in m, (n, n_contacts); of depth 0 where there is none. Outside the
+            library's range those at its end are taken.
+        key : jax.Array, optional
+            Random key of noise, drift and, if the rangefinder has it, quantisation, which has no
+            derivative.
+
+        Returns
+        -------
+        jax.Array
+            (n, n_samples) float32.
+        """
+        sizes = jnp.zeros_like(depths) if diameters is None else diameters
+        changes = changes_of(self.shape, self.parts, places, depths, sizes)
+        return counts_of(self.rangefinder, self.untouched, changes, key)
 
 
 def echo_of(

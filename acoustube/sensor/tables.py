@@ -1,4 +1,4 @@
-"""Scattering of a library's tools at fixed frequencies, over depths at which it is nearly linear."""
+"""Scattering of a library's tools at fixed frequencies, over depths so dense that it is linear."""
 
 from __future__ import annotations
 
@@ -126,9 +126,7 @@ def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
     m = min(len(tools[0].modes), MOST_MODES)
     if tools[0].modes[0] != "00":
         raise ConfigError(f"the first mode of the library is {tools[0].modes[0]}, not 00")
-    flat = np.concatenate(
-        [tool.s[:, :, :, :m, :, :m].reshape(-1, (2 * m) ** 2) for tool in tools]
-    )
+    flat = np.concatenate([tool.s[:, :, :, :m, :, :m].reshape(-1, (2 * m) ** 2) for tool in tools])
     equal = EQUAL * float(np.abs(flat).max())
     number, kept = np.zeros(flat.shape[1], int), list[int]()
     for i in range(flat.shape[1]):

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -29,7 +30,7 @@ from acoustube.sensor.contacts import (
     diameter_of,
     force_at,
 )
-from acoustube.sensor.cycles import changes_of, compiled_changes, counts_of
+from acoustube.sensor.cycles import CycleModel, compiled_changes, counts_of
 
 BATCH = 256
 """Cycles of a compiled batch, which one core computes."""
@@ -57,10 +58,12 @@ class TubeSensor:
 
     Attributes
     ----------
-    library, rangefinder, length, temperature, most_contacts, tolerance
+    tool_library, rangefinder, length, temperature, most_contacts, tolerance
         The parameters.
     tables : acoustube.sensor.tables.PressTables
         Scattering and forces over depth.
+    model : acoustube.sensor.cycles.CycleModel
+        The same cycles in JAX, for compiled functions and derivatives.
 
     Raises
     ------
@@ -93,7 +96,7 @@ class TubeSensor:
         most_contacts: int = 3,
         tolerance: float = 1e-3,
     ) -> None:
-        self.library, self.rangefinder = library, rangefinder or Rangefinder()
+        self.tool_library, self.rangefinder = library, rangefinder or Rangefinder()
         self.length, self.temperature, self.tolerance = length, temperature, tolerance
         self.most_contacts = most_contacts
         r = self.rangefinder
@@ -104,6 +107,8 @@ class TubeSensor:
         self.tables, self._shape, self._parts = assembled(
             library, r, length, temperature, tube_seed, tolerance
         )
+        untouched = jnp.asarray(self._untouched, jnp.float32)
+        self.model = CycleModel(self._parts, untouched, self._shape, r)
 
     @classmethod
     def from_library(cls, path: str | PathLike[str], *given: Any, **options: Any) -> TubeSensor:
@@ -114,7 +119,7 @@ class TubeSensor:
         ConfigError
             As :func:`acoustube.runs.libraries.files.open_library`, and as the class.
         """
-        return cls(open_library(path), *given, **options)
+        return cls(open_library(Path(path)), *given, **options)
 
     def force_of(self, depth: float, diameter: float | None = None) -> float:
         """Return the force in N of a tool at a depth in m.
@@ -139,12 +144,12 @@ class TubeSensor:
     @property
     def errors(self) -> list[Array]:
         """Estimated relative rms error of the reflection between the library's depths, by tool."""
-        tools = sorted(self.library.tools, key=lambda tool: tool.diameter)
+        tools = sorted(self.tool_library.tools, key=lambda tool: tool.diameter)
         return [tool.interpolation_error + self.tolerance for tool in tools]
 
     @property
     def diameter_errors(self) -> Array:
-        """Relative rms error of the reflection of each tool, if interpolated between its neighbours.
+        """Relative rms error of each tool's reflection, if interpolated between its neighbours.
 
         The largest over the depths; nan at the ends, for which there are no neighbours.
         """
@@ -230,40 +235,12 @@ class TubeSensor:
             missing = ((0, BATCH - (part.stop - part.start)), (0, 0))
             block = [np.pad(a[part], missing) for a in given]
             changes = compiled_changes(self._shape, self._parts, *block)
-            counts = counts_of(self.rangefinder, self._untouched.astype(np.float32), changes, key)
+            counts = counts_of(self.rangefinder, self.model.untouched, changes, key)
             found[part] = counts[: part.stop - part.start]
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(compute, parts, keys))
         return found
-
-    def cycles(
-        self,
-        places: jax.Array,
-        depths: jax.Array,
-        diameters: jax.Array | None = None,
-        key: jax.Array | None = None,
-    ) -> jax.Array:
-        """Return the counts of many cycles, as part of a larger JAX computation.
-
-        For ``jax.jit`` and ``jax.grad``; nothing is checked.
-
-        Parameters
-        ----------
-        places, depths, diameters : jax.Array
-            As of :meth:`read_many`; outside the library's range those at its end are taken.
-        key : jax.Array, optional
-            Random key of noise, drift and, if the rangefinder has it, quantisation, which has no
-            derivative.
-
-        Returns
-        -------
-        jax.Array
-            (n, n_samples) float32.
-        """
-        sizes = jnp.zeros_like(depths) if diameters is None else diameters
-        changes = changes_of(self._shape, self._parts, places, depths, sizes)
-        return counts_of(self.rangefinder, self._untouched.astype(np.float32), changes, key)
 
     def _checked_arrays(
         self, places: ArrayLike, depths: ArrayLike, diameters: ArrayLike | None
@@ -278,12 +255,11 @@ class TubeSensor:
         if diameters is None:
             diameters = np.full_like(depth, diameter_of(self.tables, None))
         size = np.asarray(diameters, float)
-        n, k = place.shape
-        if not place.shape == depth.shape == size.shape or k > self.most_contacts:
+        if not place.shape == depth.shape == size.shape or place.shape[1] > self.most_contacts:
             raise ConfigError(
                 f"places, depths and diameters have shapes {place.shape}, {depth.shape} and "
                 f"{size.shape}; give equal ones of at most {self.most_contacts} contacts a cycle"
             )
         check_contacts(self.tables, place, depth, size, self.length)
-        missing = ((0, 0), (0, self.most_contacts - k))
+        missing = ((0, 0), (0, self.most_contacts - place.shape[1]))
         return [np.pad(a, missing).astype(np.float32) for a in (place, depth, size)]
