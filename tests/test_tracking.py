@@ -1,5 +1,7 @@
 """Contacts followed from cycle to cycle: the update, and fingers that come, move and go."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_inversion import MODES, RADIUS, press, tool
@@ -10,6 +12,7 @@ from acoustube.inversion import (
     ForwardModel,
     Library,
     Motion,
+    baseband_of,
     measured_clutter,
 )
 from acoustube.inversion.fit import joined, maximise, weights
@@ -145,3 +148,60 @@ def test_contact_that_is_added_and_taken_away_leaves_the_others():
 def test_cycle_of_another_length_is_refused(model):
     with pytest.raises(ValueError, match="a cycle has 100 samples and the model's 4000"):
         ContactTracker(model).update(np.zeros(100))
+
+
+ECHOTUBE = Rangefinder(sampling_rate=80e3, n_samples=1600, bits=8, noise=1e-3, lead=0.0)
+FINE = Rangefinder(sampling_rate=240e3, n_samples=4800, noise=1e-3)
+"""The same cycle at three times the rate, at which the carrier is below the Nyquist rate."""
+
+
+def folded(presses, number=0, rangefinder=ECHOTUBE):
+    """Return one cycle of EchoTube's board: every third sample of a filtered voltage."""
+    placed = [press(depth, place) for place, depth in presses]
+    _, voltage = response(placed, FINE, length=LENGTH, tube_seed=TUBE)
+    return digitise(voltage[::3].copy(), rangefinder, np.array([number]), 3)[0]
+
+
+@pytest.fixture(scope="module")
+def undersampled():
+    base = baseband_of(ECHOTUBE, RADIUS, LENGTH, 20.0, MODES)
+    free = np.array([folded([], i) for i in range(60)])
+    return ForwardModel(Library((tool(),)), base, measured_clutter(base, free))
+
+
+def test_folded_baseband_is_that_of_undersampled_cycles():
+    """At 80 kHz the band about 42 kHz is folded about 40; without noise, clutter and far end."""
+    changes = {"clutter": 0.0, "noise": 0.0, "drift": 0.0, "quantised": False,
+               "far_reflection": 0.0}  # fmt: skip
+    silent = dataclasses.replace(ECHOTUBE, **changes)
+    base = baseband_of(silent, RADIUS, LENGTH, 20.0, MODES)
+    placed = [press(5.03e-3, 0.8)]
+    _, voltage = response(placed, dataclasses.replace(FINE, **changes), length=LENGTH)
+    given, _ = base.of_cycles(digitise(voltage[::3].copy(), silent, np.array([0]), 3))
+    place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
+    found, _ = ForwardModel(Library((tool(),)), base).baseband((0,), place, depth, np.zeros((1, 6)))
+    # As at 200 kHz, of the taper's sidelobes.
+    assert np.abs(found[0] - given).max() < 5e-3 * np.abs(given).max()
+    assert not given.imag.any()
+
+
+def test_noise_of_a_folded_baseband_is_that_of_its_samples():
+    base = baseband_of(ECHOTUBE, RADIUS, LENGTH, 20.0, MODES)
+    rng = np.random.default_rng(1)
+    sigma = np.sqrt((ECHOTUBE.noise * base.per_volt) ** 2 + 1 / 12)
+    cycles = sigma * rng.standard_normal((60, base.n_samples))
+    variance = np.mean([base.of_cycles(one[None])[0].real ** 2 for one in cycles])
+    # The mean of 60 times 120 squares, without what the taper of the band takes.
+    assert variance == pytest.approx(base.noise(1) * np.mean(base.taper**2), rel=0.05)
+
+
+def test_contact_is_followed_in_cycles_of_80_khz_and_8_bits(undersampled):
+    tracker = ContactTracker(undersampled)
+    for i in range(24):
+        ((place, depth),) = finger(i + 1, 0, 60, 0.7, 0.02, 6e-3)
+        found = tracker.update(folded([(place, depth)], i))
+        if i > 14:
+            (contact,) = found.contacts
+            # Rounding to 8 bits leaves 25 times the noise of 12.
+            assert contact.distance.value == pytest.approx(place, abs=5e-3)
+            assert contact.depth.value == pytest.approx(depth, rel=0.06)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from acoustube.base.console import REPORT_INTERVAL
-from acoustube.base.errors import readable
+from acoustube.base.errors import ConfigError, readable
 from acoustube.base.files import check_new_file
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from acoustube import signals
     from acoustube.runs.live import Show, Stream, Tally
+    from acoustube.runs.live_contacts import Contacts
 
 REFRESH = 0.1
 """Refresh interval of the panel in a terminal, in s."""
@@ -57,11 +58,40 @@ class Line(Checked):
     ] = 1_000_000
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Inverted(Checked):
+    """Options of contacts by inversion.
+
+    Attributes
+    ----------
+    library : Path
+        Folder that the command library wrote: each cycle is inverted, and contacts are told with
+        distance, depth, force and probability beside the highest echo.
+    sensor : Path
+        TOML file with the parameters of the board's rangefinder, the tube's length_cm and a table
+        [priors].
+    rest : float
+        Time in s at the start in which the tube is untouched, and its clutter learned; 0 for none.
+    most : int
+        Largest number of contacts.
+    contacts : Path
+        Table of contacts to write (CSV), which must be new; one row a contact and cycle.
+    """
+
+    library: Path | None = None
+    sensor: Path | None = None
+    rest: Annotated[float, Number(0, 3600, "s", "untouched")] = 3.0
+    most: Annotated[int, WHOLE, Number(1, 8, "", "contacts", whole=True)] = 3
+    contacts: Path | None = None
+
+
 def live(
     *,
     port: str,
     ranging: Ranging = Ranging(),
     line: Line = Line(),
+    inverted: Inverted = Inverted(),
     out: Path | None = None,
     duration: float | None = None,
     output: Output = Output(),
@@ -87,11 +117,36 @@ def live(
     from acoustube.runs.live import Stream
 
     stream = Stream(port=port, **dataclasses.asdict(ranging), **dataclasses.asdict(line))
-    run_live(stream, output.console(), out=out, duration=duration)
+    contacts = _contacts(inverted)
+    run_live(stream, output.console(), out=out, duration=duration, contacts=contacts)
+
+
+def _contacts(inverted: Inverted) -> Contacts | None:
+    """Return how contacts are found, if a library is given."""
+    given = dataclasses.asdict(inverted)
+    folder, table = given["library"], given["contacts"]
+    if folder is None:
+        for name in ("sensor", "contacts"):
+            if given[name] is not None:
+                raise ConfigError(f"--{name} goes with --library; name the folder of a library")
+        return None
+    if table is not None:
+        check_new_file(table)
+
+    from acoustube.runs.live_contacts import Contacts
+
+    return Contacts(
+        folder=folder, sensor=inverted.sensor, rest=inverted.rest, most=inverted.most, table=table
+    )
 
 
 def run_live(
-    stream: Stream, console: Console, *, out: Path | None = None, duration: float | None = None
+    stream: Stream,
+    console: Console,
+    *,
+    out: Path | None = None,
+    duration: float | None = None,
+    contacts: Contacts | None = None,
 ) -> Tally:
     """Process a board's cycles and show them: a panel in a terminal, else a line every 10 s.
 
@@ -100,7 +155,7 @@ def run_live(
     stream : Stream
     console : rich.console.Console
         Console to show the cycles on.
-    out, duration
+    out, duration, contacts
         See :func:`acoustube.runs.live.follow`.
 
     Raises
@@ -115,7 +170,7 @@ def run_live(
     from acoustube.runs.live import follow
 
     with _shown(console, stream.port) as show:
-        tally, failure = follow(stream, show, out=out, duration=duration)
+        tally, failure = follow(stream, show, out=out, duration=duration, contacts=contacts)
     console.print(tally.words(), soft_wrap=True)
     if failure is not None:
         raise failure
@@ -143,14 +198,27 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
                 return
             before = time.perf_counter()
             head = "nothing yet" if ranging is None else _found(ranging)
+            lines = _told(tally, in_place=panel is not None)
             if panel is None:
-                console.print(f"{head}; {tally.words()}", soft_wrap=True)
+                console.print("; ".join([head, *lines, tally.words()]), soft_wrap=True)
                 return
             bars = "" if ranging is None else trace(ranging.envelope)
-            text = f"{head}\n{bars}\n{tally.words()}"
+            text = "\n".join([head, bars, *lines, tally.words()])
             panel.update(Panel(text, title=Text(readable(port)), expand=False), refresh=True)
 
         yield show
+
+
+def _told(tally: Tally, *, in_place: bool) -> list[str]:
+    """Return lines on the contacts, with the tube in a panel."""
+    if tally.learning:
+        return ["learning the untouched tube; do not touch it"]
+    if tally.found is None:
+        return []
+    from acoustube.runs.live_contacts import drawn, in_words
+
+    lines = in_words(tally.found) or ["no contact"]
+    return [drawn(tally.found, TRACE), *lines] if in_place else lines
 
 
 def _found(ranging: signals.Ranging) -> str:

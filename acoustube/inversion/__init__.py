@@ -10,6 +10,7 @@ tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, measured_clutter, unknown_clutter
 from acoustube.inversion.estimate import Contact, Estimate, Inversion, Inverter
+from acoustube.inversion.folded import baseband_of
 from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Motion
 from acoustube.inversion.tools import Library, Tool
@@ -17,6 +18,6 @@ from acoustube.inversion.tracking import ContactTracker, Tracked
 
 __all__ = [
     "Baseband", "Clutter", "Contact", "ContactTracker", "Estimate", "ForwardModel", "Inversion",
-    "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "measured_clutter",
-    "unknown_clutter",
+    "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "baseband_of",
+    "measured_clutter", "unknown_clutter",
 ]  # fmt: skip

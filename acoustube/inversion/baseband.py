@@ -53,6 +53,9 @@ class Baseband:
         If the sampling rate is too low for the carrier, or a cycle too short.
     """
 
+    freedom = 1.0
+    """Expected square of a whitened sample: 1 of a complex one, 1/2 of a real one."""
+
     def __init__(
         self,
         rangefinder: Rangefinder,
@@ -67,21 +70,13 @@ class Baseband:
         self.n_samples = n_samples or rangefinder.n_samples
         self.rate = rangefinder.sampling_rate
         carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
-        low, high = (1 - HALF_WIDTH) * carrier, (1 + HALF_WIDTH) * carrier
-        if not high < self.rate / 2:
-            raise ConfigError(
-                f"a sampling rate of {self.rate:g} Hz is too low for a carrier of "
-                f"{KHZ * carrier:g} kHz; record at {2.2 * high:.0f} Hz or more"
-            )
         self.air = air_at(temperature)
         flight = 2 * length / self.air.sound_speed
-        self.period = next_fast_len(max(self.n_samples, int(self.rate * (flight + 3e-3))))
-        step = self.rate / self.period
-        self.bins = np.arange(int(np.ceil(low / step)), int(high / step))
-        self.frequency: Array = self.bins * step
-        self.step = step
+        self.period = self._period(max(self.n_samples, int(self.rate * (flight + 3e-3))))
+        self.step = step = self.rate / self.period
+        self.bins, self.taper = self._band(carrier)
+        self.frequency: Array = np.asarray(self.bins * step, float)
         n = len(self.bins)
-        self.taper = _edges(n, round(TAPER * n))
         self.time = np.arange(n) / (n * step)
         self.clear = self._clipped()
         end = min(flight + 1e-3, self.n_samples / self.rate - 0.5e-3)
@@ -97,6 +92,21 @@ class Baseband:
         self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
         self.sent = self._sent()
         self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
+
+    def _period(self, least: int) -> int:
+        """Return the samples of the period of the transforms."""
+        return int(next_fast_len(least))
+
+    def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
+        """Return the numbers of the frequencies about a carrier in Hz, and their taper."""
+        low, high = (1 - HALF_WIDTH) * carrier, (1 + HALF_WIDTH) * carrier
+        if not high < self.rate / 2:
+            raise ConfigError(
+                f"a sampling rate of {self.rate:g} Hz is too low for a carrier of "
+                f"{KHZ * carrier:g} kHz; record at {2.2 * high:.0f} Hz or more"
+            )
+        bins = np.arange(int(np.ceil(low / self.step)), int(high / self.step))
+        return bins, _edges(len(bins), round(TAPER * len(bins)))
 
     @property
     def window(self) -> Array:
@@ -228,7 +238,7 @@ class Baseband:
 
     def _sent(self) -> Complex:
         r = self.rangefinder
-        grid = np.arange(1, self.period // 2 + 1) * self.step
+        grid = np.asarray(np.arange(1, self.period // 2 + 1) * self.step, complex)
         sent = drive_spectrum(r.drive, grid, self.rate, self.period, 0.0)[self.bins - 1]
         lead = np.exp(-2j * pi * self.frequency * r.lead)
         return np.asarray(sent * anti_alias(self.frequency, self.rate) * lead)

@@ -252,7 +252,7 @@ class Inverter:
 def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
     """Return the unexplained share of the echo."""
     rest = builder.quiet(measured - explained)
-    beyond = np.sum(np.abs(rest) ** 2) - len(rest)
+    beyond = np.sum(np.abs(rest) ** 2) - builder.model.base.freedom * len(rest)
     return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
 
 

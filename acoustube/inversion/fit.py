@@ -93,7 +93,9 @@ def weights(
     covariance[np.diag_indices(len(diagonal))] += diagonal
     factor = np.linalg.cholesky(covariance)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
-    return Weights(inverse, 2 * float(np.log(np.diag(factor).real).sum()))
+    freedom = model.base.freedom
+    logarithm = 2 * float(np.log(np.diag(factor).real).sum())
+    return Weights(np.sqrt(freedom) * inverse, freedom * logarithm)
 
 
 @dataclass(frozen=True, eq=False)

@@ -273,7 +273,8 @@ class Builder:
         deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value, _ = self._echo(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
-        return Hypothesis(tools, fits, error, whiten, deviance, float(np.mean(np.abs(rest) ** 2)))
+        residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
+        return Hypothesis(tools, fits, error, whiten, deviance, residual)
 
 
 def _first(fits: Fits, n: int) -> Fits:

@@ -54,8 +54,9 @@ class Proposals:
         self.quiet = _precision(quiet)
         nodes = np.arange(base.nearest, base.length + NODES, NODES)
         spectra = found[:, None] * np.exp(waves * nodes).conj().T
-        samples = quiet(base.transformed(spectra))
-        level = np.log(np.maximum(np.sum(np.abs(samples) ** 2, axis=-1), 1e-300))
+        # Of both phases, which in samples below the Nyquist rate have different energies.
+        power = [np.abs(quiet(base.transformed(turn * spectra))) ** 2 for turn in (1, 1j)]
+        level = np.log(np.maximum(np.sum(power, axis=(0, -1)) / 2, 1e-300))
         share = np.interp(self.places, nodes, np.arange(len(nodes)))
         i = np.minimum(share.astype(int), len(nodes) - 2)
         share = share - i

@@ -218,7 +218,8 @@ class ContactTracker:
         prior[p - len(NUISANCES) :] = 1 / self.model.priors.deviations**2
         whole = np.linalg.inv(found.information + np.diag(prior + 1e-9))
         back = found.slopes.conj() @ self.track.whiten.matrix
-        own = found.information - 2 * noise * (back @ back.conj().swapaxes(1, 2)).real
+        power = (back @ back.conj().swapaxes(1, 2)).real
+        own = found.information - 2 / self.model.base.freedom * noise * power
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
 
     def _scale_error(self, place: float) -> float:
@@ -232,5 +233,6 @@ class ContactTracker:
         """Return the unexplained share of the echo, nan without contacts."""
         if not self.track.known:
             return float("nan")
-        beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - len(rest)
+        expected = self.model.base.freedom * len(rest)
+        beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - expected
         return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(self.quiet(explained)) ** 2)))

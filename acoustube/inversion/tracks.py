@@ -158,7 +158,8 @@ class Track:
         self.score = likelihood if not self.n_cycles else 0.7 * self.score + 0.3 * likelihood
 
     def _mean_square(self, found: Update) -> float:
-        return float(np.mean(np.abs(self.whiten(found.rest[0])) ** 2))
+        square = float(np.mean(np.abs(self.whiten(found.rest[0])) ** 2))
+        return square / self.model.base.freedom
 
     def _bad(self, found: Update, cycle: Cycle) -> bool:
         return self._mean_square(found) > BAD or self.misfit(found, cycle) > MISFIT
@@ -172,7 +173,8 @@ class Track:
             return 0.0
         rest = self.quiet(np.stack([found.rest[0], self.echo]))
         power = np.sum(np.abs(rest) ** 2, axis=1)
-        return float(np.sqrt(max(power[0] - len(cycle.samples), 0.0) / power[1]))
+        expected = self.model.base.freedom * len(cycle.samples)
+        return float(np.sqrt(max(power[0] - expected, 0.0) / power[1]))
 
     def _keep_echo(self, found: Update, cycle: Cycle) -> None:
         """Keep the echo of the contacts, for the weights of the next cycle."""

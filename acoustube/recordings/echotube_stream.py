@@ -221,6 +221,11 @@ class Receiver:
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True)
 
+    @property
+    def waiting(self) -> int:
+        """Number of cycles that wait."""
+        return len(self._waiting)
+
     def __enter__(self) -> Receiver:
         self._thread.start()
         return self

@@ -23,6 +23,7 @@ from acoustube.inversion import (
     Inverter,
     Library,
     Priors,
+    baseband_of,
     measured_clutter,
 )
 from acoustube.ranging import Rangefinder
@@ -171,7 +172,7 @@ class RecordingInverter:
         if known is not None and abs(known[0] - air) < SAME_AIR:
             return known[1]
         base = self._baseband(rangefinder, length, air, data.sizes["time"])
-        self._check_band(base)
+        check_band(self.tool_library, base)
         clutter = None
         if self.untouched:
             cycles, free = self._untouched(path, data, rangefinder)
@@ -185,7 +186,7 @@ class RecordingInverter:
     def _baseband(
         self, rangefinder: Rangefinder, length: float, air: float, n_samples: int
     ) -> Baseband:
-        return Baseband(
+        return baseband_of(
             rangefinder, self.tool_library.radius, length, air, self.tool_library.modes, n_samples
         )
 
@@ -202,18 +203,6 @@ class RecordingInverter:
             return float(data["tube_length"].values.flat[0])
         return float(data.attrs.get("tube_length", USUAL_LENGTH))
 
-    def _check_band(self, base: Baseband) -> None:
-        """Raise if the library's band does not hold that of the rangefinder."""
-        low, high = self.tool_library.band
-        ratio = self.tool_library.sound_speed / base.speed
-        least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
-        if least < low or most > high:
-            raise ConfigError(
-                f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
-                f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
-                "make one with its --frequency and --temperature"
-            )
-
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
     ) -> tuple[Any, float]:
@@ -228,6 +217,19 @@ class RecordingInverter:
             cycles.append(one["signal"].values)
             temperatures.append(one["temperature"].values - self._bias(one, rangefinder))
         return np.concatenate(cycles), float(np.mean(np.concatenate(temperatures)))
+
+
+def check_band(library: Library, base: Baseband) -> None:
+    """Raise :class:`ConfigError` if a library's band does not hold that of a baseband."""
+    low, high = library.band
+    ratio = library.sound_speed / base.speed
+    least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
+    if least < low or most > high:
+        raise ConfigError(
+            f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
+            f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
+            "make one with its --frequency and --temperature"
+        )
 
 
 def read_untouched(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:

@@ -13,10 +13,10 @@ import io
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +36,10 @@ from acoustube.recordings.echotube_stream import (
 )
 from acoustube.runs.recordings import COLUMNS, check_rate, chosen, table_rows
 from acoustube.signals import Ranging, Tracker
+
+if TYPE_CHECKING:
+    from acoustube.inversion import Tracked
+    from acoustube.runs.live_contacts import Contacts, Follower
 
 RATE = 80e3
 """Samples per second of EchoTube's board."""
@@ -84,6 +88,12 @@ class Tally:
     ----------
     n_cycles, n_detections : int
         Processed cycles, and how many of them held an echo.
+    n_skipped : int
+        Cycles that were not inverted, for others waited.
+    learning : bool
+        Whether the clutter of the untouched tube is learned.
+    found : Tracked or None
+        Contacts of the last cycle that was inverted.
     n_garbled, n_joined, n_bytes : int
         See :class:`acoustube.recordings.echotube_stream.Decoder`.
     n_dropped : int
@@ -96,6 +106,9 @@ class Tally:
 
     n_cycles: int = 0
     n_detections: int = 0
+    n_skipped: int = 0
+    learning: bool = False
+    found: Tracked | None = None
     n_garbled: int = 0
     n_joined: int = 0
     n_bytes: int = 0
@@ -123,7 +136,9 @@ class Tally:
         return (
             f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
             f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
-            f"{MS * self.latency:.1f} ms" + (", joined in the middle" if self.n_joined else "")
+            f"{MS * self.latency:.1f} ms"
+            + (", joined in the middle" if self.n_joined else "")
+            + (f", {self.n_skipped} not inverted for lack of time" if self.n_skipped else "")
         )
 
 
@@ -132,7 +147,12 @@ Show = Callable[[Tally, Ranging | None], None]
 
 
 def follow(
-    stream: Stream, show: Show, *, out: Path | None = None, duration: float | None = None
+    stream: Stream,
+    show: Show,
+    *,
+    out: Path | None = None,
+    duration: float | None = None,
+    contacts: Contacts | None = None,
 ) -> tuple[Tally, Exception | None]:
     """Process the cycles of a board until the stream or the duration ends, or an interrupt.
 
@@ -147,6 +167,8 @@ def follow(
         the pulse width that the rangefinder itself reports, in us.
     duration : float, optional
         In s.
+    contacts : Contacts, optional
+        How contacts are found by inversion; not at all by default.
 
     Returns
     -------
@@ -162,7 +184,8 @@ def follow(
     KeyboardInterrupt
         With a message on the counts and the log file.
     """
-    tracker = _tracker(stream)
+    tracker, follower = _tracker(stream), _follower(stream, contacts)
+    table, columns = (None, ()) if contacts is None else (contacts.table, contacts.columns)
     decoder, tally = Decoder(stream.frame_bytes), Tally()
     ranging: Ranging | None = None
     # One reference for the whole run, so that an adjusted clock leaves the intervals as they are.
@@ -171,7 +194,8 @@ def follow(
     with (
         watched_interrupts() as check,
         _opened(stream.port, stream.baud) as line,
-        _log(out) as log,
+        _log(out, LIVE_COLUMNS) as log,
+        _log(table, columns) as log_contact,
     ):
         try:
             with Receiver(line, decoder) as receiver:
@@ -180,6 +204,12 @@ def follow(
                         ranging = tracker.update(frame.samples, stream.temperature)
                         number = tracker.n_cycles - 1
                         log(_row(number, ranging, stream.port, received + epoch, frame))
+                        if follower is not None:
+                            found = follower.update(frame.samples, received, receiver.waiting)
+                            tally.learning, tally.n_skipped = follower.learning, follower.n_skipped
+                            tally.found = found or tally.found
+                            for row in follower.rows(number, received + epoch, found):
+                                log_contact(row)
                         tally.arrivals.append(received)
                         tally.latencies.append(time.perf_counter() - received)
                     _count(tally, tracker, decoder, receiver)
@@ -232,8 +262,17 @@ def _opened(port: str, baud: int) -> Iterator[Any]:
         yield line
 
 
+def _follower(stream: Stream, contacts: Contacts | None) -> Follower | None:
+    """Return what finds the contacts in the stream's cycles, if they are sought."""
+    if contacts is None:
+        return None
+    from acoustube.runs.live_contacts import Follower
+
+    return Follower(contacts, stream.rate, stream.frame_bytes, stream.temperature)
+
+
 @contextlib.contextmanager
-def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
+def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[object]], None]]:
     """Yield a function that writes a row to a new file, at once."""
     if out is None:
         yield lambda _: None
@@ -264,7 +303,7 @@ def _log(out: Path | None) -> Iterator[Callable[[list[object]], None]]:
                     "far, so make room and log to a new file"
                 ) from error
 
-        write([*LIVE_COLUMNS])
+        write([*columns])
         yield write
 
 

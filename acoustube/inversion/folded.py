@@ -1,0 +1,126 @@
+"""Baseband of cycles that are sampled below the Nyquist rate of their carrier.
+
+At 80 kHz the band about 42 kHz is folded about 40 kHz: a sample tells the sum of two frequencies,
+one of them conjugate. Multiplied by -1 to the power of its number, such a record is the real part
+of the complex baseband about half the sampling rate, which the forward model gives as well; it
+holds half of what a record at twice the rate does.
+
+References
+----------
+* Sampling of band-limited signals below the Nyquist rate: Vaughan, R. G., Scott, N. L. and White,
+  D. R. (1991). IEEE Transactions on Signal Processing 39, 1973-1984.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ
+from acoustube.inversion.baseband import AFTER_CLIPPING, FADE, HALF_WIDTH, TAPER, Baseband
+from acoustube.ranging import Rangefinder
+from acoustube.ranging.analogue import drive_spectrum
+from acoustube.waves.scattering import Complex
+
+HALF_BAND = 0.13
+"""Half the width of the band about half the sampling rate, in carriers."""
+FARTHEST = 0.08
+"""Largest distance of the carrier from half the sampling rate, in carriers."""
+FINER = 4
+"""Factor of the sampling rate at which the ring-down is computed."""
+
+
+class FoldedBaseband(Baseband):
+    """Grid of frequencies and times of a folded band; its samples are real.
+
+    The voltage is not filtered before it is sampled, as in EchoTube's board. The parameters are
+    those of :class:`acoustube.inversion.Baseband`.
+
+    Raises
+    ------
+    ConfigError
+        If the carrier is not near half the sampling rate, or a cycle is too short.
+    """
+
+    freedom = 0.5
+
+    def _period(self, least: int) -> int:
+        """Return the samples of the period, an even number."""
+        return 2 * int(next_fast_len(-(-least // 2)))
+
+    def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
+        """Return the numbers of the frequencies about half the sampling rate, and their taper."""
+        middle = self.rate / 2
+        if abs(carrier - middle) > FARTHEST * carrier:
+            raise ConfigError(
+                f"a sampling rate of {self.rate:g} Hz folds the band of a carrier of "
+                f"{KHZ * carrier:g} kHz; record at {2.2 * (1 + HALF_WIDTH) * carrier:.0f} Hz or "
+                f"more, or at about {2 * carrier:.0f} Hz"
+            )
+        half = int(HALF_BAND * carrier / self.step)
+        offset = np.arange(-half, half)
+        width = 2 * TAPER * half
+        taper = np.sin(pi / 2 * np.clip((half - np.abs(offset)) / width, 0, 1)) ** 2
+        return self.period // 2 + offset, taper
+
+    def noise(self, n_cycles: int) -> float:
+        """Return the variance of a real sample of the mean of cycles."""
+        return super().noise(n_cycles) / 4
+
+    def transformed(self, spectrum: Complex) -> Complex:
+        """Return the real parts of basebands (..., n_time) of spectra (..., n_f) in counts s."""
+        samples = super().transformed(spectrum) * self._signs
+        return np.asarray(samples.real, complex)
+
+    def adjoint(self, samples: Complex) -> Complex:
+        """Return the adjoint of :meth:`transformed`, for the real part of the product."""
+        return super().adjoint(samples * self._signs)
+
+    def ring_down(self) -> Complex:
+        """Return the ring-down that the rangefinder's parameters give, in the baseband."""
+        r, n, rate = self.rangefinder, FINER * self.period, FINER * self.rate
+        f = np.asarray(np.fft.rfftfreq(n, 1 / rate)[1:], float).astype(complex)
+        spectrum = r.send * drive_spectrum(r.drive, f, rate, n, 0.0) * r.resonator(f)
+        spectrum *= np.exp(-2j * pi * f * r.lead) * self.per_volt
+        samples = np.fft.irfft(np.concatenate([[0], spectrum]) * rate, n)[::FINER]
+        return self._of_samples(samples[: self.n_samples])
+
+    @property
+    def _signs(self) -> Array:
+        return np.asarray(1.0 - 2.0 * (self.used % 2))
+
+    def _of_samples(self, samples: Array) -> Complex:
+        time = np.arange(samples.shape[-1]) / self.rate
+        fade = np.sin(pi / 2 * np.clip((time - self.clear - AFTER_CLIPPING) / FADE, 0, 1)) ** 2
+        spectrum = np.fft.fft(samples * fade, self.period, axis=-1)[..., self.bins] / self.rate
+        # Both halves of the band hold the whole record.
+        return self.transformed(spectrum) / 2
+
+    def _sent(self) -> Complex:
+        r = self.rangefinder
+        grid = np.arange(1, self.bins[-1] + 1) * self.step
+        sent = drive_spectrum(r.drive, grid.astype(complex), self.rate, self.period, 0.0)
+        return np.asarray(sent[self.bins - 1] * np.exp(-2j * pi * self.frequency * r.lead))
+
+
+def baseband_of(
+    rangefinder: Rangefinder,
+    radius: float,
+    length: float,
+    temperature: float,
+    modes: tuple[str, ...],
+    n_samples: int | None = None,
+) -> Baseband:
+    """Return the baseband of a rangefinder: folded where its band is not below the Nyquist rate.
+
+    The parameters and errors are those of :class:`acoustube.inversion.Baseband`.
+    """
+    carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
+    below = (1 + HALF_WIDTH) * carrier < rangefinder.sampling_rate / 2
+    kind = Baseband if below else FoldedBaseband
+    return kind(rangefinder, radius, length, temperature, modes, n_samples)

@@ -1,0 +1,199 @@
+"""Contacts in the cycles of a board as they arrive, by a tracker that inverts each of them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.units import CM, MM
+from acoustube.inversion import (
+    Clutter,
+    ContactTracker,
+    ForwardModel,
+    Tracked,
+    baseband_of,
+    measured_clutter,
+)
+from acoustube.ranging import Rangefinder
+from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES
+from acoustube.runs.inversion import USUAL_LENGTH, Sensor, check_band, read_sensor
+from acoustube.runs.libraries.files import open_library
+
+CONTACT_COLUMNS = (
+    "cycle", "received_s", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
+    "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
+)  # fmt: skip
+BITS = 8
+"""Bits of a board's samples."""
+FEWEST = 8
+"""Untouched cycles from which clutter can be learned."""
+BACKLOG = 2
+"""Cycles waiting with which a cycle is not inverted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contacts:
+    """How contacts are found in a stream.
+
+    Attributes
+    ----------
+    folder : Path
+        Of the library.
+    sensor : Path or None
+        TOML file of the sensor, see :func:`acoustube.runs.inversion.read_sensor`.
+    rest : float
+        Time in s at the start in which the tube is untouched, and its clutter learned; 0 for none.
+    most : int
+        Largest number of contacts.
+    table : Path or None
+        New CSV file, one row of :data:`CONTACT_COLUMNS` per contact and cycle.
+    """
+
+    folder: Path
+    sensor: Path | None = None
+    rest: float = 3.0
+    most: int = 3
+    table: Path | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the table."""
+        return CONTACT_COLUMNS
+
+
+class Follower:
+    """Contacts from cycle to cycle of a stream, after its clutter is learned.
+
+    Parameters
+    ----------
+    how : Contacts
+    rate : float
+        Samples per second.
+    n_samples : int
+        Of a cycle, the two included in whose place the pulse width is sent.
+    temperature : float
+        Of the air in degC.
+
+    Raises
+    ------
+    ConfigError
+        If the library or the sensor cannot be read, or does not go with the stream.
+    """
+
+    def __init__(self, how: Contacts, rate: float, n_samples: int, temperature: float) -> None:
+        self.how = how
+        self.tool_library = open_library(how.folder)
+        sensor = Sensor() if how.sensor is None else read_sensor(how.sensor)
+        rangefinder = sensor.rangefinder or Rangefinder(sampling_rate=rate, bits=BITS)
+        if abs(rangefinder.sampling_rate / rate - 1) > 1e-3:
+            raise ConfigError(
+                f"the stream has {rate:g} samples per second and the sensor "
+                f"{rangefinder.sampling_rate:g}; state the same rate in both"
+            )
+        if rangefinder.bits != BITS:
+            raise ConfigError(
+                f"a board sends samples of {BITS} bits and the sensor has {rangefinder.bits}; "
+                f"state bits = {BITS} and their full_scale in the file of the sensor"
+            )
+        air = temperature - (rangefinder.temperature_bias if sensor.rangefinder else 0.0)
+        self.sensor = replace(sensor, rangefinder=rangefinder)
+        self.base = baseband_of(
+            rangefinder, self.tool_library.radius, sensor.length or USUAL_LENGTH, air,
+            self.tool_library.modes, n_samples,
+        )  # fmt: skip
+        check_band(self.tool_library, self.base)
+        self.untouched: list[NDArray[np.uint8]] = []
+        self.began: float | None = None
+        self.before: float | None = None
+        self.n_skipped = 0
+        self.times: list[float] = []
+        self.tracker: ContactTracker | None = None if how.rest else self._tracker(None)
+
+    @property
+    def learning(self) -> bool:
+        """Whether the clutter is still learned from an untouched tube."""
+        return self.tracker is None
+
+    def update(
+        self, samples: NDArray[np.uint8], received: float, waiting: int = 0
+    ) -> Tracked | None:
+        """Return the contacts after a cycle, or None while the clutter is learned or if skipped.
+
+        Parameters
+        ----------
+        samples : ndarray
+            Of the cycle from the third on, (n_samples - 2,).
+        received : float
+            When it came, in s.
+        waiting : int
+            Cycles that have come since; where there are some the cycle is left out.
+        """
+        cycle = np.concatenate([np.repeat(samples[:1], PULSE_WIDTH_BYTES), samples])
+        if self.tracker is None:
+            self.began = received if self.began is None else self.began
+            self.untouched.append(cycle)
+            enough = len(self.untouched) >= FEWEST and received - self.began >= self.how.rest
+            if enough:
+                clutter = measured_clutter(self.base, np.array(self.untouched))
+                self.tracker = self._tracker(clutter)
+                self.untouched = []
+            return None
+        if waiting > BACKLOG:
+            self.n_skipped += 1
+            return None
+        elapsed = None if self.before is None else max(received - self.before, 1e-3)
+        self.before = received
+        start = time.perf_counter()
+        found = self.tracker.update(cycle, elapsed)
+        self.times.append(time.perf_counter() - start)
+        del self.times[:-2000]
+        return found
+
+    def _tracker(self, clutter: Clutter | None) -> ContactTracker:
+        model = ForwardModel(self.tool_library, self.base, clutter, self.sensor.priors)
+        return ContactTracker(model, self.how.most)
+
+    def rows(self, number: int, received: float, found: Tracked | None) -> list[list[object]]:
+        """Return a row of :data:`CONTACT_COLUMNS` for each contact of a cycle."""
+        rows: list[list[object]] = []
+        if found is None:
+            return rows
+        for name, one in zip(found.numbers, found.contacts, strict=True):
+            parts = (one.distance, CM), (one.depth, MM), (one.force, 1.0)
+            values = [f"{k * v:.6g}" for e, k in parts for v in (e.value, e.deviation)]
+            diameter = f"{MM * self.tool_library.tools[one.tool].diameter:g}"
+            head = [number, f"{received:.6f}", name, f"{one.probability:.4f}"]
+            rows.append([*head, *values, diameter, f"{found.misfit:.4g}"])
+        return rows
+
+
+def in_words(found: Tracked) -> list[str]:
+    """Return a line for each contact, with standard deviations."""
+    lines = []
+    for number, one in zip(found.numbers, found.contacts, strict=True):
+        parts = (one.distance, CM, 2), (one.depth, MM, 2), (one.force, 1.0, 1)
+        place, depth, force = (
+            f"{scale * e.value:.{digits}f} ± {scale * e.deviation:.{digits}f}"
+            for e, scale, digits in parts
+        )
+        sure = f"{100 * one.probability:.0f} %"
+        lines.append(f"contact {number}: {place} cm, {depth} mm, {force} N, {sure}")
+    if not found.fits:
+        lines.append(f"misfit {found.misfit:.2f}: the library does not explain the echo")
+    return lines
+
+
+def drawn(found: Tracked, width: int) -> str:
+    """Return the tube as a row of characters, with the contacts on it.
+
+    It ends at the place from which the last sound of a cycle comes.
+    """
+    row, length = ["─"] * width, float(found.place[-1])
+    for one in found.contacts:
+        row[min(width - 1, max(0, int(width * one.distance.value / length)))] = "▼"
+    return "".join(row)

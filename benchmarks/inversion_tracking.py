@@ -1,0 +1,146 @@
+"""Two moving fingers followed from cycle to cycle: processor time a cycle, memory and errors.
+
+Fingers land, slide, deepen and lift at about 0.55 and 1 m of a tube of 2 m, over and over; cycles
+are computed one by one by the rangefinder's model, with the library's scattering at depths between
+its own. The figures show the search, the filter and the noise, not errors of the scattering. With
+``--board`` the cycles are those of EchoTube's board: 80 kHz, unfiltered, 8 bits.
+
+Usage: python benchmarks/inversion_tracking.py FOLDER --seconds 60
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+
+from acoustube.inversion import ContactTracker, ForwardModel, baseband_of, measured_clutter
+from acoustube.ranging import Rangefinder, digitise, response
+from acoustube.runs.libraries.files import open_library
+from acoustube.waves import PlacedScatterer, Scattering
+
+LENGTH, TUBE, AIR, RATE, NEAR = 2.0, 7, 20.1, 20, 0.05
+UNTOUCHED = 100
+"""Cycles from which the clutter is learned."""
+SETTLED = 0.5
+"""Time in s after a landing from which errors are told apart."""
+
+
+def finger(t, start, hold, pause, place, slide, depth):
+    """Return place, depth and time since landing of a finger that comes again and again."""
+    k, since = divmod(t - start, hold + pause)
+    if t < start or since > hold:
+        return None
+    deep = depth * (0.8 + 0.2 * np.cos(2.1 * k))
+    deep *= np.sin(np.pi / 2 * min(1, since / 0.6, (hold - since) / 0.6)) ** 2
+    deep *= 1 - 0.12 * np.sin(2 * np.pi * since / 2.3)
+    moved = place + 0.03 * np.sin(1.7 * k) + slide * np.sin(2 * np.pi * since / hold)
+    return moved, deep, since
+
+
+def hands(t, least):
+    """Return the fingers that press deeper than the library's first depth."""
+    both = finger(t, 0.5, 7, 2, 0.55, 0.03, 5e-3), finger(t, 3, 8, 2.5, 1.0, 0.035, 6e-3)
+    return [one for one in both if one is not None and one[1] > least]
+
+
+class Tube:
+    """Cycles of presses with a tool's scattering."""
+
+    def __init__(self, tool, board):
+        self.tool, self.board = tool, board
+        if board:
+            self.own = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8)
+            self.fine = Rangefinder(sampling_rate=240e3, n_samples=6000)
+        else:
+            self.own = self.fine = Rangefinder()
+
+    def placed(self, place, depth):
+        """Return a press."""
+        s, m = self.tool.matrix(depth), len(self.tool.modes)
+        found = Scattering(
+            frequency=self.tool.frequency, modes=self.tool.modes, s=s,
+            propagates=np.ones((len(s), m), bool), cut_ons=np.linspace(0, 42e3, m),
+            settled=np.ones(s.shape, bool), sound_speed=self.tool.sound_speed,
+            extent=(-0.01, 0.01), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0,
+            time_step=np.nan,
+        )  # fmt: skip
+        return PlacedScatterer(found, place)
+
+    def cycle(self, pressed, number):
+        """Return the counts of a cycle."""
+        placed = [self.placed(place, depth) for place, depth, _ in pressed]
+        _, voltage = response(placed, self.fine, length=LENGTH, temperature=AIR, tube_seed=TUBE)
+        voltage = voltage[::3].copy() if self.board else voltage
+        return digitise(voltage, self.own, np.array([number]), 5)[0]
+
+
+def followed(tube, library, seconds):
+    """Return times of cycles, rows (deepest, time since landing, errors, coverage) and ghosts."""
+    tool = library.tools[0]
+    base = baseband_of(
+        tube.own, library.radius, LENGTH, 20.0, library.modes, tube.own.n_samples
+    )  # fmt: skip
+    free = np.array([tube.cycle([], i) for i in range(UNTOUCHED)])
+    tracker = ContactTracker(ForwardModel(library, base, measured_clutter(base, free)))
+    times, rows, ghosts = [], [], 0
+    for i in range(round(seconds * RATE)):
+        pressed = hands(i / RATE, tool.depth[0])
+        counts = tube.cycle(pressed, UNTOUCHED + i)
+        start = time.process_time()
+        left = list(tracker.update(counts).contacts)
+        times.append(time.process_time() - start)
+        for place, depth, since in pressed:
+            near = [one for one in left if abs(one.distance.value - place) < NEAR]
+            if not near:
+                rows.append((depth, since, *[np.nan] * 4))
+                continue
+            one = min(near, key=lambda one: abs(one.distance.value - place))
+            left.remove(one)
+            held = [
+                low <= truth <= high
+                for (low, high), truth in (
+                    (one.distance.intervals[0.9], place),
+                    (one.depth.intervals[0.9], depth),
+                )
+            ]
+            rows.append((depth, since, one.distance.value - place, one.depth.value - depth, *held))
+        ghosts += len(left)
+    return 1e3 * np.array(times), np.array(rows, float), ghosts
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="of the library")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the stream")
+    parser.add_argument("--board", action="store_true", help="80 kHz and 8 bits")
+    given = parser.parse_args()
+    library = open_library(given.folder)
+    tube = Tube(library.tools[0], given.board)
+    times, rows, ghosts = followed(tube, library, given.seconds)
+    q = np.quantile(times, [0.5, 0.95, 1])
+    print(f"{len(times)} cycles; {q[0]:.1f} ms of processor time, 95 % {q[1]:.1f}, most {q[2]:.0f}")
+    print(f"resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
+    print(f"contacts that are none: {ghosts} in {len(times)} cycles")
+    for name, low, high in (("under 1 mm", 0, 1e-3), ("1 to 2.5 mm", 1e-3, 2.5e-3),
+                            ("from 2.5 mm", 2.5e-3, 1)):  # fmt: skip
+        for when, first, last in (("landing", 0, SETTLED), ("later", SETTLED, np.inf)):
+            here = (rows[:, 0] >= low) & (rows[:, 0] < high)
+            here &= (rows[:, 1] >= first) & (rows[:, 1] < last)
+            found = rows[here][np.isfinite(rows[here, 2])]
+            if len(found):
+                place, depth = (np.quantile(1e3 * np.abs(found[:, i]), [0.5, 0.9]) for i in (2, 3))
+                print(
+                    f"{name}, {when}: {here.sum()}, found {100 * len(found) / here.sum():.0f} %, "
+                    f"place {place[0]:.3f} / {place[1]:.3f} mm, depth {depth[0]:.3f} / "
+                    f"{depth[1]:.3f} mm, 90 % intervals hold {100 * found[:, 4].mean():.0f} and "
+                    f"{100 * found[:, 5].mean():.0f} %"
+                )
+
+
+if __name__ == "__main__":
+    main()

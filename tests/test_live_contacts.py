@@ -1,0 +1,140 @@
+"""`acoustube live --library`: contacts of EchoTube's cycles, 80 kHz and 8 bits, as they arrive."""
+
+import csv
+import io
+import os
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import Board
+from commands import run_here
+from rich.console import Console
+from test_inversion import press, tool
+
+from acoustube.cli.live import run_live
+from acoustube.ranging import Rangefinder, digitise, response
+from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES, encode
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.live import Stream
+from acoustube.runs.live_contacts import Contacts, Follower
+
+needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
+LENGTH, UNTOUCHED, PRESSED = 2.0, 16, 24
+FINE = Rangefinder(sampling_rate=240e3, n_samples=6000, noise=1e-3)
+SENSOR = "sampling_rate = 80e3\nbits = 8\nnoise = 1e-3\nlength_cm = 200\ntemperature_bias = 0.0\n"
+BOARD = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8, noise=1e-3)
+
+
+def cycle(presses, number):
+    """Return the bytes of a cycle, of every third sample of the voltage at 240 kHz."""
+    placed = [press(depth, place) for place, depth in presses]
+    _, voltage = response(placed, FINE, length=LENGTH, tube_seed=7)
+    counts = digitise(voltage[::3].copy(), BOARD, np.array([number]), 3)[0]
+    return counts[PULSE_WIDTH_BYTES:].astype(np.uint8)
+
+
+def pressed(i):
+    """Return place and depth of a press that deepens and slides."""
+    return 0.7 + 0.0005 * i, 6e-3 * np.sin(np.pi / 2 * min(1.0, (i + 1) / 10)) ** 2
+
+
+@pytest.fixture(scope="module")
+def cycles():
+    free = [cycle([], i) for i in range(UNTOUCHED)]
+    return free + [cycle([pressed(i)], UNTOUCHED + i) for i in range(PRESSED)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    where = tmp_path_factory.mktemp("live")
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (where / "lib").mkdir()
+    files.write_tool(where / "lib" / plan.name, tool(), plan)
+    (where / "sensor.toml").write_text(SENSOR)
+    return where
+
+
+@needs_pty
+def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp_path):
+    board, shown = Board(), io.StringIO()
+
+    def send():
+        start = time.monotonic() + 0.5
+        for i, one in enumerate(cycles):
+            time.sleep(max(0.0, start + i / 20 - time.monotonic()))
+            board.send(encode(i, one))
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    how = Contacts(
+        folder=folder / "lib", sensor=folder / "sensor.toml", rest=0.7, table=tmp_path / "c.csv"
+    )
+    stream = Stream(port=board.port, prominence=0.05)
+    tally = run_live(
+        stream, Console(file=shown), out=tmp_path / "log.csv", duration=3.2, contacts=how
+    )
+    thread.join()
+    board.cut()
+    assert tally.n_cycles == len(cycles)
+    assert len((tmp_path / "log.csv").read_text().splitlines()) == len(cycles) + 1
+    with (tmp_path / "c.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    late = [row for row in rows if int(row["cycle"]) >= UNTOUCHED + 14]
+    # All of the last ten cycles; fewer on a machine that has no time for them.
+    assert len(late) + tally.n_skipped >= 10
+    for row in late:
+        place, depth = pressed(int(row["cycle"]) - UNTOUCHED)
+        # 8 bits, which hardly tell half wavelengths (4 mm) apart, and a gain known to 5 %.
+        assert float(row["distance_cm"]) == pytest.approx(100 * place, abs=0.5)
+        assert float(row["depth_mm"]) == pytest.approx(1e3 * depth, rel=0.06)
+        assert float(row["probability"]) > 0.9
+        assert row["indenter_mm"] == "25"
+    assert tally.found.contacts
+
+
+def test_cycles_are_left_out_when_others_wait(folder, cycles):
+    how = Contacts(folder=folder / "lib", sensor=folder / "sensor.toml", rest=0.1)
+    follower = Follower(how, 80e3, 2000, 20.0)
+    for i in range(12):
+        follower.update(cycles[i], i / 20)
+    assert not follower.learning
+    assert follower.update(cycles[12], 0.6, waiting=5) is None
+    assert follower.n_skipped == 1
+    assert follower.update(cycles[13], 0.65, waiting=0).contacts == []
+
+
+@pytest.mark.parametrize(
+    ("sensor", "rate", "reason"),
+    [
+        ("bits = 12\nsampling_rate = 80e3", 80e3, "samples of 8 bits and the sensor has 12"),
+        ("bits = 8\nsampling_rate = 200e3", 80e3, "has 80000 samples per second and the sensor"),
+        (None, 60e3, "folds the band of a carrier of 42 kHz"),
+    ],
+)
+def test_sensor_that_is_not_the_board_s_is_one_sentence(folder, tmp_path, sensor, rate, reason):
+    path = None
+    if sensor is not None:
+        path = tmp_path / "sensor.toml"
+        path.write_text(sensor)
+    with pytest.raises(ValueError, match=reason):
+        Follower(Contacts(folder=folder / "lib", sensor=path), rate, 2000, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--contacts", "c.csv"), "--contacts goes with --library"),
+        (("--library", "nowhere"), "nowhere"),
+        (("--library", "nowhere", "--rest", "-1"), "rest"),
+    ],
+)
+def test_wrong_options_are_one_sentence(words, reason):
+    done = run_here("live", "--port", "nothing", *words)
+    assert done.returncode == 2
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not Path("c.csv").exists()
