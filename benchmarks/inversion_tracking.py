@@ -21,6 +21,8 @@ from acoustube.inversion import ContactTracker, ForwardModel, baseband_of, measu
 from acoustube.ranging import Rangefinder, digitise, response
 from acoustube.runs.libraries.files import open_library
 from acoustube.waves import PlacedScatterer, Scattering
+from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.modes.grid_modes import mode_numbers
 
 LENGTH, TUBE, AIR, RATE, NEAR = 2.0, 7, 20.1, 20, 0.05
 UNTOUCHED = 100
@@ -52,6 +54,10 @@ class Tube:
 
     def __init__(self, tool, board):
         self.tool, self.board = tool, board
+        numbers = [mode_numbers(name) for name in tool.modes]
+        self.cut_ons = np.array(
+            [cut_on_frequency(*one, tool.radius, tool.sound_speed) for one in numbers]
+        )
         if board:
             self.own = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8)
             self.fine = Rangefinder(sampling_rate=240e3, n_samples=6000)
@@ -63,7 +69,7 @@ class Tube:
         s, m = self.tool.matrix(depth), len(self.tool.modes)
         found = Scattering(
             frequency=self.tool.frequency, modes=self.tool.modes, s=s,
-            propagates=np.ones((len(s), m), bool), cut_ons=np.linspace(0, 42e3, m),
+            propagates=np.ones((len(s), m), bool), cut_ons=self.cut_ons,
             settled=np.ones(s.shape, bool), sound_speed=self.tool.sound_speed,
             extent=(-0.01, 0.01), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0,
             time_step=np.nan,

@@ -6,21 +6,25 @@ import csv
 import io
 import math
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write_all
-from acoustube.cli._options import Output, check_files
+from acoustube.cli._options import WHOLE, Checked, Output, check_files
 
 if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
 
-    from acoustube.estimation import Model
     from acoustube.runs.training import Row
 
 COLUMNS = (
@@ -29,19 +33,40 @@ COLUMNS = (
 )  # fmt: skip
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Inverted(Checked):
+    """Options of an evaluation of the inversion.
+
+    Attributes
+    ----------
+    sensor : Path
+        TOML file of the sensor, as of invert.
+    untouched : Path
+        Recordings of the tube without contact, as of invert.
+    group : int
+        Cycles with equal labels that are inverted together.
+    """
+
+    sensor: Path | None = None
+    untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+    group: Annotated[int, WHOLE, Number(1, 100_000, "", "cycles", whole=True)] = 20
+
+
 def evaluate(
     model: Path,
     *data: Path,
+    inverted: Inverted = Inverted(),
     out: Path | None = None,
     figure: Path | None = None,
     output: Output = Output(),
 ) -> None:
-    """Evaluate a trained estimator on labelled cycles: errors and coverage of the intervals.
+    """Evaluate an estimator on labelled cycles: errors and coverage of the intervals.
 
     Parameters
     ----------
     model : Path
-        File that ``train`` wrote.
+        File that ``train`` wrote, or a folder that ``library`` wrote, for the inversion.
     data : Path
         Files with cycles and labels, or folders of these; not those of the training.
     out : Path
@@ -51,10 +76,14 @@ def evaluate(
     """
     if not data:
         raise ConfigError("evaluate needs a file or a folder; name one or more")
-    if not model.is_file():
-        what = "is a folder" if model.is_dir() else "does not exist"
-        raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
+    if not model.exists():
+        raise ConfigError(f"{model} does not exist; give the name of a model: train writes one")
     check_files(out=out, figure=figure)
+    if model.is_dir():
+        _evaluate_library(model, data, inverted, out, figure, output.console())
+        return
+
+    import numpy as np
 
     from acoustube import estimation
     from acoustube.base.foreign.limits import reading
@@ -67,21 +96,74 @@ def evaluate(
         table = table_of(data, trained.feature_settings, show)
         with reading(model, "cannot be used", "train it again"):
             estimates = estimation.estimate(trained, table)
-    rows = list(error_rows(trained, table, estimates))
+    rows = list(error_rows(trained.targets, table, estimates))
     if not rows:
         raise ConfigError(
             f"the cycles have no label {' or '.join(trained.targets)}, which the model estimates; "
             "give it in the files or in a sidecar"
         )
-    _print_errors(rows, table, trained, console)
+    seen = int(np.isfinite(table["features"].values).all(axis=1).sum())
+    head = (
+        f"{trained.name}, trained on {trained.origin['trained']} cycles; {table.sizes['cycle']} "
+        f"cycles, echoes in {seen}"
+    )
+    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, console, start)
+
+
+def _evaluate_library(
+    folder: Path,
+    data: Sequence[Path],
+    inverted: Inverted,
+    out: Path | None,
+    figure: Path | None,
+    console: Console,
+) -> None:
+    """Evaluate the inversion by a library."""
+    import numpy as np
+
+    from acoustube.estimation.model import TARGETS
+    from acoustube.runs import inversion
+    from acoustube.runs.inverted_cycles import inverted as estimated
+    from acoustube.runs.libraries.files import open_library
+    from acoustube.runs.training import error_rows
+
+    start = time.perf_counter()
+    library = open_library(folder)
+    sensor = (
+        inversion.Sensor() if inverted.sensor is None else inversion.read_sensor(inverted.sensor)
+    )
+    free = inversion.read_untouched(inverted.untouched, {}) if inverted.untouched else []
+    inverter = inversion.RecordingInverter(library, sensor, free)
+    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
+        table, estimates = estimated(data, inverter, inverted.group, show)
+    rows = list(error_rows(tuple(TARGETS), table, estimates))
+    found = int(np.isfinite(estimates["distance"].values).sum())
+    tools = ", ".join(tool.name for tool in library.tools)
+    head = (
+        f"inversion, library of {tools}; {table.sizes['cycle']} groups of up to "
+        f"{inverted.group} cycles, contacts in {found}"
+    )
+    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, console, start)
+
+
+def _finish(
+    rows: list[Row],
+    head: str,
+    results: tuple[xr.Dataset, xr.Dataset],
+    files: dict[str, Path | None],
+    console: Console,
+    start: float,
+) -> None:
+    """Print the errors, and write the table and the picture."""
+    _print_errors(rows, head, console)
     contents: dict[Path, bytes | str] = {}
-    if out is not None:
-        contents[out] = _table(rows)
-    if figure is not None:
+    if files["out"] is not None:
+        contents[files["out"]] = _table(rows)
+    if files["figure"] is not None:
         from acoustube.reports.figures import estimates as estimate_figures
         from acoustube.reports.figures.run import picture
 
-        contents[figure] = picture(estimate_figures.figure(table, estimates), figure)
+        contents[files["figure"]] = picture(estimate_figures.figure(*results), files["figure"])
     write_all(contents)
     written = " and ".join(map(str, contents))
     console.print(
@@ -112,20 +194,14 @@ def _written(row: Row) -> list[object]:
     return [TARGETS[target], unit, by, *("" if math.isnan(v) else f"{v:.6g}" for v in numbers)]
 
 
-def _print_errors(rows: list[Row], table: xr.Dataset, model: Model, console: Console) -> None:
+def _print_errors(rows: list[Row], head: str, console: Console) -> None:
     """Print the errors of all cycles."""
-    import numpy as np
     from rich.table import Table
 
     from acoustube.estimation.model import TARGETS
     from acoustube.runs.training import DISPLAY_UNITS
 
-    seen = int(np.isfinite(table["features"].values).all(axis=1).sum())
-    console.print(
-        f"acoustube {__version__}: {model.name}, trained on {model.origin['trained']} "
-        f"cycles; {table.sizes['cycle']} cycles, echoes in {seen}",
-        soft_wrap=True,
-    )
+    console.print(f"acoustube {__version__}: {head}", soft_wrap=True)
     shown = Table(box=None, pad_edge=False)
     names = ("absolute error", "median", "RMSE", "IQR", "relative", "in 68 %", "in 90 %")
     for column in names:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from acoustube import estimation, recordings
 from acoustube.base.errors import ConfigError
-from acoustube.estimation import FeatureSettings, Model
+from acoustube.estimation import FeatureSettings
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
 
@@ -105,12 +105,13 @@ def _joined(parts: list[xr.Dataset]) -> xr.Dataset:
     return xr.Dataset(variables, {"feature": parts[0]["feature"].values}, parts[0].attrs)
 
 
-def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterator[Row]:
+def error_rows(targets: Sequence[str], table: xr.Dataset, estimates: xr.Dataset) -> Iterator[Row]:
     """Yield the errors of each target: of all cycles, then by depth and by distance.
 
     Parameters
     ----------
-    model : Model
+    targets : sequence of str
+        Labels that are estimated.
     table, estimates : xarray.Dataset
         From :func:`acoustube.estimation.feature_table` and :func:`acoustube.estimation.estimate`.
 
@@ -120,7 +121,7 @@ def error_rows(model: Model, table: xr.Dataset, estimates: xr.Dataset) -> Iterat
         The target; the label by which cycles are binned, and the bin's limits; the number of
         cycles; and their errors, in SI units.
     """
-    for target in model.targets:
+    for target in targets:
         if target not in table or not np.isfinite(table[target]).any():
             continue
         name = TARGETS[target]

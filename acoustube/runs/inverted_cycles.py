@@ -1,0 +1,101 @@
+"""Estimates of labelled cycles by inversion, in the tables of the trained estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+from acoustube.estimation.model import TARGETS
+from acoustube.inversion import Contact, Estimate, Inversion
+from acoustube.runs.inversion import RecordingInverter
+from acoustube.runs.training import read_cycles
+
+LEVELS = 0.68, 0.9
+"""Probabilities of the intervals, as of the trained estimators."""
+
+
+def inverted(
+    paths: Sequence[Path],
+    inverter: RecordingInverter,
+    size: int,
+    report: Callable[[str, float], None],
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return labels and estimates of groups of cycles with equal labels.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files with cycles and labels, or folders of these.
+    inverter : RecordingInverter
+    size : int
+        Cycles of a group, at most.
+    report : callable
+        Called with a stage and the fraction of it that is done.
+
+    Returns
+    -------
+    table : xarray.Dataset
+        Labels of the groups, by ``cycle``.
+    estimates : xarray.Dataset
+        As of :func:`acoustube.estimation.estimate`, of the contact of the largest force among the
+        likely ones; nan where none is found. Half widths are those of the central intervals.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or is not one of the sensor; or if none has a label.
+    """
+    labels: dict[str, list[float]] = {name: [] for name in TARGETS}
+    columns: dict[str, list[float]] = {}
+    for path, data in read_cycles(paths):
+        known = [name for name in TARGETS if name in data]
+        if not known:
+            raise ConfigError(
+                f"{path} has no label {' or '.join(TARGETS)}; give one in the file or in a sidecar"
+            )
+        for part, share in _alike(data, known, size):
+            ((_, found),) = inverter.groups(path, part, part.sizes["cycle"], lambda: None)
+            for name, values in labels.items():
+                values.append(float(part[name].values[0]) if name in known else np.nan)
+            for name, value in _estimated(found).items():
+                columns.setdefault(name, []).append(value)
+            report("inverted", share)
+    given = {name: values for name, values in labels.items() if np.isfinite(values).any()}
+    table, estimates = (
+        xr.Dataset({name: ("cycle", np.array(values)) for name, values in some.items()})
+        for some in (given, columns)
+    )
+    return table, estimates
+
+
+def _alike(
+    data: xr.Dataset, labels: Sequence[str], size: int
+) -> Iterator[tuple[xr.Dataset, float]]:
+    """Yield groups of consecutive cycles with equal labels, and the share that is done."""
+    values = np.stack([np.nan_to_num(data[name].values.astype(float)) for name in labels])
+    n = data.sizes["cycle"]
+    edges = [0, *(1 + np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0))), n]
+    for first, last in pairwise(edges):
+        for start in range(int(first), int(last), size):
+            end = min(start + size, int(last))
+            yield data.isel(cycle=slice(start, end)), end / n
+
+
+def _estimated(found: Inversion) -> dict[str, float]:
+    """Return the estimates of a group, with the half widths of their intervals."""
+    likely = [one for one in found.contacts if one.probability > 0.5]
+    best: Contact | None = max(likely, key=lambda one: one.force.value, default=None)
+    row: dict[str, Any] = {}
+    for name in TARGETS.values():
+        known: Estimate | None = None if best is None else getattr(best, name)
+        row[name] = np.nan if known is None else known.value
+        for suffix, level in zip(("_deviation", "_half_width"), LEVELS, strict=True):
+            ends = (np.nan, np.nan) if known is None else known.intervals[level]
+            row[name + suffix] = (ends[1] - ends[0]) / 2
+    return row

@@ -1,0 +1,73 @@
+"""`acoustube evaluate LIBRARY`: the inversion's errors in the table of the trained estimators."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_here
+from test_inversion import press, tool
+
+from acoustube.ranging import record
+from acoustube.recordings import write
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import tool_plans
+
+PRESSES = ((0.53, 3e-3), (0.91, 5e-3))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    where = tmp_path_factory.mktemp("evaluated")
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (where / "lib").mkdir()
+    files.write_tool(where / "lib" / plan.name, tool(), plan)
+    write(record([], n_cycles=60, tube_seed=7, seed=11), where / "free.nc")
+    (where / "cycles").mkdir()
+    for i, (place, depth) in enumerate(PRESSES):
+        data = record([press(depth, place)], n_cycles=10, tube_seed=7, seed=i)
+        labels = {"true_distance": place, "depth": depth, "force": 2e6 * depth**2}
+        for name, value in labels.items():
+            data[name] = "cycle", np.full(10, value)
+        write(data, where / "cycles" / f"p{i}.nc")
+    return where
+
+
+@pytest.mark.slow
+def test_errors_of_the_inversion_are_written(folder, tmp_path):
+    """Two groups of a recording; places within 0.3 mm, as of the inversion itself."""
+    done = run_here(
+        "evaluate", folder / "lib", folder / "cycles", "--untouched", folder / "free.nc",
+        "--group", 10, "--out", tmp_path / "t.csv", "--figure", tmp_path / "f.png",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "inversion, library of 25 mm rod; 2 groups of up to 10 cycles, contacts in 2" in (
+        " ".join(done.stdout.split())
+    )
+    with (tmp_path / "t.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    whole = {row["target"]: row for row in rows if row["by"] == "all"}
+    assert set(whole) == {"distance", "depth", "force"}
+    assert all(row["cycles"] == row["estimated"] == "2" for row in whole.values())
+    assert float(whole["distance"]["rmse"]) < 0.03
+    assert float(whole["depth"]["rmse"]) < 0.05
+    assert float(whole["force"]["median_relative_percent"]) < 5
+    by_depth = [row for row in rows if (row["target"], row["by"]) == ("depth", "depth")]
+    assert sum(int(row["cycles"]) for row in by_depth) == 2
+    assert (tmp_path / "f.png").read_bytes()[1:4] == b"PNG"
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("lib", "free.nc"), "has no label true_distance or depth or force"),
+        (("cycles", "cycles"), "library"),
+        (("nothing", "cycles"), "does not exist"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_one_sentence(folder, words, reason):
+    done = run_here("evaluate", *(folder / word for word in words))
+    assert done.returncode == 2
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not Path("t.csv").exists()
