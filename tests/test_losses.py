@@ -207,3 +207,38 @@ def test_energy_never_grows_over_many_steps_with_losses_and_a_pinch():
     assert np.all(np.diff(levels) <= 1e-9)
     assert levels[-1] < 1e-5
     assert jnp.isfinite(state.change).all()
+
+
+def cramer(celsius, water, pressure=101325.0, carbon=314e-6):
+    """Speed of sound in m/s; the coefficients of Cramer (1993), table III."""
+    t = celsius
+    return (
+        331.5024 + 0.603055 * t - 0.000528 * t**2
+        + (51.471935 + 0.1495874 * t - 0.000782 * t**2) * water
+        + (-1.82e-7 + 3.73e-8 * t - 2.93e-10 * t**2) * pressure
+        + (-85.20931 - 0.228525 * t + 5.91e-5 * t**2) * carbon
+        - 2.835149 * water**2 - 2.15e-13 * pressure**2 + 29.179762 * carbon**2
+        + 0.000486 * water * pressure * carbon
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("celsius", [0.0, 10.0, 20.0, 30.0])
+@pytest.mark.parametrize("humidity", [0.0, 50.0, 100.0])
+def test_sound_of_moist_air_rises_as_cramer_states(celsius, humidity):
+    """The rise over dry air to 1e-4; the speed to 6e-4, by which ideal dry air is too slow."""
+    kelvin = celsius + 273.15
+    # Davis (1992): saturation pressure in Pa, and its enhancement factor.
+    pressure = np.exp(1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047
+                      - 6.3431645e3 / kelvin)  # fmt: skip
+    factor = 1.00062 + 3.14e-8 * 101325.0 + 5.6e-7 * celsius**2
+    water = humidity / 100 * factor * pressure / 101325.0
+    moist = air_at(celsius, humidity=humidity, moist=True)
+    dry = air_at(celsius, humidity=humidity)
+    rise = moist.sound_speed / dry.sound_speed - 1
+    assert rise == pytest.approx(cramer(celsius, water) / cramer(celsius, 0.0) - 1, abs=1e-4)
+    assert moist.sound_speed == pytest.approx(cramer(celsius, water), rel=6e-4)
+    assert moist.absorption(42e3) == dry.absorption(42e3)
+
+
+def test_dry_air_is_the_limit_of_moist_air():
+    assert air_at(20.0, humidity=0.0, moist=True) == air_at(20.0, humidity=0.0)

@@ -405,3 +405,28 @@ def test_impossible_records_are_refused():
     narrow = blockage(np.array([41e3, 43e3]), 0.5)
     with pytest.raises(ValueError, match="outside"):
         record([narrow])
+
+
+def test_cycles_jitter_and_wander_by_what_is_stated():
+    """400 cycles: the scatter of delays and levels of an echo to a tenth, three of its deviations.
+
+    The delay is the phase of the cycle's product with the mean, over the carrier.
+    """
+    sensor = replace(IDEAL, jitter=0.5e-6, gain_wander=0.03, drive=Burst(), quality_factor=14.0)
+    data = record([blockage(BAND, 0.7)], sensor, n_cycles=400, seed=3)
+    part = hilbert(data["signal"].values[:, 700:1200])
+    product = part @ part.mean(axis=0).conj()
+    delay = np.angle(product) / (2 * np.pi * 42e3)
+    assert np.std(delay) == pytest.approx(0.5e-6, rel=0.1)
+    assert np.std(np.abs(product)) / np.mean(np.abs(product)) == pytest.approx(0.03, rel=0.1)
+    assert abs(np.corrcoef(delay, np.abs(product))[0, 1]) < 0.15
+
+
+def test_given_reflectors_echo_where_they_are():
+    """One of -40 dB, 0.5005 m away: the echo of a press of that reflection, at that place."""
+    reflectors = np.zeros(1000)
+    reflectors[500] = 0.01
+    sensor = replace(Rangefinder(), **QUIET, face_reflection=0.0, far_reflection=0.0)
+    _, found = echo([], sensor, reflectors=reflectors)
+    _, expected = echo([partial(0.01, 0.5005)], sensor)
+    assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()

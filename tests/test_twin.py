@@ -1,12 +1,14 @@
 """The twin of a sensor: its echoes, derivatives, fit and file, against sensors that are known."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commands import run_here
 
+from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
 from acoustube.inversion.twin import Band, Group, fit_twin
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
@@ -14,6 +16,8 @@ from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoMo
 from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
 from acoustube.recordings import read
 from acoustube.runs.inversion import read_sensor
+from acoustube.runs.sensor_file import twin_settings
+from acoustube.runs.sweep.cycles import Recipe
 from acoustube.runs.sweep.dataset import read_rangefinder
 from acoustube.runs.twin import read_recordings
 
@@ -101,8 +105,6 @@ def test_echo_of_a_closure_is_that_of_the_rangefinder(band):
 
     Clutter is off; the rest is the ring-down's difference, and the cyclic time of both.
     """
-    from dataclasses import replace
-
     quiet = replace(SENSOR, clutter=0.0, send=0.0)
     model = EchoModel(band, np.array([0.7]), np.array([REPORTED]), LENGTH / 2)
     echo = model(true_parameters(), np.zeros((1, len(LOCAL)))).value[0]
@@ -246,8 +248,6 @@ def groups(recorded):
 @pytest.mark.slow
 def test_wrong_label_and_clipped_echo_are_left_out(recorded):
     """A label that is 4 cm off, and an echo at full scale; the others tell the sensor."""
-    from dataclasses import replace
-
     closed, free = groups(recorded)
     closed[3] = replace(closed[3], place=closed[3].place + 0.04)
     loud = np.array(closed[1].cycles)
@@ -293,3 +293,41 @@ def test_slow_sampling_is_refused():
     group = Group(np.random.default_rng(0).integers(0, 256, (3, 400)), 20.0, 0.5)
     with pytest.raises(ConfigError, match=r"too low for a carrier|hold no sound"):
         fit_twin([group], group, 15e3)
+
+
+@pytest.mark.slow
+def test_moist_air_is_told_to_be_colder(made):
+    """By the temperature that dry air needs for the same speed of sound, 1.1 K at 50 %."""
+    folder, _, dry = made
+    words = ["twin", folder / "closed.npz", folder / "free.npz", "--humidity", 50, "--quiet"]
+    assert run_here(*words, "--out", folder / "moist.toml").returncode == 0
+    moist = tomllib.loads((folder / "moist.toml").read_text())
+    fall = dry["temperature_offset_c"] - moist["temperature_offset_c"]
+    colder = REPORTED + moist["temperature_offset_c"]
+    ratio = air_at(colder, humidity=50, moist=True).sound_speed / air_at(colder).sound_speed
+    assert fall == pytest.approx((ratio**2 - 1) * (273.15 + colder), rel=0.01)
+    rangefinder = read_rangefinder(folder / "moist.toml")
+    assert rangefinder.temperature_bias == pytest.approx(-dry["temperature_offset_c"], abs=0.01)
+
+
+def test_dataset_records_with_the_measured_clutter(made):
+    """Its echoes of the untouched tube are those recorded, where they exceed the noise."""
+    folder, _, _ = made
+    settings = twin_settings(folder / "left.toml")
+    assert settings["offset_deviation"] < 0.5
+    recipe = Recipe(rangefinder=read_rangefinder(folder / "left.toml"), **settings)
+    assert recipe.name != Recipe(rangefinder=recipe.rangefinder).name
+    _, own = response(
+        [], recipe.rangefinder, radius=RADIUS, length=LENGTH, temperature=AIR,
+        reflectors=np.array(recipe.reflectors),
+    )  # fmt: skip
+    true = voltage([])
+    near = slice(int(2.2e-3 * SENSOR.sampling_rate), int(3.5e-3 * SENSOR.sampling_rate))
+    left = np.linalg.norm(own[near] - true[near]) / np.linalg.norm(true[near])
+    other = voltage([], replace(SENSOR, clutter=0.0))[near]
+    assert np.linalg.norm(other - true[near]) > 0.7 * np.linalg.norm(true[near])
+    assert left < 0.3
+    damaged = (folder / "left.toml").read_text().replace("reflection = [", 'reflection = ["a", ')
+    (folder / "damaged.toml").write_text(damaged)
+    with pytest.raises(ConfigError, match="damaged"):
+        twin_settings(folder / "damaged.toml")

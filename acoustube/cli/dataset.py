@@ -54,20 +54,22 @@ def dataset(
     sweep : Path
         Folders that ``acoustube sweep`` wrote.
     rangefinder : Path
-        TOML file with the parameters of the rangefinder, or that of a twin; that of the sleeve
-        paper, at the case's carrier, if not given.
+        TOML file with the parameters of the rangefinder, or of a twin, whose clutter the first tube
+        has; that of the sleeve paper, at the case's carrier, if not given.
     out : Path
         Folder to write, or to resume.
     """
     if not sweep:
         raise ConfigError("dataset needs the folder of a sweep; name one or more")
 
+    from acoustube.runs.sensor_file import twin_settings
     from acoustube.runs.sweep.cycles import Recipe
     from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
 
     recipe = Recipe(
         n_cycles=counts.cycles, n_tubes=counts.tubes, n_sessions=counts.sessions, seed=counts.seed,
         rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
+        **({} if rangefinder is None else twin_settings(rangefinder)),
     )  # fmt: skip
     report = ConsoleReporter(output.console())
     run_dataset(sweep, out, recipe, report=report, workers=processes.workers)

@@ -36,10 +36,14 @@ class Known(Checked):
         Length of the tube in cm.
     bits : int
         Resolution of the converter; by default the least that holds the recorded counts.
+    humidity : float
+        Relative humidity of the air in per cent: temperatures are then those of moist air; by
+        default those at which dry air has the speed of sound.
     """
 
     length: Annotated[float | None, Number(1, 1000, "cm", "length of the tube")] = None
     bits: Annotated[int | None, WHOLE, Number(1, 16, "", "bits", whole=True)] = None
+    humidity: Annotated[float | None, Number(0, 100, "%", "relative humidity")] = None
 
 
 def twin(
@@ -72,15 +76,16 @@ def twin(
         )
     closed, free = (files[:-1], files[-1:]) if untouched is None else (files, untouched)
     check_files(out=out, figure=figure)
-    from acoustube.runs.twin import fitted_sensor
+    from acoustube.runs.twin import Bench, fitted_sensor
     from acoustube.runs.twin_file import in_toml, parameters, time_zero_note
 
     report = ConsoleReporter(output.console())
     length = None if known.length is None else known.length / CM
+    bench = Bench(length=length, bits=known.bits, humidity=known.humidity)
     with watched_interrupts() as check:
         found = fitted_sensor(
             closed, free, dataclasses.asdict(recording), lead.pulse_at,
-            length=length, bits=known.bits, report=report, check=check,
+            bench=bench, report=report, check=check,
         )  # fmt: skip
     contents: dict[Path, bytes | str] = {out: in_toml(found)}
     if figure is not None:

@@ -21,6 +21,7 @@ from acoustube.base.checks import (
     SEED,
     TEMPERATURE,
     WAVE_SERIES,
+    Optional,
     Reals,
     Several,
     checked,
@@ -40,6 +41,8 @@ from acoustube.waves.scheme.pulse import check_duration
 
 REFLECTOR_SPACING = 0.5e-3
 """Spacing in m of the clutter's reflectors: under a quarter wavelength at 100 kHz."""
+MEASURED_SPACING = 1e-3
+"""Spacing in m of reflectors that are given: a quarter wavelength at 85 kHz."""
 PASSBAND = 0.8
 """End of the anti-alias filter's passband, as a fraction of the Nyquist frequency."""
 DRIVE_OVERSAMPLING = 16
@@ -84,6 +87,7 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     length=Number(1e-9, 1e3, "m"),
     density=Number(0, 1e6, "1/m"),
     tube_seed=SEED,
+    reflectors=Optional(Reals(-1, 1, ndim=1)),
 )
 def clutter(
     presses: Sequence[PlacedScatterer],
@@ -94,6 +98,7 @@ def clutter(
     length: float,
     density: float,
     tube_seed: int,
+    reflectors: Array | None = None,
 ) -> Complex:
     """Return the clutter: reflections of small irregularities along a tube at its source end.
 
@@ -110,6 +115,9 @@ def clutter(
         Mean reflected power per length in 1/m.
     tube_seed : int
         Random seed of the tube's irregularities.
+    reflectors : ndarray, optional
+        Reflection coefficients of irregularities :data:`MEASURED_SPACING` apart, the first half of
+        that from the source end, in place of random ones.
 
     Returns
     -------
@@ -124,16 +132,18 @@ def clutter(
     before reflector i. Multiple reflections between a press and a reflector are neglected, too.
     """
     frequency = np.atleast_1d(frequency)
-    n = int(length / REFLECTOR_SPACING)
-    reflectors = np.random.default_rng(tube_seed).normal(
-        0.0, np.sqrt(density * REFLECTOR_SPACING), n
-    )
+    spacing = REFLECTOR_SPACING if reflectors is None else MEASURED_SPACING
+    if reflectors is None:
+        reflectors = np.random.default_rng(tube_seed).normal(
+            0.0, np.sqrt(density * spacing), int(length / spacing)
+        )
+    n = len(reflectors)
     wave = axial_wavenumber(0, 0, frequency, radius, air)
-    step = np.exp(-2j * wave * REFLECTOR_SPACING)
+    step = np.exp(-2j * wave * spacing)
     total = np.zeros(len(frequency), complex)
     behind = n
     for press in sorted(presses, key=lambda press: -press.position):
-        first = min(int(press.position / REFLECTOR_SPACING + 0.5), behind)
+        first = min(int(press.position / spacing + 0.5), behind)
         _add_reflectors(total, step, reflectors[first:behind])
         plane, s = (
             press.scattering.modes.index("00"),
@@ -142,7 +152,7 @@ def clutter(
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
         behind = first
     _add_reflectors(total, step, reflectors[:behind])
-    return np.asarray(total * np.exp(-1j * wave * REFLECTOR_SPACING))
+    return np.asarray(total * np.exp(-1j * wave * spacing))
 
 
 def _add_reflectors(total: Complex, step: Complex, reflectors: Array) -> None:
@@ -159,6 +169,7 @@ def _add_reflectors(total: Complex, step: Complex, reflectors: Array) -> None:
     length=LENGTH,
     temperature=TEMPERATURE,
     tube_seed=SEED,
+    reflectors=Optional(Reals(-1, 1, ndim=1)),
 )
 def response(
     presses: Sequence[PlacedScatterer],
@@ -168,6 +179,7 @@ def response(
     length: float = 2.5,
     temperature: float = 20.0,
     tube_seed: int = 0,
+    reflectors: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the voltage before the ADC, without noise and offset, as in every cycle.
 
@@ -182,6 +194,8 @@ def response(
         Temperature of the air in degC.
     tube_seed : int
         Random seed of the clutter.
+    reflectors : ndarray, optional
+        Of the clutter, in place of random ones; see :func:`clutter`.
 
     Returns
     -------
@@ -219,10 +233,10 @@ def response(
         source_reflection=face, far_reflection=rangefinder.far_reflection,
     )[0]  # fmt: skip
     arriving = (pressure - 1) / (1 + face)
-    if rangefinder.clutter > 0:
+    if rangefinder.clutter > 0 or reflectors is not None:
         arriving += clutter(
             presses, air, band, radius=radius, length=length,
-            density=rangefinder.clutter, tube_seed=tube_seed,
+            density=rangefinder.clutter, tube_seed=tube_seed, reflectors=reflectors,
         )  # fmt: skip
     spectrum = np.zeros(len(real) + 1, complex)
     spectrum[1:] = rangefinder.send * sent

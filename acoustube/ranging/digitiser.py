@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from acoustube.base.checks import SEED, Optional, Reals, Several, checked
 from acoustube.base.errors import ConfigError
@@ -28,7 +29,7 @@ Numbers = NDArray[np.integer[Any]]
 
 CYCLES_PER_CHUNK = 256
 """Cycles digitised at once."""
-NOISE_STREAM, TEMPERATURE_STREAM, DRIFT_STREAM = range(3)
+NOISE_STREAM, TEMPERATURE_STREAM, DRIFT_STREAM, TRIGGER_STREAM = range(4)
 """Keys of the independent streams of random numbers."""
 DRIFT_PERIODS = np.geomspace(10.0, 1000.0, 8)
 """Periods of the drift's sines in s: long against a record, and without a common period."""
@@ -83,7 +84,7 @@ def digitise(
             for row, cycle in zip(block, cycles[part], strict=True):
                 _generator(seed, NOISE_STREAM, cycle).standard_normal(out=row, dtype=np.float32)
         exact = (
-            mean
+            _varied(mean, rangefinder, cycles[part], seed)
             + block * np.float32(rangefinder.noise * per_volt)
             + shift[part, None].astype(mean.dtype)
         )
@@ -91,6 +92,18 @@ def digitise(
             np.clip(np.rint(exact), 0, 2**rangefinder.bits - 1) if rangefinder.quantised else exact
         )
     return counts
+
+
+def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
+    """Return the voltage of each cycle with its trigger's delay and gain; of all, without these."""
+    if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
+        return mean
+    draws = np.array([_generator(seed, TRIGGER_STREAM, cycle).normal(size=2) for cycle in cycles])
+    n = next_fast_len(2 * len(mean), real=True)  # so that the end does not enter the start
+    turn = -2j * pi * np.fft.rfftfreq(n, 1 / rangefinder.sampling_rate)
+    late = np.exp(turn * (rangefinder.jitter * draws[:, :1]))
+    each = np.fft.irfft(np.fft.rfft(mean, n) * late, n)[:, : len(mean)]
+    return np.asarray(each * (1 + rangefinder.gain_wander * draws[:, 1:]), mean.dtype)
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:
@@ -139,6 +152,7 @@ def record(
     seed: int = 0,
     session_seed: int | None = None,
     tube_seed: int = 0,
+    reflectors: Array | None = None,
 ) -> xr.Dataset:
     """Return the recording of a rangefinder on a tube in a fixed state.
 
@@ -161,6 +175,9 @@ def record(
         Random seed of the drift; default `seed`. Cycles of one session share it.
     tube_seed : int
         Random seed of the clutter, which belongs to the tube.
+    reflectors : ndarray, optional
+        Reflection coefficients of the tube's irregularities, in place of random ones; see
+        :func:`~acoustube.ranging.clutter`.
 
     Returns
     -------
@@ -187,6 +204,7 @@ def record(
         length=length,
         temperature=temperature,
         tube_seed=tube_seed,
+        reflectors=reflectors,
     )
     cycles = np.arange(first_cycle, first_cycle + n_cycles)
     variables = {

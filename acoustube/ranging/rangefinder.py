@@ -161,6 +161,10 @@ class Rangefinder(Section):
         True for integer counts clipped at both ends of the scale. Default True.
     cycle_rate : float
         Cycles per second. Default 20 (sleeve paper).
+    jitter : float
+        Standard deviation of the trigger from cycle to cycle in s. Default 0.
+    gain_wander : float
+        Relative standard deviation of the gain from cycle to cycle. Default 0.
     lead : float
         Time in s recorded before the drive starts. Default 0, chosen.
     temperature_bias, temperature_noise : float
@@ -192,6 +196,8 @@ class Rangefinder(Section):
     full_scale: float = setting(1.8, Number(1e-6, 1e6, "V", "voltage of the highest count"))
     quantised: bool = field(default=True, metadata={"rule": FLAG})
     cycle_rate: float = setting(20.0, Number(1e-3, 1e5, "Hz", "cycles per second"))
+    jitter: float = setting(0.0, Number(0, 1e-3, "s", "rms of the trigger's delay"))
+    gain_wander: float = setting(0.0, Number(0, 1, "", "relative rms of the gain"))
     lead: float = setting(0.0, Number(0, 1, "s", "time before the drive"))
     temperature_bias: float = setting(0.5, Number(-50, 50, "K", "error of the temperature"))
     temperature_noise: float = setting(0.1, Number(0, 50, "K", "error of the temperature"))

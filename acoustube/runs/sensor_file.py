@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
 
 KIND = "twin"
 """Name of the table that only files of twins have."""
@@ -39,3 +41,28 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
         if name in document:
             found[name] = document[name]
     return found
+
+
+def twin_settings(path: Path) -> dict[str, Any]:
+    """Return the settings of :class:`acoustube.runs.sweep.cycles.Recipe` that a twin's file states.
+
+    Parameters
+    ----------
+    path : Path
+        File of a sensor; of another than a twin nothing is returned.
+
+    Raises
+    ------
+    ConfigError
+        If its clutter or the deviation of its temperature is not of numbers.
+    """
+    document = read_document(path)
+    if KIND not in document:
+        return {}
+    clutter = document.get("clutter", {})
+    given = clutter.get("reflection", []) if isinstance(clutter, dict) else None
+    deviation = document.get("temperature_offset_c_sd", 0.0)
+    reflectors = given if isinstance(given, list) else [None]
+    if not all(isinstance(one, int | float) and isfinite(one) for one in (deviation, *reflectors)):
+        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
+    return {"offset_deviation": min(deviation, 100.0), "reflectors": tuple(map(float, reflectors))}

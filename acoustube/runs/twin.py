@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube import recordings
+from acoustube.air import ABSOLUTE_ZERO, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
@@ -28,6 +29,25 @@ MOST_CLOSURES = 200
 """Closures that are used, evenly chosen."""
 SAME_PLACE = 1e-4
 """Difference in m up to which two labels are one place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """What is known of the tube, its air and the converter; None for what is not.
+
+    Attributes
+    ----------
+    length : float or None
+        Of the tube in m.
+    bits : int or None
+        Resolution of the converter; from the counts by default.
+    humidity : float or None
+        Relative, of the air, in per cent; None for the speed of sound in dry air.
+    """
+
+    length: float | None = None
+    bits: int | None = None
+    humidity: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,6 +87,16 @@ class FittedSensor:
         """Counts per volt."""
         return float(2**self.bits / self.full_scale)
 
+    @property
+    def dry_offset(self) -> float:
+        """Offset in K with which dry air has the speed of sound of the air."""
+        offset, humidity = self.twin.value("temperature_offset"), self.twin.model.humidity
+        if humidity is None:
+            return offset
+        air = float(np.mean(self.twin.model.temperatures)) + offset
+        ratio = air_at(air, humidity=humidity, moist=True).sound_speed / air_at(air).sound_speed
+        return offset + (ratio**2 - 1) * (air - ABSOLUTE_ZERO)
+
 
 def fitted_sensor(
     closed: Sequence[Path],
@@ -74,8 +104,7 @@ def fitted_sensor(
     options: Mapping[str, Any],
     pulse_at: str | float | None,
     *,
-    length: float | None = None,
-    bits: int | None = None,
+    bench: Bench,
     report: Reporter,
     check: Callable[[], None],
 ) -> FittedSensor:
@@ -89,10 +118,7 @@ def fitted_sensor(
         Of :func:`acoustube.recordings.read`.
     pulse_at : float, "auto" or None
         As of :func:`acoustube.runs.recordings.aligned`.
-    length : float, optional
-        Of the tube in m.
-    bits : int, optional
-        Resolution of the converter; from the counts by default.
+    bench : Bench
     report : Reporter
     check : callable
         Called with the progress, to raise an interrupt that was lost.
@@ -115,7 +141,7 @@ def fitted_sensor(
         float(np.mean(np.concatenate([data["temperature"].values for _, data in free]))),
         source=str(free[0][0]),
     )
-    stated = length if length is not None else _stated_length([*shut, *free])
+    stated = bench.length if bench.length is not None else _stated_length([*shut, *free])
     for path, data in [*shut, *free]:
         for words in str(data.attrs.get("warnings", "")).splitlines():
             # Ring-downs are clipped, and clipped echoes are named one by one.
@@ -124,7 +150,13 @@ def fitted_sensor(
     with report.progress(check) as show:
         try:
             twin = fit_twin(
-                groups, rest, rate, start, length=stated, show=lambda what, done: show(what, done)
+                groups,
+                rest,
+                rate,
+                start,
+                length=stated,
+                humidity=bench.humidity,
+                show=lambda what, done: show(what, done),
             )
         except ConfigError as error:
             names = [group.source for group in (rest, *groups)]
@@ -134,7 +166,7 @@ def fitted_sensor(
         show("measuring the clutter", 0.5)
         found = background(twin, rest, groups, stated)
     _check_untouched(twin, found, rest)
-    converter = _converter([*shut, *free], bits)
+    converter = _converter([*shut, *free], bench.bits)
     noises = [float(np.std(data["temperature"].values)) for _, data in [*shut, *free]]
     return FittedSensor(
         twin=twin, rest=found, closed=groups, untouched=rest, bits=converter[0],

@@ -136,8 +136,9 @@ def rangefinder_of(found: FittedSensor) -> Rangefinder:
         offset=volt * rest.offset.value, drift=volt * rest.drift.value,
         sampling_rate=band.rate, n_samples=band.n_samples, bits=found.bits,
         full_scale=found.full_scale, quantised=found.quantised,
+        jitter=rest.jitter.value, gain_wander=min(rest.wander.value, 1.0),
         lead=max(twin.value("trigger") - band.start, 0.0),
-        temperature_bias=-twin.value("temperature_offset"),
+        temperature_bias=-found.dry_offset,
         temperature_noise=found.temperature_noise, temperature_resolution=0.0,
     )  # fmt: skip
 
@@ -152,6 +153,9 @@ def in_toml(found: FittedSensor) -> str:
     for one in known:
         document.add(one.name, tomlkit.item(_short(one.value)).comment(one.meaning))
         document.add(f"{one.name}_sd", tomlkit.item(_short(one.deviation)))
+    humidity = found.twin.model.humidity
+    if humidity is not None:
+        document.add("humidity_percent", tomlkit.item(_short(humidity)).comment("stated"))
     document.add("length_cm", tomlkit.item(_short(CM * tube_length(found))).comment("of the tube"))
     document.add("determined", _words(one.name for one in known if one.determined))
     document.add("undetermined", _words(one.name for one in known if not one.determined))

@@ -20,10 +20,10 @@ from acoustube.inversion.twin.model import (
     wavenumbers,
 )
 from acoustube.inversion.twin.recorded import QUIET_SHARE, Band, Group, Means
+from acoustube.ranging.analogue import MEASURED_SPACING
 from acoustube.waves.scattering import Complex
 
-SPACING = 1e-3
-"""Spacing in m of the reflectors of the clutter: a quarter wavelength at 85 kHz."""
+SPACING = MEASURED_SPACING
 DENSITIES = np.geomspace(1e-8, 1e-2, 25)
 """Reflected powers in 1/m among which the most likely one is chosen."""
 RING_SHARE = 1.5e-3
@@ -172,7 +172,7 @@ def _templates(twin: Twin, places: Array, temperature: float) -> Complex:
     total: Complex = np.zeros((len(places), len(band.frequency)), complex)
     for f, image in ((band.frequency, False), (band.image, True))[: 1 + band.folded]:
         pulse = zero._spectra(f, shared, np.zeros((1, len(LOCAL))))[0][0]
-        waves = wavenumbers(f, radius, air)
+        waves = wavenumbers(f, radius, air, model.humidity)
         lever = places**2 / 2 - model.middle * places
         phase = np.outer(places, waves.value) + gradient * np.outer(lever, waves.by_temperature)
         echo = pulse * np.exp(-2j * phase)

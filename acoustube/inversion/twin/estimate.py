@@ -21,18 +21,21 @@ from acoustube.inversion.twin.model import (
     EchoModel,
 )
 from acoustube.inversion.twin.posterior import Posterior, posterior, with_scatter
-from acoustube.inversion.twin.recorded import Band, Group, Means, band_of, mean_of
+from acoustube.inversion.twin.recorded import LEAST_CLIPPED, Band, Group, Means, band_of, mean_of
 from acoustube.waves.scattering import Complex
 
 PRIORS = {
     "log_radius": (0.0, 0.2), "temperature_offset": (0.0, 4.0), "temperature_gradient": (0.0, 1.0),
-    "log_loss": (0.0, 0.002), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
+    "log_loss": (0.0, 0.003), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
     "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
     "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
 """Mean and standard deviation of each parameter of :data:`SHARED`; of logarithms about a bore of
 7.9 mm, a perfectly smooth wall and the carrier that is received. The loss factor's deviation is
-half of that of the air's viscosity, whose root it has."""
+that by the air's viscosity, known to 0.5 %, and by theories of the losses: 0.2 % apart."""
+MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
+"""Standard deviations of what the model leaves out, however many closures there are: clutter that
+neighbouring closures share, and the thermometer's steps."""
 FIRST_PLACEMENT, FIRST_LEVEL, PHASE = 3e-3, 0.1, 1e3
 """Standard deviations of the closures in the first fit: m, 1 and rad."""
 WINDOW = (-0.3e-3, 2.0e-3)
@@ -113,6 +116,7 @@ def fit_twin(
     start: float = 0.0,
     *,
     length: float | None = None,
+    humidity: float | None = None,
     show: Callable[[str, float], None] = ignore,
 ) -> Twin:
     """Return the sensor that recordings of the closed and of the untouched tube tell of.
@@ -129,6 +133,9 @@ def fit_twin(
     length : float, optional
         Of the tube in m; up to the farthest closure by default. Half of it is where the
         temperature is its mean.
+    humidity : float, optional
+        Relative, of the air, in per cent: the temperature is then that of moist air; by default
+        that at which dry air has the speed of sound.
     show : callable
         Called with the name of a stage and its finished fraction.
 
@@ -141,10 +148,12 @@ def fit_twin(
     free, means, left_out = mean_of(band, untouched.cycles), [], {}
     quiet = np.asarray(untouched.cycles, float).mean(axis=0)
     near = band.spectra(quiet, band.before_ring_end())
+    extremes = [(float(g.cycles.min()), float(g.cycles.max())) for g in (untouched, *closed)]
+    rails = min(low for low, _ in extremes), max(high for _, high in extremes)
     for i, group in enumerate(closed):
         show("reading the echoes", i / len(closed))
         means.append(mean_of(band, group.cycles))
-        if reason := _unusable(band, group, means[-1].spectrum - near, untouched):
+        if reason := _unusable(band, group, means[-1].spectrum - near, rails):
             left_out[i] = reason
     used = [i for i in range(len(closed)) if i not in left_out]
     values = band.baseband(np.array([means[i].spectrum - near for i in range(len(closed))]))
@@ -153,7 +162,12 @@ def fit_twin(
     best: Twin | None = None
     for filtered in (True,) if band.frequency[-1] < 0.4 * rate else (True, False):
         model = EchoModel(
-            band, places, np.array([group.temperature for group in closed]), middle, filtered
+            band,
+            places,
+            np.array([group.temperature for group in closed]),
+            middle,
+            filtered,
+            humidity,
         )
         found = _fitted(model, values, used, dict(left_out), means, free, closed, show)
         if best is None or found.explained.mean() > best.explained.mean():
@@ -189,6 +203,8 @@ def _fitted(
         left_out |= {used[i]: reason for i, reason in wrong.items()}
         used = [i for i in used if i not in left_out]
     found = posterior(normal, mine, point, _quantised_levels(closed, data, part))
+    floor = np.array([MODEL_ERRORS.get(name, 0.0) for name in SHARED])
+    found = found._replace(covariance=found.covariance + np.diag(floor**2))
     return Twin(band, own, data, point, found, mine, used, left_out, means, free)
 
 
@@ -286,8 +302,8 @@ def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array
     return np.where(whole, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
 
 
-def _unusable(band: Band, group: Group, spectrum: Complex, untouched: Group) -> str:
-    """Return in words why a closure cannot be used, or nothing."""
+def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, float]) -> str:
+    """Return in words why a closure cannot be used, or nothing; rails are the extreme counts."""
     flight = 2 * group.place / SPEED
     if not np.isfinite(group.place) or group.place <= 0:
         return f"its stated distance is {CM * group.place:g} cm"
@@ -306,9 +322,8 @@ def _unusable(band: Band, group: Group, spectrum: Complex, untouched: Group) -> 
         return f"its echo has a peak of {peak:.1f} counts, which rounding distorts; raise the gain"
     begin = int((0.99 * flight - band.start) * band.rate)
     echo = np.asarray(group.cycles, float)[:, begin : begin + int(1.5e-3 * band.rate)]
-    low, high = (float(getattr(untouched.cycles, name)()) for name in ("min", "max"))
-    rails = np.sum((echo >= high) | (echo <= low), axis=1)
-    if np.median(rails) >= 3:
+    clipped = np.sum((echo >= rails[1]) | (echo <= rails[0]), axis=1)
+    if np.median(clipped) >= LEAST_CLIPPED:
         return "its echo is clipped; lower the gain"
     return ""
 

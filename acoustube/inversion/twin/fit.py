@@ -29,7 +29,7 @@ ITERATIONS, CONVERGED = 40, 1e-6
 """Most steps, and change of the objective per step at which it ends."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 QUALITY_FACTORS = (5.0, 10.0, 20.0, 40.0)
-DRIVE_CYCLES = (4.0, 7.0, 10.0, 13.0, 16.0, 19.0)
+DRIVE_CYCLES = (4.0, 7.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0)
 DETUNED = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 """Starting values; the resonance is relative to the carrier that is received."""
 WHOLE_CYCLES, HALF_CYCLES = (-1.0, 0.0, 1.0), (-0.5, 0.5)
@@ -270,8 +270,8 @@ def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
     shared, local = point.shared.copy(), point.local.copy()
     gains = np.log(np.maximum(np.abs(level), 1e-12))
     shared[SHARED.index("log_gain")] += np.median(gains)
-    local[:, 1] = np.clip(gains - np.median(gains), -1, 1)
-    local[:, 2] = np.angle(level)
+    local[:, 1] = np.clip(local[:, 1] + gains - np.median(gains), -1, 1)
+    local[:, 2] += np.angle(level)
     return Point(shared, local)
 
 

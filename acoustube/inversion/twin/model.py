@@ -86,6 +86,8 @@ class EchoModel:
         Distance in m at which the temperature is its mean.
     filtered : bool
         With the anti-alias filter of :mod:`acoustube.ranging`.
+    humidity : float or None
+        Relative, of the air, in per cent, for the speed of sound in moist air; None for dry air.
     """
 
     band: Band
@@ -93,6 +95,7 @@ class EchoModel:
     temperatures: Array
     middle: float
     filtered: bool = True
+    humidity: float | None = None
 
     def __call__(self, shared: Array, local: Array) -> Echoes:
         """Return the echoes for parameters (n_shared,) and (n, n_local)."""
@@ -148,7 +151,7 @@ class EchoModel:
     ) -> tuple[Complex, dict[str, Complex]]:
         """Return the phase of the way to each closure and back, (n, n_f), and its derivatives."""
         air = float(np.mean(self.temperatures)) + p["temperature_offset"]
-        waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air)
+        waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air, self.humidity)
         loss = exp(p["log_loss"])
         heated = (self.temperatures - self.temperatures.mean())[:, None]
         # Taylor's series about the mean temperature, of the whole and of the part without losses.
@@ -204,7 +207,9 @@ def square_burst(
     )
 
 
-def wavenumbers(frequency: Array, radius: float, temperature: float) -> Waves:
+def wavenumbers(
+    frequency: Array, radius: float, temperature: float, humidity: float | None = None
+) -> Waves:
     """Return the plane mode's wavenumber and its derivatives, by central differences.
 
     Parameters
@@ -215,6 +220,8 @@ def wavenumbers(frequency: Array, radius: float, temperature: float) -> Waves:
         Of the bore in m.
     temperature : float
         Of the air in degC; beyond the range of :func:`acoustube.air.air_at` that of its end.
+    humidity : float, optional
+        Of moist air, in per cent; dry air by default.
 
     Notes
     -----
@@ -222,20 +229,23 @@ def wavenumbers(frequency: Array, radius: float, temperature: float) -> Waves:
     and its root converges to 1e-12 over a fifth of the carrier to both sides.
     """
     low, high = float(frequency.min()), float(frequency.max())
-    nodes = _at_nodes(low, high, radius, temperature)
+    nodes = _at_nodes(low, high, radius, temperature, humidity)
     along = (2 * frequency - low - high) / (high - low)
     return Waves(*(np.polynomial.chebyshev.chebvander(along, NODES - 1) @ nodes).T)
 
 
 @lru_cache(maxsize=32)
-def _at_nodes(low: float, high: float, radius: float, temperature: float) -> Complex:
+def _at_nodes(
+    low: float, high: float, radius: float, temperature: float, humidity: float | None
+) -> Complex:
     """Return Chebyshev's coefficients of the wavenumber and its derivatives, (n_nodes, 6)."""
     points = np.polynomial.chebyshev.chebpts1(NODES)
     frequency = (low + high + points * (high - low)) / 2
     coldest, warmest = TEMPERATURES
 
     def air(warmer: float) -> Air:
-        return air_at(min(max(temperature, coldest + WARMER), warmest - WARMER) + warmer)
+        there = min(max(temperature, coldest + WARMER), warmest - WARMER) + warmer
+        return air_at(there) if humidity is None else air_at(there, humidity=humidity, moist=True)
 
     by_air = []
     for warmer in (0.0, -WARMER, WARMER):

@@ -31,8 +31,10 @@ QUIET_SHARE = 0.2
 """Last part of a cycle, whose mean is subtracted from it."""
 RING_LASTS = 4e-3
 """Time in s after clipping from which the untouched cycles are no longer subtracted."""
-NEAR_RAIL = 0.9
-"""Part of the largest deviation above which a sample may be clipped."""
+NEAR_RAIL, AT_RAIL, LEAST_CLIPPED = 0.9, 0.98, 8
+"""Parts of the largest deviation above which a sample may be clipped, and is where so many are."""
+UNCLIPPED_END = 2e-3
+"""Time in s in which the largest deviation of a ring-down is sought that is not clipped."""
 CLEAR_CYCLE = 30.0
 """Ratio of a cycle's energy to its noise from which on its delay and gain are estimated."""
 
@@ -190,8 +192,10 @@ def band_of(
     mean = np.asarray(untouched[:256], float).mean(axis=0)
     level = mean[-int(QUIET_SHARE * n) :].mean()
     size = np.abs(mean - level)
-    # Of the first part alone: behind it the largest deviations are echoes.
+    # Of the first part alone: behind it the largest deviations are echoes, or noise.
     part = size[: n // 3]
+    if np.sum(part >= AT_RAIL * part.max()) < LEAST_CLIPPED:
+        part = part[: max(int((UNCLIPPED_END - start) * rate), 16)]
     loud = np.flatnonzero(part >= NEAR_RAIL * part.max())
     clear = start + (loud[-1] + 1) / rate
     if loud[-1] > 0.3 * n:

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube import ranging
-from acoustube.base.checks import SEED, Instance, Optional, check_fields
+from acoustube.base.checks import SEED, Instance, Optional, Reals, check_fields
 from acoustube.base.netcdf import variable
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
@@ -53,6 +53,12 @@ class Recipe:
     seed : int
     rangefinder : Rangefinder or None
         With None the default one, at the case's carrier frequency.
+    offset_deviation : float or None
+        Standard deviation in K of the temperature's error over the sessions about the rangefinder's
+        bias; with None it is drawn evenly up to the bias, to both sides.
+    reflectors : tuple of float
+        Irregularities of the first specimen, as of :func:`acoustube.ranging.clutter`; random if
+        empty.
     """
 
     n_cycles: int = 50
@@ -60,6 +66,8 @@ class Recipe:
     n_sessions: int = 1
     seed: int = 0
     rangefinder: Rangefinder | None = None
+    offset_deviation: float | None = None
+    reflectors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         """Validate counts, seed and rangefinder."""
@@ -67,6 +75,8 @@ class Recipe:
         check_fields(
             self, n_cycles=count, n_tubes=count, n_sessions=count, seed=SEED,
             rangefinder=Optional(Instance((Rangefinder,))),
+            offset_deviation=Optional(Number(0, 100, "K")),
+            reflectors=Reals(-1, 1, ndim=1, empty=True),
         )  # fmt: skip
 
     @property
@@ -78,7 +88,17 @@ class Recipe:
     def name(self) -> str:
         """Hash of all settings."""
         own = None if self.rangefinder is None else self.rangefinder.to_json()
-        return digest([self.n_cycles, self.n_tubes, self.n_sessions, self.seed, own, __version__])
+        words: list[Any] = [
+            self.n_cycles,
+            self.n_tubes,
+            self.n_sessions,
+            self.seed,
+            own,
+            __version__,
+        ]
+        if self.offset_deviation is not None or self.reflectors:
+            words += [self.offset_deviation, *self.reflectors]
+        return digest(words)
 
     def rangefinder_for(self, settings: SISettings) -> Rangefinder:
         """Return the rangefinder that a case is recorded with."""
@@ -147,11 +167,12 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
     rangefinder = recipe.rangefinder_for(settings)
     for specimen in range(recipe.n_tubes):
         tube = f"{tube_name(config)}-{specimen}"
+        measured = specimen == 0 and len(recipe.reflectors) > 0
         for number in range(recipe.n_sessions):
             session = seed_of(tube, number, recipe.seed)
             cycles = ranging.record(
                 presses,
-                _in_session(rangefinder, session),
+                _in_session(rangefinder, session, recipe.offset_deviation),
                 radius=settings.radius,
                 length=settings.tube.length,
                 temperature=settings.temperature,
@@ -160,15 +181,19 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
                 seed=seed_of(name, tube, number, recipe.seed),
                 session_seed=session,
                 tube_seed=seed_of(tube, recipe.seed),
+                reflectors=np.array(recipe.reflectors) if measured else None,
             )
             yield _labelled(cycles, case, settings, {
                 "press": name, "tube": tube, "session": f"{tube}-{number}",
             })  # fmt: skip
 
 
-def _in_session(rangefinder: Rangefinder, seed: int) -> Rangefinder:
+def _in_session(rangefinder: Rangefinder, seed: int, deviation: float | None) -> Rangefinder:
     """Return a rangefinder with a temperature error drawn for a session."""
     most = rangefinder.temperature_bias
+    if deviation is not None:
+        bias = np.random.default_rng(seed).normal(most, deviation)
+        return dataclasses.replace(rangefinder, temperature_bias=float(bias))
     bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
     return dataclasses.replace(rangefinder, temperature_bias=float(bias))
 

@@ -1,6 +1,7 @@
 """Modes of ducts: of the round bore in closed form, of any section on its grid, and probes.
 
-Reading order: `round_duct`, `bore_couplings` (for bends), `grid_modes`, `probes`.
+Reading order: `round_duct`, `bore_couplings` (for bends), `grid_modes`, `probes`,
+`yielding_wall` (an elastic tube of any thickness, where the wall is not rigid).
 """
 
 from acoustube.waves.modes.round_duct import Mode as Mode

@@ -1,0 +1,177 @@
+"""Plane mode of a bore whose wall yields: an elastic tube of any thickness, with its inertia.
+
+References
+----------
+* Waves in elastic tubes of finite thickness: Atabek, H. B. and Lew, H. S. (1966). Wave propagation
+  through a viscous incompressible fluid contained in an initially stressed elastic tube.
+  Biophysical Journal 6, 481-503.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import iv, kv
+
+from acoustube.air import Air
+from acoustube.base.checks import LENGTH, WAVES, Instance, check_fields, checked
+from acoustube.base.rules import Number
+from acoustube.tube import shear_modulus_from_shore
+from acoustube.waves.modes.round_duct import axial_wavenumber
+
+Complex = NDArray[np.complex128]
+
+ITERATIONS = 4
+"""Of the wavenumber, on which the wall's motion depends; each gains two digits or more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class YieldingWall:
+    """Tube wall of an incompressible, linear viscoelastic material, free on the outside.
+
+    Attributes
+    ----------
+    thickness : float
+        In m.
+    shear_modulus : float
+        In Pa; by default that of Shore A 35. It is that at small strain; at ultrasound silicone is
+        stiffer.
+    density : float
+        In kg/m3.
+    loss_factor : float
+        Imaginary over real part of the shear modulus.
+    """
+
+    thickness: float = 1.6e-3
+    shear_modulus: float = shear_modulus_from_shore(35.0)
+    density: float = 1100.0
+    loss_factor: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Validate all numbers."""
+        check_fields(
+            self, thickness=LENGTH, shear_modulus=Number(1e-3, 1e15, "Pa"),
+            density=Number(1e-3, 1e6, "kg/m3"), loss_factor=Number(0, 10),
+        )  # fmt: skip
+
+
+@checked(frequency=WAVES, radius=LENGTH, wall=Instance((YieldingWall,)))
+def wall_compliance(
+    frequency: ArrayLike, wavenumber: ArrayLike, radius: float, wall: YieldingWall
+) -> Complex:
+    """Return the radial displacement of the inner wall per pressure in the bore.
+
+    Parameters
+    ----------
+    frequency : array_like
+        In Hz, (n,).
+    wavenumber : array_like
+        Of the pressure along the tube in 1/m, (n,).
+    radius : float
+        Of the bore in m.
+    wall : YieldingWall
+
+    Returns
+    -------
+    ndarray
+        In m/Pa, for exp(+j omega t - j k z), (n,).
+
+    Notes
+    -----
+    In an incompressible wall the pressure P is harmonic, ``I0(k r)`` and ``K0(k r)``, and moves it
+    by ``grad P / (rho omega^2)``; shear waves are ``I1(s r)`` and ``K1(s r)`` with
+    ``s^2 = k^2 - rho omega^2 / mu``. Four amplitudes follow from the tractions of both faces: the
+    pressure on the inner one, none on the outer. Along a long wave it is the ring's,
+    ``a (2 mu (1/a^2 - 1/b^2) - omega^2 rho ln(b/a))`` of pressure per displacement.
+    """
+    omega = 2 * pi * np.atleast_1d(np.asarray(frequency, float))
+    k = np.atleast_1d(np.asarray(wavenumber, complex))
+    modulus = wall.shear_modulus * (1 + 1j * wall.loss_factor)
+    inertia = wall.density * omega**2
+    s = np.sqrt(k**2 - inertia / modulus)
+    matrix = np.zeros((len(omega), 4, 4), complex)
+    for row, r in ((0, radius), (2, radius + wall.thickness)):
+        radial, along = _tractions(k, s, r, modulus, inertia)
+        matrix[:, row], matrix[:, row + 1] = radial, along
+    right = np.zeros((len(omega), 4, 1), complex)
+    right[:, 0] = -1.0
+    scale = np.abs(matrix).max(axis=1, keepdims=True)
+    rows = np.abs(matrix / scale).max(axis=2, keepdims=True)
+    amplitude = np.linalg.solve(matrix / scale / rows, right / rows)[:, :, 0] / scale[:, 0]
+    shapes = _displacements(k, s, radius, inertia)[0]
+    return np.asarray((shapes * amplitude).sum(axis=1))
+
+
+def _displacements(k: Complex, s: Complex, r: float, inertia: NDArray[np.float64]) -> list[Complex]:
+    """Return the radial displacement and its slope of the four solutions, (n, 4) each."""
+    i0, i1, k0, k1 = (f(n, k * r) for f in (iv, kv) for n in (0, 1))
+    j0, j1, y0, y1 = (f(n, s * r) for f in (iv, kv) for n in (0, 1))
+    radial = np.stack([k * i1 / inertia, -k * k1 / inertia, j1, y1], axis=1)
+    slope = np.stack([
+        k * (k * i0 - i1 / r) / inertia, k * (k * k0 + k1 / r) / inertia,
+        s * j0 - j1 / r, -s * y0 - y1 / r,
+    ], axis=1)  # fmt: skip
+    return [radial, slope]
+
+
+def _tractions(
+    k: Complex, s: Complex, r: float, modulus: complex, inertia: NDArray[np.float64]
+) -> tuple[Complex, Complex]:
+    """Return the radial and the axial traction on a cylinder of the four solutions, (n, 4)."""
+    radial, slope = _displacements(k, s, r, inertia)
+    i0, i1, k0, k1 = (f(n, k * r) for f in (iv, kv) for n in (0, 1))
+    j1, y1 = iv(1, s * r), kv(1, s * r)
+    zero = np.zeros_like(k)
+    pressure = np.stack([i0, k0, zero, zero], axis=1)
+    # The slope over r of the axial displacement: of grad P, and from zero divergence.
+    turned = np.stack([
+        -1j * k * k * i1 / inertia, 1j * k * k * k1 / inertia, -1j * s**2 * j1 / k,
+        -1j * s**2 * y1 / k,
+    ], axis=1)  # fmt: skip
+    return (
+        -pressure + 2 * modulus * slope,
+        modulus * (turned - 1j * k[:, None] * radial),
+    )
+
+
+@checked(frequency=WAVES, radius=LENGTH, air=Instance((Air,)), wall=Instance((YieldingWall,)))
+def yielding_wavenumber(
+    frequency: ArrayLike, radius: float, air: Air, wall: YieldingWall, *, lossy: bool = True
+) -> Complex:
+    """Return the axial wavenumber of the plane mode of a bore with a yielding wall.
+
+    Parameters
+    ----------
+    frequency : array_like
+        In Hz, real, (n,).
+    radius : float
+        Of the bore in m.
+    air : Air
+    wall : YieldingWall
+    lossy : bool
+        With the losses of :func:`acoustube.waves.modes.axial_wavenumber`.
+
+    Returns
+    -------
+    ndarray
+        kz in 1/m, (n,).
+
+    Notes
+    -----
+    With the rigid wall's k0 and the displacement u per pressure,
+    ``kz^2 = k0^2 + 2 rho omega^2 u(kz) / a``: the section yields to the pressure, which is uniform
+    over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, its inertia makes the
+    sound faster.
+    """
+    f = np.atleast_1d(np.asarray(frequency, float))
+    rigid = axial_wavenumber(0, 0, f, radius, air, lossy=lossy)
+    found = rigid
+    for _ in range(ITERATIONS):
+        yields = wall_compliance(f, found, radius, wall)
+        square = rigid**2 + 2 * air.density * (2 * pi * f) ** 2 * yields / radius
+        root = np.sqrt(square)
+        found = np.where(root.imag > 0, -root, root)
+    return np.asarray(found)
