@@ -297,7 +297,10 @@ def test_slow_sampling_is_refused():
 
 @pytest.mark.slow
 def test_moist_air_is_told_to_be_colder(made):
-    """By the temperature that dry air needs for the same speed of sound, 1.1 K at 50 %."""
+    """By the temperature that dry air needs for the same speed of sound, 1.2 K at 50 %.
+
+    To 0.06 K, a quarter of its standard deviation: the variances of the residuals, too, are fitted.
+    """
     folder, _, dry = made
     words = ["twin", folder / "closed.npz", folder / "free.npz", "--humidity", 50, "--quiet"]
     assert run_here(*words, "--out", folder / "moist.toml").returncode == 0
@@ -305,9 +308,9 @@ def test_moist_air_is_told_to_be_colder(made):
     fall = dry["temperature_offset_c"] - moist["temperature_offset_c"]
     colder = REPORTED + moist["temperature_offset_c"]
     ratio = air_at(colder, humidity=50, moist=True).sound_speed / air_at(colder).sound_speed
-    assert fall == pytest.approx((ratio**2 - 1) * (273.15 + colder), rel=0.01)
+    assert fall == pytest.approx((ratio**2 - 1) * (273.15 + colder), abs=0.06)
     rangefinder = read_rangefinder(folder / "moist.toml")
-    assert rangefinder.temperature_bias == pytest.approx(-dry["temperature_offset_c"], abs=0.01)
+    assert rangefinder.temperature_bias == pytest.approx(-dry["temperature_offset_c"], abs=0.06)
 
 
 def test_dataset_records_with_the_measured_clutter(made):
