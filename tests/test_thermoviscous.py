@@ -55,7 +55,8 @@ def test_layers_as_an_impedance_scatter_as_viscous_air(least, error):
 
 @pytest.mark.parametrize("least", [0.1e-3, 0.5e-3, 1e-3])
 def test_spectral_solver_scatters_as_viscous_air(least):
-    """A round bore. Measured: 4e-4, where the mesh's own error is 5e-4."""
+    """A round bore. Measured: 4e-4, where the mesh's own error is 5e-4; T to 0.23 % of itself."""
     frequency, expected = reference()[True, least]
     found = spectral_scattering(narrowed(least, is_round=True), frequency)
     np.testing.assert_allclose(found, expected, atol=8e-4)
+    np.testing.assert_allclose(np.array(found)[:, 1], expected[:, 1], rtol=4e-3)

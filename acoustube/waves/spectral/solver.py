@@ -101,6 +101,9 @@ class _Part(NamedTuple):
     heights: tuple[float, float]
 
 
+_Adapted = tuple[Discretisation, Basis, dict[float, list[Response]]]
+
+
 def scatter_spectral(
     wall: Wall,
     air: Air,
@@ -205,8 +208,9 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     wall, k, tolerance = task.wall, task.k, task.tolerance
     moving = task.velocity is not None
     basis, wanted = first_basis(wall, odd, k, lossy=task.lossy, moving=moving), tolerance
+    known = None
     for number in range(MAX_SOLUTIONS):
-        system, basis, responses = _adapted(task, odd, basis, wanted)
+        system, basis, responses = known = _adapted(task, odd, basis, wanted, known)
         spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
         error = _estimated(error, wall, ERROR_SAFETY)
@@ -257,20 +261,26 @@ def _at_reference(
 
 
 def _adapted(
-    task: _Task, odd: bool | None, basis: Basis, wanted: float
-) -> tuple[Discretisation, Basis, dict[float, list[Response]]]:
-    """Raise the degree and split elements until both errors at test shifts are within tolerance."""
+    task: _Task, odd: bool | None, basis: Basis, wanted: float, known: _Adapted | None
+) -> _Adapted:
+    """Raise the degree and split elements until both errors at test shifts are within tolerance.
+
+    From a result before, whose responses have all shifts of the basis, or from the basis alone.
+    """
     shifts = basis.shifts
     probes = shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
     for _ in range(MAX_ADAPTATIONS):
-        system = discretise(
-            task.wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(task.k[-1])
-        )
-        if task.lossy:
-            system = with_layers(system, task.wall)
-        blocks = KRYLOV_BLOCKS[task.lossy]
-        responses = {float(shift): respond(system, float(shift), blocks) for shift in probes}
-        by_degree, by_element = _errors(system, responses)
+        if known is not None:
+            (system, _, responses), known = known, None
+        else:
+            system = discretise(
+                task.wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(task.k[-1])
+            )
+            if task.lossy:
+                system = with_layers(system, task.wall)
+            blocks = KRYLOV_BLOCKS[task.lossy]
+            responses = {float(shift): respond(system, float(shift), blocks) for shift in probes}
+        by_degree, by_element = _errors(system, {float(at): responses[float(at)] for at in probes})
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
         if not (too_low or too_long):
             return system, basis, responses
