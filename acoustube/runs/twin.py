@@ -131,6 +131,7 @@ def fitted_sensor(
     shut = read_recordings(closed, options, pulse_at)
     free = read_recordings(untouched, options, pulse_at)
     rate, start = _alike([*shut, *free])
+    converter = _converter([*shut, *free], bench.bits)
     groups = [group for path, data in shut for group in _groups(path, data)]
     if len(groups) > MOST_CLOSURES:
         report.note(f"of {len(groups)} closures {MOST_CLOSURES} are used")
@@ -166,7 +167,6 @@ def fitted_sensor(
         show("measuring the clutter", 0.5)
         found = background(twin, rest, groups, stated)
     _check_untouched(twin, found, rest)
-    converter = _converter([*shut, *free], bench.bits)
     noises = [float(np.std(data["temperature"].values)) for _, data in [*shut, *free]]
     return FittedSensor(
         twin=twin, rest=found, closed=groups, untouched=rest, bits=converter[0],
