@@ -35,7 +35,10 @@ autodoc_default_options = {
 numpydoc_show_class_members = False
 
 # Examples begin with the stage that they are about.
-STAGES = ("chain", "indentation", "waves", "ranging", "signals", "estimation", "sleeve", "sweep")
+STAGES = (
+    "chain", "indentation", "waves", "ranging", "signals", "estimation", "sleeve", "sweep",
+    "sensor",
+)  # fmt: skip
 
 
 def in_order_of_stages(folder):
@@ -54,6 +57,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": "forearm_markers",
     "within_subsection_order": ExplicitOrder([*EXAMPLES, "*"]),
     "image_scrapers": ("matplotlib", pyvista.Scraper()),
+    "matplotlib_animations": True,
     "abort_on_example_error": True,
     "show_memory": False,
     "write_computation_times": False,
@@ -73,7 +77,7 @@ html_title = f"acoustube {release}"
 # The storeys from the stages up, in the order of the data; what is not named here comes last.
 ORDER = (
     "tube", "air", "indentation", "lumen", "waves", "ranging", "recordings", "signals",
-    "estimation", "sleeve", "runs", "reports", "cli", "base",
+    "estimation", "sleeve", "runs", "sensor", "reports", "cli", "base",
 )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 from test_inversion import MODES, RADIUS, matrices, press, tool
@@ -27,6 +28,18 @@ def chain(contacts, rangefinder=QUIET, **options):
 @pytest.fixture(scope="module")
 def sensor():
     return TubeSensor(Library((tool(),)), QUIET, tube_seed=7)
+
+
+@pytest.fixture(scope="module")
+def plane():
+    """A sensor of the plane wave alone, at 10 kHz."""
+    frequency, depth = np.arange(7e3, 13e3, 50.0), np.arange(1e-3, 7.01e-3, 0.25e-3)
+    s = matrices(depth, frequency)[:, :, :, :1, :, :1]
+    low = tool(0.25e-3, modes=("00",), s=s, frequency=frequency)
+    rangefinder = dataclasses.replace(
+        QUIET, resonance=10e3, drive=dataclasses.replace(QUIET.drive, frequency=10e3)
+    )
+    return TubeSensor(Library((low,)), rangefinder, temperature=30.0)
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +147,29 @@ def test_batch_is_its_cycles(sensor):
         assert np.abs(many[i] - one)[800:].max() < 0.01
 
 
+def test_cycles_are_differentiable_and_compiled_once(plane):
+    """The derivatives of the echo at the carrier by place and depth, against differences."""
+    given = np.array([[0.8]], np.float32), np.array([[4.53e-3]], np.float32)
+    sample = np.arange(4000)
+    weight = np.sin(2 * np.pi * 0.05 * sample) * (sample > 900) * (sample < 1300)
+    free = plane.model(given[0], 0 * given[1])
+
+    @jax.jit
+    def value(model, place, depth):
+        return (model(place, depth) - free)[0] @ weight.astype(np.float32)
+
+    slopes = jax.jit(jax.grad(value.__wrapped__, (1, 2)))(plane.model, *given)
+    for i, step in enumerate((2e-4, 1e-5)):
+        ends = []
+        for sign in (-1, 1):
+            moved = list(given)
+            moved[i] = given[i] + np.float32(sign * step)
+            ends.append(float(value(plane.model, *moved)))
+        # Single precision, of counts up to some 1e5 that cancel.
+        assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(float(slopes[i][0, 0]), rel=0.02)
+    assert value._cache_size() == 1
+
+
 def test_tools_between_two_are_interpolated_and_their_error_is_stated():
     tools = [
         tool(0.5e-3, diameter=size, s=scale * matrices(np.arange(1e-3, 7.01e-3, 0.5e-3),
@@ -193,19 +229,12 @@ def test_library_of_another_band_or_kind_is_refused():
         TubeSensor(Library((tool(0.5e-3, s=lopsided),)))
 
 
-def test_one_mode_alone_serves_below_the_first_cut_on():
-    """A library of the plane wave at 10 kHz: an audio band, in warmer air than the library's."""
-    frequency, depth = np.arange(7e3, 13e3, 50.0), np.arange(1e-3, 7.01e-3, 0.25e-3)
-    s = matrices(depth, frequency)[:, :, :, :1, :, :1]
-    low = tool(0.25e-3, modes=("00",), s=s, frequency=frequency)
-    rangefinder = dataclasses.replace(
-        QUIET, resonance=10e3, drive=dataclasses.replace(QUIET.drive, frequency=10e3)
-    )
-    sensor = TubeSensor(Library((low,)), rangefinder, temperature=30.0)
-    echo = np.abs(sensor.read([Contact(place=1.5, depth=5e-3)]) - sensor.read([]))
+def test_one_mode_alone_serves_below_the_first_cut_on(plane):
+    """An audio band, in warmer air than the library's."""
+    echo = np.abs(plane.read([Contact(place=1.5, depth=5e-3)]) - plane.read([]))
     start = 2 * 1.5 / air_at(30.0).sound_speed
     # A tenth of the burst's rise to its top, and nothing before.
-    first = np.argmax(echo > 0.1 * echo.max()) / rangefinder.sampling_rate
+    first = np.argmax(echo > 0.1 * echo.max()) / plane.rangefinder.sampling_rate
     assert start - 0.1e-3 < first < start + 0.5e-3
 
 

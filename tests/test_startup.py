@@ -15,7 +15,9 @@ FORBIDDEN = (
     "vtk", "trimesh", "ipctk", "sklearn", "pyarrow", "importlib.metadata",
 )  # fmt: skip
 """Each takes longer to import than help to be printed; the last pulls in the e-mail package."""
-OPTIONAL = ("pyarrow", "soundfile", "serial", "cobs", "ezc3d", "distributed", "pypardiso")
+OPTIONAL = (
+    "pyarrow", "soundfile", "serial", "cobs", "ezc3d", "distributed", "pypardiso", "gymnasium",
+)  # fmt: skip
 COMMANDS = [name for name in _app.app if not name.startswith("-")]
 
 

@@ -38,6 +38,7 @@ PURPOSES = {
     "dask": "sweeps on a cluster",
     "parquet": "writes Parquet tables",
     "pardiso": "factorises large meshes faster",
+    "robot": "runs `acoustube.sensor.environment`, and the arm of the gallery",
     "serial": "reads the board of `acoustube live`",
 }
 """Purposes of the optional extras."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -196,6 +197,7 @@ def build_library(
     *,
     report: Reporter = SILENT,
     workers: int | Workers | None = None,
+    executor: Executor | None = None,
 ) -> bool:
     """Compute the tools that a folder lacks.
 
@@ -209,6 +211,8 @@ def build_library(
         Receives messages and progress.
     workers : int or Workers, optional
         Number of processes, by default that of the cores; or an existing pool.
+    executor : concurrent.futures.Executor, optional
+        Runs the tasks in place of processes of this machine.
 
     Returns
     -------
@@ -245,7 +249,9 @@ def build_library(
             board = Board(totals, count, show)
             tools = [_Builder(plan, folder, board, report, failed) for plan in todo]
             try:
-                run_with_progress([t.press() for t in tools], board, workers=workers)
+                run_with_progress(
+                    [t.press() for t in tools], board, workers=workers, executor=executor
+                )
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     "interrupted; presses and scattering matrices are in the cache, run the same "
