@@ -147,6 +147,7 @@ def test_batch_is_its_cycles(sensor):
         assert np.abs(many[i] - one)[800:].max() < 0.01
 
 
+@pytest.mark.slow
 def test_cycles_are_differentiable_and_compiled_once(plane):
     """The derivatives of the echo at the carrier by place and depth, against differences."""
     given = np.array([[0.8]], np.float32), np.array([[4.53e-3]], np.float32)
