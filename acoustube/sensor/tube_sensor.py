@@ -211,7 +211,7 @@ class TubeSensor:
             Of their tools in m, (n, n_contacts).
         seed : int, optional
             Random seed of noise, drift and, if the rangefinder has it, quantisation. Each cycle's
-            drift is independent of the others'.
+            drift is independent of the others'; jitter and wander of the gain are left out.
 
         Returns
         -------
