@@ -186,9 +186,9 @@ def test_folded_baseband_is_that_of_undersampled_cycles():
 
 
 def test_noise_of_a_folded_baseband_is_that_of_its_samples():
-    base = baseband_of(ECHOTUBE, RADIUS, LENGTH, 20.0, MODES)
-    rng = np.random.default_rng(1)
-    sigma = np.sqrt((ECHOTUBE.noise * base.per_volt) ** 2 + 1 / 12)
+    plain = dataclasses.replace(ECHOTUBE, quantised=False)
+    base = baseband_of(plain, RADIUS, LENGTH, 20.0, MODES)
+    rng, sigma = np.random.default_rng(1), plain.noise * base.per_volt
     cycles = sigma * rng.standard_normal((60, base.n_samples))
     variance = np.mean([base.of_cycles(one[None])[0].real ** 2 for one in cycles])
     # The mean of 60 times 120 squares, without what the taper of the band takes.

@@ -26,6 +26,8 @@ TAPER = 1 / 6
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
 """Times in s from the end of clipping to the data that count, over which these fade in, and after
 which the baseband is used."""
+DITHER = 0.1
+"""Noise in counts, rms, below which rounding is not white."""
 QUIET_SHARE = 0.3
 """Last part of a cycle whose mean is subtracted from it."""
 FEWEST_CYCLES = 8
@@ -121,13 +123,14 @@ class Baseband:
     def noise(self, n_cycles: int) -> float:
         """Return the variance of a sample of the mean of cycles in the baseband.
 
-        Thermal noise and quantisation error, white and independent from cycle to cycle.
+        Thermal noise and quantisation error, independent from cycle to cycle and white; but without
+        noise that dithers it, rounding is an error of the signal's own frequencies, in the band.
         """
         sigma = self.rangefinder.noise * self.per_volt
-        variance = sigma**2 / n_cycles
+        variance, band = sigma**2, len(self.bins) * self.step / (self.rate / 2)
         if self.rangefinder.quantised:
-            variance += 1 / 12 / n_cycles
-        return 2 * max(variance, 1e-12) * len(self.bins) * self.step / (self.rate / 2)
+            variance += 1 / 12 / (1.0 if sigma >= DITHER else min(band, 1.0))
+        return 2 * max(variance / n_cycles, 1e-12) * band
 
     def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
         """Return the mean of cycles in the baseband, and the variance of its samples.

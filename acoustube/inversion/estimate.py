@@ -8,7 +8,7 @@ from math import log, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from acoustube.base.checks import Reals, checked
@@ -308,6 +308,11 @@ def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
         (n,).
     """
     deviation = np.maximum(deviation, 1e-15)
+    if len(mean) == 1:
+        value, spread = float(mean[0]), float(deviation[0])
+        reach = {level: spread * float(ndtri((1 + level) / 2)) for level in LEVELS}
+        ends = {level: (value - r, value + r) for level, r in reach.items()}
+        return Estimate(value, spread, ends, weight, mean, deviation)
     middle = float(weight @ mean)
     spread = float(np.sqrt(weight @ (deviation**2 + (mean - middle) ** 2)))
     grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))

@@ -23,6 +23,8 @@ HARMONICS = 3
 LEAST_NOISE, MOST_NOISE = 0.19, 0.6
 """Noise in counts, rms, between which the staircase can be inverted and is worth it."""
 ITERATIONS = 6
+BISECTIONS = 20
+"""Halvings of a count, to 1e-6, in which an offset is found."""
 LARGEST_STEP = 0.3
 """Largest change of a sample in an iteration, in counts."""
 
@@ -91,7 +93,7 @@ def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
 def _inverted(mean: Array, noise: float) -> Array:
     """Return the voltages whose rounded samples have given means, by bisection."""
     low, high = mean - 0.5, mean + 0.5
-    for _ in range(40):
+    for _ in range(BISECTIONS):
         middle = (low + high) / 2
         above = _staircase(middle, noise)[0] > mean
         low, high = np.where(above, low, middle), np.where(above, middle, high)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
@@ -96,6 +96,7 @@ class ContactTracker:
         noise = model.base.noise(1)
         self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
+        self.threads = ThreadpoolController()  # finding the libraries takes milliseconds
         self.n_cycles = 0
         self.track = self._new(at_rest(model.priors))
         self.second: Track | None = None
@@ -125,7 +126,7 @@ class ContactTracker:
                 f"a cycle has {len(array)} samples and the model's {base.n_samples}; give cycles "
                 "of one recorder"
             )
-        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+        with self.threads.limit(limits=1, user_api="blas"):  # the matrices are small
             samples, noise = base.of_cycles(array[None])
             if not self.n_cycles:
                 start = Builder(self.model, [], samples, noise).start

@@ -9,17 +9,24 @@ where the cycles are as likely without.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from acoustube.base.types import Array
+from acoustube.inversion.births import (
+    candidates,
+    fronts_of,
+    half_wavelength,
+    new_deviations,
+    rank_of,
+    uniform,
+)
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
-from acoustube.inversion.fit import CLOSEST, Weights, split, weights
+from acoustube.inversion.fit import Weights, split, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
+    LOST,
     Branches,
     Motion,
     Update,
@@ -27,7 +34,6 @@ from acoustube.inversion.motion import (
     updated,
 )
 from acoustube.inversion.proposals import Proposals
-from acoustube.inversion.search import Front, front_of
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -36,17 +42,10 @@ UNLIKELY = -12.0
 """Logarithm of the odds to the best branch below which one is dropped."""
 FORGET = 0.95
 """Factor of the logarithms of the branches' odds from cycle to cycle: errors of the model last."""
-BIRTH = 120.0
-"""Decrease of minus twice the logarithm of the likelihood from which a candidate is fitted: weaker
-echoes do not tell half wavelengths apart."""
 MEAN = 8
 """Cycles in the mean of whose rests weak contacts are sought."""
-START = 3e-3, 0.5e-3
-"""Standard deviations in m of place and depth of a candidate."""
 NEAR, NEAR_CONTACTS = 3, 2
 """Candidates of a contact that is sought again near its place; contacts of a cycle."""
-LANDING = 0.01
-"""Standard deviation of the velocity along the tube of a new contact, in m/s."""
 RARE = float(np.log(100.0))
 """Logarithm of the prior odds against a contact more."""
 SURE, GONE = 12.0, -2.0
@@ -55,7 +54,7 @@ FAINT, FAINT_TESTS = 0.1e-3, 3
 """Depth in m from the library's first at which a contact tells nothing, and tests until it goes."""
 NEW = 2, 4, 7
 """Ages in cycles at which a contact is sought again."""
-YOUNG, OFTEN, SELDOM = 15, 2, 6
+YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 """Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
 LOUD = 3.0
 """Level of whitened samples, smoothed, that is tested for a new contact at once."""
@@ -192,29 +191,14 @@ class Track:
         if room and turn % SELDOM == 3:
             return self._born(found, cycle, True)
         same = found.branches.tools == prior.tools
-        if self.known and same and turn % (OFTEN if young or self.n_bad else SELDOM) == 1:
+        often = OFTEN if young or self.n_bad else RARELY
+        if self.known and same and turn % often == 1:
             return self._shifted(prior, found, cycle)
         return found
 
     def _loud(self, found: Update) -> bool:
         power = np.abs(self.whiten(found.rest[0])) ** 2
         return bool(np.sqrt(np.convolve(power, np.ones(4) / 4, "same").max()) > LOUD)
-
-    def _candidates(self, branches: Branches, rest: Complex, whiten: Weights) -> Iterator[Branches]:
-        """Yield branches with one contact more, for each tool and each order along the tube."""
-        places, depths, own = split(branches.mean[:1, : branches.parameters])
-        fronts: list[Front] = []
-        if branches.tools:
-            fronts = front_of(self.model, branches.tools, places[0], depths[0], own[0])
-        deviations = self._new_deviations()
-        for tool, proposals in enumerate(self.proposals):
-            found = proposals.search(rest, whiten, fronts, least=BIRTH, temperature=own[0, 0])
-            apart = np.abs(found.place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
-            apart &= found.gain > BIRTH
-            ranks = np.searchsorted(places[0], found.place)
-            for rank in np.unique(ranks[apart]):
-                here = apart & (ranks == rank)
-                yield branches.added(rank, tool, found.place[here], found.depth[here], deviations)
 
     def _born(self, found: Update, cycle: Cycle, mean: bool) -> Update:
         """Return the branches with one contact more, if the evidence for it suffices.
@@ -233,17 +217,16 @@ class Track:
             rest = np.mean(self.rests, axis=0)
             whiten = weights(self.model, cycle.noise / len(self.rests), error, self.echo, SPREAD)
         samples = explained + rest
-        tried = [
-            self._updated(one, samples, 5, whiten=whiten)
-            for one in self._candidates(branches, rest, whiten)
-        ]
+        plain = float(np.sum(np.abs(whiten(rest)) ** 2))
+        starts = candidates(self.proposals, self.motion, branches, rest, whiten)
+        tried = [self._updated(one, samples, 5, whiten=whiten) for one in starts]
         if not tried:
             return found
         best = max(tried, key=lambda one: float(one.evidence[0]))
-        rank = _rank(branches, best.branches)
+        rank = rank_of(branches, best.branches)
         best = self._with_shifts(branches, best, rank, samples, whiten)
-        plain = float(np.sum(np.abs(whiten(rest)) ** 2))
-        odds = float(best.evidence[0]) + plain - RARE - self._uniform(best.branches.tools[rank])
+        odds = float(best.evidence[0]) + plain - RARE
+        odds -= uniform(self.model, best.branches.tools[rank])
         if odds < 0:
             return found
         self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
@@ -257,29 +240,14 @@ class Track:
         self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
     ) -> Update:
         """Return fits of a new contact and of the same half wavelengths away, the best first."""
-        place = best.branches.mean[0, 2 * rank] + self._half() * np.array([-2, -1, 1, 2])
+        steps = half_wavelength(self.model) * np.array([-2, -1, 1, 2])
+        place = best.branches.mean[0, 2 * rank] + steps
         depth = np.full(4, best.branches.mean[0, 2 * rank + 1])
-        deviations = self._new_deviations()
+        deviations = new_deviations(self.motion)
         start = fewer.added(rank, best.branches.tools[rank], place, depth, deviations)
         tried = self._updated(start, samples, 3, whiten=whiten)
         level = tried.branches.level + tried.evidence[0] - best.evidence[0]
         return best.joined(replace(tried, branches=replace(tried.branches, level=level)))
-
-    def _new_deviations(self) -> Array:
-        """Return the standard deviations of place and depth of a candidate, and of velocities."""
-        return np.array([*START, LANDING, self.motion.sink])
-
-    def _half(self) -> float:
-        """Return half a wavelength in m."""
-        base = self.model.base
-        return base.air.sound_speed / (2 * float(np.mean(base.frequency)))
-
-    def _uniform(self, tool: int) -> float:
-        """Return the logarithm of the volume of a contact's prior over that of :data:`START`."""
-        base = self.model.base
-        low, high = self.model.tables[tool].range
-        volume = (base.length - base.nearest) * (high - low)
-        return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
 
     def _sought_near(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches and those with a contact at any depth, near its place."""
@@ -294,19 +262,17 @@ class Track:
             fewer = best.without(i)
             places, depths, own = split(fewer.mean[:, : fewer.parameters])
             value, _ = self.model.baseband(fewer.tools, places, depths, own)
-            fronts: list[Front] = []
-            if fewer.tools:
-                fronts = front_of(self.model, fewer.tools, places[0], depths[0], own[0])
-            candidates = self.proposals[tool].search(
+            fronts, _, warm = fronts_of(self.model, fewer)
+            given = self.proposals[tool].search(
                 cycle.samples - value[0], self.whiten, fronts, number=1, fine=NEAR,
-                near=best.mean[0, 2 * i], temperature=own[0, 0],
+                near=best.mean[0, 2 * i], temperature=warm,
             )  # fmt: skip
-            n = len(candidates.gain)
+            n = len(given.gain)
             if n:
                 start = (
                     prior.take(np.zeros(1, int))
                     .without(i)
-                    .added(i, tool, candidates.place, candidates.depth, self._new_deviations())
+                    .added(i, tool, given.place, given.depth, new_deviations(self.motion))
                 )
                 found = self._with_others(found, start, cycle, RESTARTED)
         return found
@@ -314,13 +280,13 @@ class Track:
     def _shifted(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches and those half a wavelength or some depth from the best."""
         turn, best = cycle.number // OFTEN, found.branches
-        young = [i for i, one in enumerate(self.known) if one.age < YOUNG]
-        among = young or range(len(self.known))
+        among = [i for i, one in enumerate(self.known) if one.age < YOUNG]
+        young, among = bool(among), among or list(range(len(self.known)))
         i = among[turn % len(among)]
         moves = np.array(SHIFTS[turn // len(among) % 2 :: 2])
         n = len(moves)
         mean = np.repeat(best.mean[:1], n, axis=0)
-        mean[:, 2 * i : 2 * i + 2] += moves * [self._half(), 1.0]
+        mean[:, 2 * i : 2 * i + 2] += moves * [half_wavelength(self.model), 1.0]
         covariance = np.repeat(prior.covariance[:1], n, axis=0)
         for k, deviation in enumerate(WIDER):
             covariance[:, 2 * i + k, 2 * i + k] += deviation**2
@@ -331,7 +297,10 @@ class Track:
         self, found: Update, start: Branches, cycle: Cycle, prior_odds: float
     ) -> Update:
         """Return the branches and fits of others to this cycle."""
-        tried = self._updated(start, cycle.samples, 4)
+        plain = 2 * float(np.sum(np.abs(self.whiten(found.rest[0])) ** 2))
+        tried = updated(
+            self.model, start, cycle.samples, self.whiten, iterations=4, limit=plain + LOST
+        )
         level = tried.evidence - found.evidence[0] + prior_odds
         others = replace(tried, branches=replace(tried.branches, level=level))
         return self._pruned(found.joined(others))
@@ -369,10 +338,3 @@ class Track:
         del self.known[i]
         self.rests.clear()
         return self._updated(found.branches.without(i), cycle.samples, 1)
-
-
-def _rank(fewer: Branches, more: Branches) -> int:
-    """Return the number of the contact that is new."""
-    old = fewer.mean[0, : 2 * len(fewer.tools) : 2]
-    new = more.mean[0, : 2 * len(more.tools) : 2]
-    return int(np.argmin([np.abs(np.delete(new, i) - old).sum() for i in range(len(new))]))

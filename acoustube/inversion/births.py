@@ -1,0 +1,86 @@
+"""Where a contact more may be, as branches to be fitted to a cycle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.fit import CLOSEST, Weights, split
+from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.motion import Branches, Motion
+from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.search import Front, front_of
+from acoustube.waves.scattering import Complex
+
+BIRTH = 120.0
+"""Decrease of minus twice the logarithm of the likelihood from which a candidate is fitted: weaker
+echoes do not tell half wavelengths apart."""
+START = 3e-3, 0.5e-3
+"""Standard deviations in m of place and depth of a candidate."""
+LANDING = 0.01
+"""Standard deviation of the velocity along the tube of a new contact, in m/s."""
+
+
+def candidates(
+    proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
+) -> list[Branches]:
+    """Return branches with one contact more, for each rank along the tube and each tool.
+
+    Parameters
+    ----------
+    proposals : list of Proposals
+        Of each tool.
+    motion : Motion
+    branches : Branches
+    rest : ndarray
+        What the best of them leaves of a cycle, (n_time,).
+    whiten : Weights
+    """
+    fronts, places, warm = fronts_of(proposals[0].model, branches)
+    found: list[Branches] = []
+    for tool, one in enumerate(proposals):
+        given = one.search(rest, whiten, fronts, least=BIRTH, temperature=warm)
+        ranks = np.searchsorted(places, given.place)
+        apart = np.abs(given.place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
+        apart &= given.gain > BIRTH
+        for rank in np.unique(ranks[apart]):
+            here = apart & (ranks == rank)
+            more = branches.added(
+                rank, tool, given.place[here], given.depth[here], new_deviations(motion)
+            )
+            found.append(more)
+    return found
+
+
+def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Array, float]:
+    """Return what the contacts of the best branch pass on, their places, and the temperature."""
+    places, depths, own = split(branches.mean[:1, : branches.parameters])
+    fronts: list[Front] = []
+    if branches.tools:
+        fronts = front_of(model, branches.tools, places[0], depths[0], own[0])
+    return fronts, places[0], float(own[0, 0])
+
+
+def new_deviations(motion: Motion) -> Array:
+    """Return the standard deviations of place and depth of a candidate, and of velocities."""
+    return np.array([*START, LANDING, motion.sink])
+
+
+def uniform(model: ForwardModel, tool: int) -> float:
+    """Return the logarithm of the volume of a contact's prior over that of :data:`START`."""
+    base = model.base
+    low, high = model.tables[tool].range
+    volume = (base.length - base.nearest) * (high - low)
+    return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
+
+
+def half_wavelength(model: ForwardModel) -> float:
+    """Return half a wavelength at the middle of the band, in m."""
+    return model.base.air.sound_speed / (2 * float(np.mean(model.base.frequency)))
+
+
+def rank_of(fewer: Branches, more: Branches) -> int:
+    """Return the number of the contact that is new."""
+    old = fewer.mean[0, : 2 * len(fewer.tools) : 2]
+    new = more.mean[0, : 2 * len(more.tools) : 2]
+    return int(np.argmin([np.abs(np.delete(new, i) - old).sum() for i in range(len(new))]))
