@@ -3,6 +3,7 @@
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from commands import run_here
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
-from acoustube.inversion.twin import Band, Group, fit_twin
+from acoustube.inversion.twin import Band, Group, Measured, fit_twin
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
 from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
@@ -19,7 +20,7 @@ from acoustube.runs.inversion import read_sensor
 from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe
 from acoustube.runs.sweep.dataset import read_rangefinder
-from acoustube.runs.twin import read_recordings
+from acoustube.runs.twin import _check_untouched, read_recordings
 
 SIDES = np.array([0.0, 120e3])
 RADIUS, AIR, REPORTED, LENGTH = 4.2e-3, 22.5, 20.9, 2.5
@@ -287,6 +288,13 @@ def test_bad_recordings_are_named_with_what_is_wrong(recorded, tmp_path, change,
     assert part in told
     assert str(tmp_path) in told
     assert not Path(out).exists()
+
+
+def test_untouched_tube_with_presses_is_refused():
+    """Its clutter is that of presses, 20 dB above the strongest of tubes."""
+    rest = SimpleNamespace(clutter=Measured(value=0.01, deviation=1e-3))
+    with pytest.raises(ConfigError, match=r"free\.npz hold echoes along the whole tube"):
+        _check_untouched(None, rest, Group(np.zeros((1, 9)), 20.0, source="free.npz"))
 
 
 def test_slow_sampling_is_refused():

@@ -27,6 +27,9 @@ VOLTS = 1.8
 """Full scale in V that is assumed: counts do not tell it, and only products with it matter."""
 MOST_CLOSURES = 200
 """Closures that are used, evenly chosen."""
+MOST_CLUTTER = 5e-3
+"""Power reflected per length in 1/m above which a tube is not untouched: -23 dB, ordinary ones have
+-48 dB."""
 SAME_PLACE = 1e-4
 """Difference in m up to which two labels are one place."""
 
@@ -276,6 +279,11 @@ def _converter(
 
 def _check_untouched(twin: Twin, rest: Background, untouched: Group) -> None:
     """Raise if the untouched cycles hold the echo of a press or a closure."""
+    if rest.clutter.value > MOST_CLUTTER:
+        raise ConfigError(
+            f"the untouched cycles of {untouched.source} hold echoes along the whole tube, as of "
+            "presses; record them without contact"
+        )
     reflected = np.abs(np.convolve(rest.reflectivity, np.ones(8), mode="same"))
     power = np.sqrt(np.convolve(reflected**2, np.ones(8) / 8, mode="same"))
     beyond = rest.places > 0.5 * SPEED * twin.band.first + 0.05
