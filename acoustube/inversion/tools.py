@@ -44,7 +44,7 @@ class Tool:
     s : ndarray
         Scattering matrices, (n, n_f, 2, m, 2, m), as of :class:`acoustube.waves.ModalScattering`.
     error : ndarray
-        Estimated errors of the coefficients at 95 % of the frequencies, (n,).
+        Estimated errors of the coefficients at 75 % of the frequencies, (n,).
     interpolation_error : ndarray
         Estimated rms errors of interpolated coefficients between each depth and the next: of the
         reflection of the plane wave relative to its rms, or of the transmission, (n - 1,).

@@ -33,6 +33,7 @@ from acoustube.waves import (
 )
 from acoustube.waves.budget import SpectralBudget, spectral_budget
 from acoustube.waves.spectral import SpectralScattering, scatter_spectral, wall_of
+from acoustube.waves.spectral.result import ERROR_QUANTILE
 
 SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
@@ -206,9 +207,21 @@ def _excess(matrix: SpectralScattering) -> str:
 
 
 def spectral_scattering_of(
-    part: Lumen, air: Air, band: tuple[float, float], *, lossy: bool
+    part: Lumen,
+    air: Air,
+    band: tuple[float, float],
+    *,
+    lossy: bool,
+    share: float = ERROR_QUANTILE,
 ) -> SpectralScattering:
     """Return the scattering matrix of a press by the spectral solver, as :func:`scattering_of`.
+
+    Parameters
+    ----------
+    part, air, band, lossy
+        As of :func:`scattering_of`.
+    share : float
+        Part of the frequencies at which the estimated error must be small.
 
     Raises
     ------
@@ -225,9 +238,10 @@ def spectral_scattering_of(
         raise ConfigError(
             "the sections of the lumen overlap themselves; use method = scattering"
         ) from cause
-    if not found.typical_error <= LARGEST_SPECTRAL_ERROR:
+    error = float(np.quantile(found.error, share))
+    if not error <= LARGEST_SPECTRAL_ERROR:
         raise ConfigError(
-            f"the spectral solver's error estimate is {found.typical_error:.1g}, more than "
+            f"the spectral solver's error estimate is {error:.1g}, more than "
             f"{LARGEST_SPECTRAL_ERROR:g}; use method = scattering"
         )
     return found

@@ -42,6 +42,9 @@ from acoustube.runs.sweep.workers import Task, Workers, count_of
 from acoustube.waves.scattering import Complex
 from acoustube.waves.spectral import SpectralScattering
 
+GOOD_SHARE = 0.75
+"""Part of the frequencies at which a matrix must have a small estimated error: about those of a
+trapped mode, half a kilohertz to both sides, it is that without losses, far too large."""
 GAIN_OF_BISECTION = 6.0
 """Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
 REACH = 8
@@ -83,7 +86,7 @@ def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralSca
     try:
         with one_thread():
             found = sound.spectral_scattering_of(
-                part, plan.settings.air, plan.band, lossy=plan.settings.lossy
+                part, plan.settings.air, plan.band, lossy=plan.settings.lossy, share=GOOD_SHARE
             )
     except ConfigError as reason:
         return Done(str(reason), False)
@@ -359,7 +362,7 @@ class _Builder:
             force_error=self.path.error(depths).contact_force,
             frequency=np.asarray(found[0].frequency, float), modes=found[0].modes,
             s=np.array([one.s for one in found], np.complex64),
-            error=np.array([one.typical_error for one in found]),
+            error=np.array([np.quantile(one.error, GOOD_SHARE) for one in found]),
             interpolation_error=refinement.between(), sound_speed=settings.air.sound_speed,
         )  # fmt: skip
 
