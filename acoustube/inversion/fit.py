@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import log, pi
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 from scipy.signal import lfilter
 
 from acoustube.base.types import Array
@@ -81,6 +81,34 @@ def weights(
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
     """
+    factor = _factor(model, noise, error, echo, spread)
+    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+    freedom = model.base.freedom
+    return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor))
+
+
+def deviance_of(
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Complex,
+    spread: float,
+    residual: Complex,
+) -> float:
+    """Return minus twice the log likelihood of a residual, with the arguments of :func:`weights`.
+
+    But for a constant.
+    """
+    factor = _factor(model, noise, error, echo, spread)
+    white = solve_triangular(factor, residual, lower=True, check_finite=False)
+    deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * _log_determinant(factor)
+    return float(model.base.freedom) * deviance
+
+
+def _factor(
+    model: ForwardModel, noise: float, error: float, echo: Complex | None, spread: float
+) -> Complex:
+    """Return the Cholesky factor of the covariance."""
     covariance = model.clutter.covariance.copy()
     diagonal = np.full(len(covariance), noise)
     if echo is not None:
@@ -91,11 +119,11 @@ def weights(
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
         diagonal = diagonal + error**2 * (power + RINGING_SHARE * tail)
     covariance[np.diag_indices(len(diagonal))] += diagonal
-    factor = np.linalg.cholesky(covariance)
-    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
-    freedom = model.base.freedom
-    logarithm = 2 * float(np.log(np.diag(factor).real).sum())
-    return Weights(np.sqrt(freedom) * inverse, freedom * logarithm)
+    return np.asarray(cholesky(covariance, lower=True, overwrite_a=True, check_finite=False))
+
+
+def _log_determinant(factor: Complex) -> float:
+    return 2 * float(np.log(np.diag(factor).real).sum())
 
 
 @dataclass(frozen=True, eq=False)

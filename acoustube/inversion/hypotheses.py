@@ -12,12 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from acoustube.base.types import Array
 from acoustube.inversion.fit import (
     CLOSEST,
     Fits,
     Weights,
+    deviance_of,
     evidence,
     joined,
     maximise,
@@ -45,6 +47,13 @@ LOUD = 5.0
 """Level over the noise, of whitened samples smoothed, at which an echo begins."""
 DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m up to which two maxima are one."""
+SAME_MAXIMUM = 4.0
+"""Squared difference, in standard deviations, up to which they are one too."""
+HOPELESS = 10.0
+"""Excess of the deviance of a press more, before its model's error and the other maxima are known,
+from which it is not followed."""
+UNLIKELY, FARTHER = 8.0, 4
+"""Excess of the cost up to which a maximum may have maxima beyond it, and how many are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +173,15 @@ class Builder:
             if not len(candidates.gain):
                 continue
             fits = self._added(known, tool, candidates.place, candidates.depth, whiten)
+            if whiten is known.whiten and np.isfinite(known.deviance):
+                fits = [fit for fit in fits if self._promising(known, *fit)]
             found += [self._settled(*fit) for fit in fits]
         return found
+
+    def _promising(self, known: Hypothesis, tools: tuple[int, ...], fits: Fits) -> bool:
+        """Return whether fits with a press more may be likelier than without, once settled."""
+        deviance = float(evidence(self.model, tools, fits, known.whiten).min())
+        return deviance < known.deviance + HOPELESS
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
         """Return hypotheses with one press sought again."""
@@ -196,8 +212,8 @@ class Builder:
                 np.repeat(nuisances, n, 0),
             )
             tools = (*known.tools[:i], tool, *known.tools[i:])
-            fits = maximise(self.model, tools, start, self.samples, whiten, 7).sorted()
-            found.append((tools, _first(fits, KEPT)))
+            fits = maximise(self.model, tools, start, self.samples, whiten, 7)
+            found.append((tools, _first(_distinct(fits, len(tools)), KEPT)))
         return found
 
     def _settled(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
@@ -225,37 +241,49 @@ class Builder:
             rows = slice(i * len(moves), (i + 1) * len(moves))
             start[rows, 2 * i : 2 * i + 2] += moves
         fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8)
-        merged = _distinct(
-            Fits(
-                np.concatenate([known.fits.parameters, fits.parameters]),
-                np.concatenate([known.fits.cost, fits.cost]),
-                np.concatenate([known.fits.information, fits.information]),
-            ),
-            m,
-        )
+        merged = _distinct(_together(known.fits, fits), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
         if moved:
             error, whiten = self._likely_error(known.tools, merged.parameters[0])
             start = merged.parameters
             merged = _distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
+        merged = self._farther(known.tools, merged, whiten, half)
         return self._judged(known.tools, merged, error, whiten)
+
+    def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
+        """Return fits with those farther away, where half wavelengths are not told apart."""
+        likely = fits.cost < fits.cost[0] + UNLIKELY
+        m = len(tools)
+        starts = []
+        for i in range(m):
+            places = fits.parameters[likely, 2 * i]
+            for end, sign in ((np.argmin(places), -1), (np.argmax(places), 1)):
+                if abs(places[end] - fits.parameters[0, 2 * i]) > 2.5 * half:
+                    start = np.repeat(fits.parameters[likely][[end]], FARTHER, axis=0)
+                    start[:, 2 * i] += sign * half * np.arange(1, FARTHER + 1)
+                    starts.append(start)
+        if not starts:
+            return fits
+        found = maximise(self.model, tools, np.concatenate(starts), self.samples, whiten, 8)
+        return _distinct(_together(fits, found), m)
 
     def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
         """Return the most likely error of the model for given parameters, and its weights."""
         value, echo = self._echo(tools, parameters)
         rest = self.samples - value
 
-        def judged(error: float, spread: float) -> tuple[float, float, Weights]:
-            whiten = weights(self.model, self.noise, error, echo, spread)
-            cost = 2 * np.sum(np.abs(whiten(rest)) ** 2) + 2 * whiten.log_determinant
-            return float(cost), error, whiten
+        def judged(error: float, spread: float) -> tuple[float, float, float]:
+            return (
+                deviance_of(self.model, self.noise, error, echo, spread, rest), error, spread
+            )  # fmt: skip
 
-        best = min((judged(error, 0.0) for error in ERRORS), key=lambda one: one[0])
+        best = min(judged(error, 0.0) for error in ERRORS)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         wider = [judged(error, spread) for error in sorted(errors) for spread in SPREADS]
-        return min([best, *wider], key=lambda one: one[0])[1:]
+        _, error, spread = min([best, *wider])
+        return error, weights(self.model, self.noise, error, echo, spread)
 
     def _echo(self, tools: tuple[int, ...], parameters: Array) -> tuple[Complex, Complex]:
         """Return the baseband of parameters, and its part that presses cause, (n_time,)."""
@@ -270,7 +298,8 @@ class Builder:
         self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
     ) -> Hypothesis:
         """Return the hypothesis of fits with its evidence."""
-        deviance = float(evidence(self.model, tools, fits, whiten)[0])
+        # All maxima together: where half wavelengths are not told apart, none has most of it.
+        deviance = float(-2 * logsumexp(-0.5 * evidence(self.model, tools, fits, whiten)))
         value, _ = self._echo(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
@@ -281,13 +310,26 @@ def _first(fits: Fits, n: int) -> Fits:
     return Fits(fits.parameters[:n], fits.cost[:n], fits.information[:n])
 
 
+def _together(a: Fits, b: Fits) -> Fits:
+    return Fits(
+        np.concatenate([a.parameters, b.parameters]),
+        np.concatenate([a.cost, b.cost]),
+        np.concatenate([a.information, b.information]),
+    )
+
+
 def _distinct(fits: Fits, n_presses: int) -> Fits:
     """Return the maxima that differ, the best first."""
     fits = fits.sorted()
     scale = np.tile(DISTINCT, n_presses)
-    at = fits.parameters[:, : 2 * n_presses] / scale
     kept: list[int] = []
-    for i in range(len(at)):
-        if not any(np.all(np.abs(at[i] - at[j]) < 1) for j in kept):
+    for i in range(len(fits.cost)):
+        same = False
+        for j in kept:
+            off = fits.parameters[i] - fits.parameters[j]
+            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
+            near = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
+            same = same or close or near
+        if not same:
             kept.append(i)
     return Fits(fits.parameters[kept], fits.cost[kept], fits.information[kept])
