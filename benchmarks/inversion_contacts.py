@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import time
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from acoustube.base import cache
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Priors
 from acoustube.lumen import pressed_part
-from acoustube.ranging import record
+from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.libraries.files import open_library
@@ -47,6 +48,16 @@ TUBE = 7
 """Seed of the tube's clutter."""
 PLACES, DEPTHS, FORMS = (0.3, 1.9), (1.1e-3, 7.9e-3), 24
 """Ranges in m of places and depths, and the number of different depths."""
+FIRST, APART = 0.4, (0.145, 0.6)
+"""Of several presses: range in m of the first place, and of the distances between them; the parts
+of the tube that are scattered are 14 cm long and must not meet."""
+
+
+CHANGES = {
+    "": {}, "gain -20 %": {"gain": 0.8}, "resonance +0.5 %": {"resonance": 1.005},
+    "quality +5 %": {"quality_factor": 1.05}, "thermometer +1 K": {},
+}  # fmt: skip
+"""What the sensor has otherwise than the inversion is told: factors of its parameters."""
 
 
 def truth_matrix(plan, path, depth, how):
@@ -73,12 +84,13 @@ def cases(how, count, n_presses, seed):
     rng = np.random.default_rng(seed)
     forms = np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7)
     if how != "spectral":
-        forms = forms[[0, 3, 5, 7]]
+        forms = forms[:9] if how.endswith("16") else forms[[0, 1, 5, 8]]
     for number in range(count):
-        while True:
-            places = np.sort(rng.uniform(*PLACES, n_presses))
-            if n_presses == 1 or np.diff(places).min() > 0.08:
-                break
+        if n_presses == 1:
+            places = rng.uniform(*PLACES, 1)
+        else:
+            first = rng.uniform(PLACES[0], PLACES[0] + FIRST)
+            places = first + np.cumsum([0.0, *rng.uniform(*APART, n_presses - 1)])
         yield number, places, rng.choice(forms, n_presses)
 
 
@@ -173,6 +185,7 @@ def arguments():
     parser.add_argument("--truth", default="spectral", help="spectral, or march-16 and so on")
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
+    parser.add_argument("--changed", default="", choices=CHANGES, help="sensor, not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
     return parser.parse_args()
@@ -187,14 +200,17 @@ def main():
     (plan,) = tool_plans({"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}, 0.005)
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
     sensor = inversion.Sensor(priors=Priors(thermometer=0.0))
-    free = record([], n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0)
+    usual, changed = Rangefinder(), CHANGES[given.changed]
+    device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in changed.items()})
+    free = record([], device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0)
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
     for case in cases(given.truth, given.count, given.presses, seed):
         number, places, depths = case
-        name = given.truth, str(number), str(given.cycles), str(given.presses)
+        truth = f"{given.truth} {given.changed}".strip()
+        name = truth, str(number), str(given.cycles), str(given.presses)
         if name in there or time.process_time() - began > given.seconds:
             continue
         air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
@@ -204,8 +220,11 @@ def main():
             for matrix, place in zip(matrices, places, strict=True)
         ]
         data = record(
-            placed, n_cycles=given.cycles, tube_seed=TUBE, seed=1000 + number, temperature=air
-        )
+            placed, device, n_cycles=given.cycles, tube_seed=TUBE, seed=1000 + number,
+            temperature=air,
+        )  # fmt: skip
+        if "thermometer" in given.changed:
+            data["temperature"] = data["temperature"] + 1.0
         start = time.process_time()
         ((_, found),) = inverter.groups(Path("cycles"), data, given.cycles, lambda: None)
         seconds = time.process_time() - start
@@ -214,7 +233,7 @@ def main():
         peak = float(located.distance) if bool(located.detected) else float("nan")
         with given.out.open("a", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writerows(rows(case, given.truth, given.cycles, found, seconds, peak))
+            writer.writerows(rows(case, truth, given.cycles, found, seconds, peak))
     summary(given.out)
 
 

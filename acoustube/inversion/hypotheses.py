@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from acoustube.base.types import Array
 from acoustube.inversion.fit import (
@@ -39,6 +38,8 @@ SHIFTS = (
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
 )  # fmt: skip
 """Half wavelengths and depths in m by which a press is shifted to find other maxima."""
+JOINT = -3, -2, -1, 1, 2, 3
+"""Half wavelengths by which all presses are shifted together."""
 KEPT = 3
 """Candidates of a tool whose model error is estimated."""
 FIRST_PART = 1.2e-3
@@ -240,6 +241,10 @@ class Builder:
         for i in range(m):
             rows = slice(i * len(moves), (i + 1) * len(moves))
             start[rows, 2 * i : 2 * i + 2] += moves
+        if m > 1:  # all presses together: the first was placed before the others were known
+            joint = np.repeat(known.best[None], len(JOINT), axis=0)
+            joint[:, : 2 * m : 2] += half * np.array(JOINT)[:, None]
+            start = np.concatenate([start, joint])
         fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8)
         merged = _distinct(_together(known.fits, fits), m)
         error, whiten = known.error, known.whiten
@@ -298,8 +303,7 @@ class Builder:
         self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
     ) -> Hypothesis:
         """Return the hypothesis of fits with its evidence."""
-        # All maxima together: where half wavelengths are not told apart, none has most of it.
-        deviance = float(-2 * logsumexp(-0.5 * evidence(self.model, tools, fits, whiten)))
+        deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value, _ = self._echo(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
