@@ -193,7 +193,7 @@ class Inverter:
             if number > 1 and not likelier:
                 break
             beam = [best, *_others(best, found)] if best.error > GOOD else [best]
-        return chain
+        return _pruned(builder, chain)
 
     def _posterior(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
         """Return the posterior over hypotheses of each number of presses."""
@@ -335,6 +335,19 @@ def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
         if best.deviance < known.deviance:
             known = best
     return known
+
+
+def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
+    """Return a chain in which no number of presses is worse than part of the next one's.
+
+    A press may have stood for the error of others, which were mended with it.
+    """
+    for number in range(len(chain) - 1, 1, -1):
+        if chain[number].deviance + FEWER < chain[number - 1].deviance:
+            fewer = min(builder.pruned(chain[number]), key=lambda one: one.deviance)
+            if fewer.deviance < chain[number - 1].deviance:
+                chain[number - 1] = fewer
+    return chain
 
 
 def _others(best: Hypothesis, found: list[Hypothesis]) -> list[Hypothesis]:

@@ -40,6 +40,10 @@ SHIFTS = (
 """Half wavelengths and depths in m by which a press is shifted to find other maxima."""
 JOINT = -3, -2, -1, 1, 2, 3
 """Half wavelengths by which all presses are shifted together."""
+POOR = 0.05
+"""Relative error of the model from which several presses are sought together elsewhere."""
+OUTLIER = 9.0
+"""Squared whitened residual from which the size of a sample tells nothing of the temperature."""
 KEPT = 3
 """Candidates of a tool whose model error is estimated."""
 FIRST_PART = 1.2e-3
@@ -120,8 +124,8 @@ class Builder:
     def _robust(self) -> Array:
         """Return the nuisances with which presses are sought.
 
-        The temperature is that of the clutter, where this is known, by Cauchy's cost, so that
-        presses do not matter.
+        The temperature is that of the clutter, where this is known, by a truncated quadratic
+        cost, so that presses do not matter.
         """
         start = np.zeros(len(NUISANCES))
         if self.model.clutter.behind is None:
@@ -131,7 +135,11 @@ class Builder:
         tried = np.zeros((2 * int(span / 0.02) + 1, len(NUISANCES)))
         tried[:, 0] = np.linspace(-span, span, len(tried))
         rest = self.quiet(self.samples - self.model.without_presses(tried))
-        robust = 2 * np.log1p(np.abs(rest) ** 2 / 4).sum(axis=1)
+        # Only what sounds before the first press, whatever the temperature.
+        power = np.apply_along_axis(np.convolve, 1, np.abs(rest) ** 2, np.ones(4) / 4, "same")
+        loud = np.flatnonzero(power.min(axis=0) > LOUD**2)
+        before = rest[:, : max(loud[0] - 2, 0)] if len(loud) else rest
+        robust = 2 * np.minimum(np.abs(before) ** 2, OUTLIER).sum(axis=1)
         return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
     def first_of(self, known: Hypothesis) -> list[Hypothesis]:
@@ -219,18 +227,16 @@ class Builder:
 
     def _settled(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
         """Return the hypothesis of fits: their model's error, and the maxima around the best."""
-        best: Hypothesis | None = None
-        for i in range(len(fits.cost)):
-            at, error = fits.parameters[i : i + 1], 0.0
-            for _ in range(2):
-                error, own = self._likely_error(tools, at[0])
-                fit = maximise(self.model, tools, at, self.samples, own, 8)
-                at = fit.parameters
-            one = self._judged(tools, fit, error, own)
-            if best is None or one.deviance < best.deviance:
-                best = one
-        assert best is not None
-        return self.shifted(best)
+        tried = [self._alone(tools, fits.parameters[i : i + 1]) for i in range(len(fits.cost))]
+        return self.shifted(min(tried, key=lambda one: one.deviance))
+
+    def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
+        """Return the hypothesis of one starting point (1, n_parameters), with its model's error."""
+        for _ in range(2):
+            error, own = self._likely_error(tools, at[0])
+            fit = maximise(self.model, tools, at, self.samples, own, 8)
+            at = fit.parameters
+        return self._judged(tools, fit, error, own)
 
     def shifted(self, known: Hypothesis) -> Hypothesis:
         """Return a hypothesis with the maxima half wavelengths and depths away."""
@@ -244,8 +250,18 @@ class Builder:
         if m > 1:  # all presses together: the first was placed before the others were known
             joint = np.repeat(known.best[None], len(JOINT), axis=0)
             joint[:, : 2 * m : 2] += half * np.array(JOINT)[:, None]
-            start = np.concatenate([start, joint])
+            afresh = np.concatenate([known.best[None], joint])
+            afresh[:, 2 * m :] = self.start
+            start = np.concatenate([start, joint, afresh])
         fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8)
+        if m > 1 and known.error > POOR:
+            # The error that explains a wrong place hides the right one.
+            n = m * len(moves)
+            together = _distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)
+            tried = [self._alone(known.tools, at[None]) for at in together.parameters]
+            better = min(tried, key=lambda one: one.deviance)
+            if better.deviance < known.deviance - 1:
+                return self.shifted(better)
         merged = _distinct(_together(known.fits, fits), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
@@ -255,6 +271,17 @@ class Builder:
             merged = _distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
         merged = self._farther(known.tools, merged, whiten, half)
         return self._judged(known.tools, merged, error, whiten)
+
+    def pruned(self, known: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses with one press less, each the rest of those known."""
+        places, depths, nuisances = split(known.fits.parameters[:1])
+        found = []
+        for number in range(len(known.tools)):
+            kept = [i for i in range(len(known.tools)) if i != number]
+            rest = joined(places[:, kept], depths[:, kept], nuisances)
+            fits = Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None])
+            found.append(self._settled(tuple(known.tools[i] for i in kept), fits))
+        return found
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
         """Return fits with those farther away, where half wavelengths are not told apart."""
