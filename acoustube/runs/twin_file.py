@@ -21,6 +21,9 @@ from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.sensor_file import KIND
 from acoustube.runs.twin import FittedSensor
 
+MOST_REFLECTED = 0.98
+"""Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
+be larger where repetitions of echoes hardly tell it."""
 TOLD = 0.5
 """Standard deviation as a fraction of the prior's below which a parameter counts as determined."""
 
@@ -123,6 +126,7 @@ def rangefinder_of(found: FittedSensor) -> Rangefinder:
     twin, rest, volt = found.twin, found.rest, 1 / found.per_volt
     band = twin.band
     face = complex(twin.value("face_real"), twin.value("face_imag"))
+    face *= min(1.0, MOST_REFLECTED / max(abs(face), MOST_REFLECTED))
     tuned = {
         name: NOMINAL_FREQUENCY * exp(twin.value(f"log_{name}"))
         for name in ("resonance", "drive_frequency")

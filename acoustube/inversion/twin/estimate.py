@@ -26,13 +26,14 @@ from acoustube.waves.scattering import Complex
 
 PRIORS = {
     "log_radius": (0.0, 0.2), "temperature_offset": (0.0, 4.0), "temperature_gradient": (0.0, 1.0),
-    "log_loss": (0.0, 0.003), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
+    "log_loss": (0.0, 0.005), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
     "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
     "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
 """Mean and standard deviation of each parameter of :data:`SHARED`; of logarithms about a bore of
 7.9 mm, a perfectly smooth wall and the carrier that is received. The loss factor's deviation is
-that by the air's viscosity, known to 0.5 %, and by theories of the losses: 0.2 % apart."""
+that by the air's viscosity, known to 0.5 %, and by theories of the losses, 0.2 % apart; a tenth
+more or less absorbed by the air, as its humidity decides, is 1 %."""
 MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
 """Standard deviations of what the model leaves out, however many closures there are: clutter that
 neighbouring closures share, and the thermometer's steps."""
