@@ -179,7 +179,12 @@ def air_at(
     -----
     At 20 degC the speed of sound is 0.36 % higher in saturated air than in dry air, at 50 %
     humidity 0.18 %. With `moist` it is that of a mixture of ideal gases, within 0.01 % of the rise
-    that Cramer's formula [3]_ states from 0 to 30 degC.
+    that Cramer's formula [1]_ states from 0 to 30 degC.
+
+    References
+    ----------
+    .. [1] Cramer, O. (1993). The variation of the specific heat ratio and the speed of sound in air
+       with temperature, pressure, humidity, and CO2 concentration. J. Acoust. Soc. Am. 93, 2510.
     """
     low, high = TEMPERATURES
     if not low <= temperature <= high:

@@ -16,7 +16,7 @@ from acoustube.air import ABSOLUTE_ZERO, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
-from acoustube.inversion.twin import Background, Group, Twin, background, fit_twin
+from acoustube.inversion.twin import Background, Group, Twin, fit_background, fit_twin
 from acoustube.inversion.twin.estimate import SPEED
 from acoustube.runs.recordings import aligned
 from acoustube.signals import Processing
@@ -168,7 +168,7 @@ def fitted_sensor(
                 raise
             raise ConfigError(f"{groups[0].source} and {rest.source}: {error}") from error
         show("measuring the clutter", 0.5)
-        found = background(twin, rest, groups, stated)
+        found = fit_background(twin, rest, groups, stated)
     _check_untouched(twin, found, rest)
     noises = [float(np.std(data["temperature"].values)) for _, data in [*shut, *free]]
     return FittedSensor(

@@ -5,8 +5,8 @@ derivatives), `fit` (maximum of the posterior), `posterior` (with unknown scatte
 `estimate` (the fit as a whole) and `background` (ring-down, far end, clutter, noise).
 """
 
-from acoustube.inversion.twin.background import Background, Measured, background
+from acoustube.inversion.twin.background import Background, Measured, fit_background
 from acoustube.inversion.twin.estimate import Twin, fit_twin
 from acoustube.inversion.twin.recorded import Band, Group
 
-__all__ = ["Background", "Band", "Group", "Measured", "Twin", "background", "fit_twin"]
+__all__ = ["Background", "Band", "Group", "Measured", "Twin", "fit_background", "fit_twin"]

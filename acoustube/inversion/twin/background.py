@@ -92,7 +92,7 @@ class Background:
     recorded: Complex
 
 
-def background(
+def fit_background(
     twin: Twin, untouched: Group, closed: Sequence[Group], length: float | None = None
 ) -> Background:
     """Return ring-down, far end, clutter and noise of the sensor of a twin.
