@@ -5,9 +5,6 @@ References
 .. [1] ISO 9613-1:1993, Acoustics - Attenuation of sound during propagation outdoors - Part 1:
    Calculation of the absorption of sound by the atmosphere.
 .. [2] U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equations 51 and 53.
-.. [3] Cramer, O. (1993). The variation of the specific heat ratio and the speed of sound in air
-   with temperature, pressure, humidity, and CO2 concentration. Journal of the Acoustical Society
-   of America 93, 2510-2516. doi:10.1121/1.405827
 """
 
 from __future__ import annotations
@@ -184,7 +181,8 @@ def air_at(
     References
     ----------
     .. [1] Cramer, O. (1993). The variation of the specific heat ratio and the speed of sound in air
-       with temperature, pressure, humidity, and CO2 concentration. J. Acoust. Soc. Am. 93, 2510.
+       with temperature, pressure, humidity, and CO2 concentration. Journal of the Acoustical
+       Society of America 93, 2510-2516. doi:10.1121/1.405827
     """
     low, high = TEMPERATURES
     if not low <= temperature <= high:
