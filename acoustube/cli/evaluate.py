@@ -79,7 +79,7 @@ def evaluate(
     if not model.exists():
         raise ConfigError(f"{model} does not exist; give the name of a model: train writes one")
     check_files(out=out, figure=figure)
-    if model.is_dir():
+    if model.is_dir() and _is_library(model):
         _evaluate_library(model, data, inverted, out, figure, output.console())
         return
 
@@ -110,6 +110,13 @@ def evaluate(
     _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, console, start)
 
 
+def _is_library(folder: Path) -> bool:
+    """Return whether a folder holds tools of a library."""
+    from acoustube.runs.libraries.files import PATTERN
+
+    return any(folder.glob(PATTERN))
+
+
 def _evaluate_library(
     folder: Path,
     data: Sequence[Path],
@@ -132,7 +139,7 @@ def _evaluate_library(
     sensor = (
         inversion.Sensor() if inverted.sensor is None else inversion.read_sensor(inverted.sensor)
     )
-    free = inversion.read_untouched(inverted.untouched, {}) if inverted.untouched else []
+    free = inversion.all_recordings(inverted.untouched, {}) if inverted.untouched else []
     inverter = inversion.RecordingInverter(library, sensor, free)
     with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
         table, estimates = estimated(data, inverter, inverted.group, show)

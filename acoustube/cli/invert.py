@@ -75,7 +75,7 @@ def invert(
     options = dataclasses.asdict(recording)
     known = open_library(library)
     own = inversion.Sensor() if sensor is None else inversion.read_sensor(sensor)
-    free = inversion.read_untouched(untouched, options) if untouched else []
+    free = inversion.all_recordings(untouched, options) if untouched else []
     inverter = inversion.RecordingInverter(known, own, free, search.most)
     report = ConsoleReporter(output.console(stderr=out is None))
     failures = n_groups = n_contacts = 0

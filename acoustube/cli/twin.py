@@ -28,7 +28,7 @@ ODD = 0.95
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Known(Checked):
-    """What is known of the tube and of the converter.
+    """Known properties of the tube and of the converter.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ class Cycle(NamedTuple):
 
 @dataclass
 class Known:
-    """What is kept of a contact besides its state.
+    """Number, odds and age of a contact, besides its state.
 
     Attributes
     ----------
@@ -50,5 +50,5 @@ class Known:
 
     @property
     def probability(self) -> float:
-        """That there is the contact."""
+        """Probability that there is the contact."""
         return float(1 / (1 + np.exp(-self.odds)))

@@ -22,7 +22,7 @@ from scipy.fft import next_fast_len
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import AFTER_CLIPPING, FADE, HALF_WIDTH, TAPER, Baseband
+from acoustube.inversion.baseband import HALF_WIDTH, TAPER, Baseband
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import drive_spectrum
 from acoustube.waves.scattering import Complex
@@ -95,11 +95,8 @@ class FoldedBaseband(Baseband):
         return np.asarray(1.0 - 2.0 * (self.used % 2))
 
     def _of_samples(self, samples: Array) -> Complex:
-        time = np.arange(samples.shape[-1]) / self.rate
-        fade = np.sin(pi / 2 * np.clip((time - self.clear - AFTER_CLIPPING) / FADE, 0, 1)) ** 2
-        spectrum = np.fft.fft(samples * fade, self.period, axis=-1)[..., self.bins] / self.rate
         # Both halves of the band hold the whole record.
-        return self.transformed(spectrum) / 2
+        return super()._of_samples(samples) / 2
 
     def _sent(self) -> Complex:
         r = self.rangefinder

@@ -18,6 +18,7 @@ from acoustube.base.rules import Number, nearest
 from acoustube.base.units import CM, KHZ, MM, PERCENT
 from acoustube.inversion import (
     Baseband,
+    Contact,
     ForwardModel,
     Inversion,
     Inverter,
@@ -31,10 +32,11 @@ from acoustube.runs.config import read_document
 from acoustube.runs.sensor_file import sensor_document
 from acoustube.runs.sweep.dataset import rangefinder_in
 
-COLUMNS = (
-    "recording", "group", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
-    "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
+CONTACT_COLUMNS = (
+    "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
+    "force_sd_n", "indenter_mm", "misfit",
 )  # fmt: skip
+COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
 """Length in m of a tube that neither the sensor's file nor the recording states."""
 SAME_AIR = 0.25
@@ -232,8 +234,8 @@ def check_band(library: Library, base: Baseband) -> None:
         )
 
 
-def read_untouched(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:
-    """Return recordings of the untouched tube with their files.
+def all_recordings(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:
+    """Return recordings, which must all be readable, with their files.
 
     Raises
     ------
@@ -250,22 +252,20 @@ def read_untouched(files: Sequence[Path], options: Mapping[str, Any]) -> list[An
 
 def rows_of(path: Path, group: int, found: Inversion, library: Library) -> list[list[object]]:
     """Return a row of :data:`COLUMNS` for each contact of a group, with its number from 0."""
-    rows: list[list[object]] = []
-    for number, contact in enumerate(found.contacts):
-        estimates = (
-            (contact.distance, CM), (contact.depth, MM), (contact.force, 1.0)
-        )  # fmt: skip
-        values = [
-            f"{scale * value:.6g}"
-            for one, scale in estimates
-            for value in (one.value, one.deviation)
-        ]
-        diameter = MM * library.tools[contact.tool].diameter
-        told = f"{found.misfit:.4g}"
-        rows.append([
-            str(path), group, number, f"{contact.probability:.4f}", *values, f"{diameter:g}", told,
-        ])  # fmt: skip
-    return rows
+    return [
+        [str(path), group, number, *contact_cells(contact, found.misfit, library)]
+        for number, contact in enumerate(found.contacts)
+    ]
+
+
+def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str]:
+    """Return the cells of :data:`CONTACT_COLUMNS` for a contact."""
+    estimates = (contact.distance, CM), (contact.depth, MM), (contact.force, 1.0)
+    values = [
+        f"{scale * value:.6g}" for one, scale in estimates for value in (one.value, one.deviation)
+    ]
+    diameter = MM * library.tools[contact.tool].diameter
+    return [f"{contact.probability:.4f}", *values, f"{diameter:g}", f"{misfit:.4g}"]
 
 
 def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Reporter) -> None:

@@ -21,13 +21,17 @@ from acoustube.inversion import (
 )
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES
-from acoustube.runs.inversion import USUAL_LENGTH, Sensor, check_band, read_sensor
+from acoustube.runs.inversion import (
+    CONTACT_COLUMNS,
+    USUAL_LENGTH,
+    Sensor,
+    check_band,
+    contact_cells,
+    read_sensor,
+)
 from acoustube.runs.libraries.files import open_library
 
-CONTACT_COLUMNS = (
-    "cycle", "received_s", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
-    "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
-)  # fmt: skip
+COLUMNS = ("cycle", "received_s", "contact", *CONTACT_COLUMNS)
 BITS = 8
 """Bits of a board's samples."""
 FEWEST = 8
@@ -38,7 +42,7 @@ BACKLOG = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Contacts:
-    """How contacts are found in a stream.
+    """Settings of the search for contacts in a stream.
 
     Attributes
     ----------
@@ -51,7 +55,7 @@ class Contacts:
     most : int
         Largest number of contacts.
     table : Path or None
-        New CSV file, one row of :data:`CONTACT_COLUMNS` per contact and cycle.
+        New CSV file, one row of :data:`COLUMNS` per contact and cycle.
     """
 
     folder: Path
@@ -63,7 +67,7 @@ class Contacts:
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the table."""
-        return CONTACT_COLUMNS
+        return COLUMNS
 
 
 class Follower:
@@ -159,17 +163,13 @@ class Follower:
         return ContactTracker(model, self.how.most)
 
     def rows(self, number: int, received: float, found: Tracked | None) -> list[list[object]]:
-        """Return a row of :data:`CONTACT_COLUMNS` for each contact of a cycle."""
-        rows: list[list[object]] = []
+        """Return a row of :data:`COLUMNS` for each contact of a cycle."""
         if found is None:
-            return rows
-        for name, one in zip(found.numbers, found.contacts, strict=True):
-            parts = (one.distance, CM), (one.depth, MM), (one.force, 1.0)
-            values = [f"{k * v:.6g}" for e, k in parts for v in (e.value, e.deviation)]
-            diameter = f"{MM * self.tool_library.tools[one.tool].diameter:g}"
-            head = [number, f"{received:.6f}", name, f"{one.probability:.4f}"]
-            rows.append([*head, *values, diameter, f"{found.misfit:.4g}"])
-        return rows
+            return []
+        return [
+            [number, f"{received:.6f}", name, *contact_cells(one, found.misfit, self.tool_library)]
+            for name, one in zip(found.numbers, found.contacts, strict=True)
+        ]
 
 
 def in_words(found: Tracked) -> list[str]:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube import recordings
 from acoustube.air import ABSOLUTE_ZERO, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
 from acoustube.inversion.twin import Background, Group, Twin, fit_background, fit_twin
 from acoustube.inversion.twin.estimate import SPEED
+from acoustube.runs.inversion import all_recordings
 from acoustube.runs.recordings import aligned
 from acoustube.signals import Processing
 
@@ -36,7 +36,7 @@ SAME_PLACE = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """What is known of the tube, its air and the converter; None for what is not.
+    """Known properties of the tube, its air and the converter; None for unknown ones.
 
     Attributes
     ----------
@@ -189,9 +189,7 @@ def read_recordings(
         If one cannot be read.
     """
     found = []
-    for path, data in recordings.read_all(paths, **options):
-        if isinstance(data, ConfigError):
-            raise data
+    for path, data in all_recordings(paths, options):
         try:
             found.append((path, aligned(data, pulse_at, Processing())[0]))
         except ValueError as error:

@@ -21,7 +21,7 @@ AT_ONCE = 8
 
 @dataclass(frozen=True)
 class Shape:
-    """What is fixed when a sensor is compiled.
+    """Sizes and reflection coefficients that are fixed when a sensor is compiled.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Background:
-    """What cycles hold besides the echoes, in counts where not stated.
+    """Ring-down, far end, clutter and noise of cycles, in counts where not stated.
 
     Attributes
     ----------
