@@ -76,10 +76,12 @@ def evaluate(
     """
     if not data:
         raise ConfigError("evaluate needs a file or a folder; name one or more")
-    if not model.exists():
-        raise ConfigError(f"{model} does not exist; give the name of a model: train writes one")
+    of_library = model.is_dir() and _is_library(model)
+    if not (model.is_file() or of_library):
+        what = "is a folder" if model.is_dir() else "does not exist"
+        raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
     check_files(out=out, figure=figure)
-    if model.is_dir() and _is_library(model):
+    if of_library:
         _evaluate_library(model, data, inverted, out, figure, output.console())
         return
 
