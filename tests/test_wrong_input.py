@@ -126,7 +126,7 @@ CASES = {
     f"{TRAIN} --out text.txt": ["out = text.txt exists"],
     "train nothing --estimator network --out new": ["nothing holds no recordings", ".npz"],
     "evaluate none.model good.npz": ["none.model does not exist", "train writes one"],
-    "evaluate nothing good.npz": ["nothing is a folder", "train writes one"],
+    "evaluate nothing good.npz": ["nothing is a folder without tools", "train writes one"],
     "evaluate text.txt good.npz": ["text.txt is not a model (not a NumPy archive)"],
     "evaluate good.npz good.npz": ["good.npz is not a model", "train writes one"],
     "evaluate good.npz": ["evaluate needs a file or a folder"],

@@ -78,8 +78,11 @@ def evaluate(
         raise ConfigError("evaluate needs a file or a folder; name one or more")
     of_library = model.is_dir() and _is_library(model)
     if not (model.is_file() or of_library):
-        what = "is a folder" if model.is_dir() else "does not exist"
-        raise ConfigError(f"{model} {what}; give the name of a model: train writes one")
+        what = "is a folder without tools of a library" if model.is_dir() else "does not exist"
+        raise ConfigError(
+            f"{model} {what}; give a model: train writes one, or a library's folder: library "
+            "writes one"
+        )
     check_files(out=out, figure=figure)
     if of_library:
         _evaluate_library(model, data, inverted, out, figure, output.console())
