@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import log10
 
 import numpy as np
 
@@ -39,6 +40,22 @@ def shear_modulus_from_shore(shore_a: float) -> float:
     """
     hardness = shore_a if isinstance(shore_a, float | int) else np.asarray(shore_a)
     return 1e6 * 10 ** (0.0235 * hardness - 0.64) / 3
+
+
+def shore_from_shear_modulus(shear_modulus: float) -> float:
+    """Return the Shore A hardness of a silicone from its shear modulus.
+
+    Parameters
+    ----------
+    shear_modulus : float
+        In Pa.
+
+    See Also
+    --------
+    shear_modulus_from_shore : Its inverse.
+    """
+    modulus = Number(1e-3, 1e15, "Pa").check("shear_modulus", shear_modulus)
+    return float((log10(3e-6 * modulus) + 0.64) / 0.0235)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +97,11 @@ class Tube:
     def outer_diameter(self) -> float:
         """Outer diameter in m."""
         return self.inner_diameter + 2 * self.wall_thickness
+
+    @property
+    def young_modulus(self) -> float:
+        """Young's modulus in Pa, ``2 mu (1 + nu)``."""
+        return 2 * self.shear_modulus * (1 + self.poisson_ratio)
 
     @property
     def bulk_modulus(self) -> float:

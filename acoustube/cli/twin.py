@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,9 +47,38 @@ class Known(Checked):
     humidity: Annotated[float | None, Number(0, 100, "%", "relative humidity")] = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Others:
+    """Further recordings.
+
+    Attributes
+    ----------
+    untouched : list
+        Recordings of the untouched tube, in place of the last file.
+    pressed : list
+        Recordings of presses of known tool, with the label ``force`` or ``depth``, files or
+        folders: they tell the wall's modulus and whether the ground yields.
+    library : Path
+        Folder that the command library wrote, of the tools that press.
+    """
+
+    untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+    pressed: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+    library: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Check that presses have a library."""
+        if (self.pressed is None) != (self.library is None):
+            raise ConfigError(
+                "--pressed and --library go together: recordings of presses, and the folder of "
+                "their tools that acoustube library wrote"
+            )
+
+
 def twin(
     *files: Path,
-    untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    others: Others = Others(),
     known: Known = Known(),
     recording: Recording = Recording(),
     lead: Lead = Lead(),
@@ -63,13 +93,12 @@ def twin(
     files : Path
         Recordings with the tube closed, with the label ``true_distance`` (or ``distance_cm``,
         ``distance_m``), files or folders; the last is that of the untouched tube.
-    untouched : list
-        Recordings of the untouched tube, in place of the last file.
     out : Path
         File to write (TOML), which must be new: every parameter with its standard deviation.
     figure : Path
         Picture of simulated over recorded cycles to write (PNG, PDF or SVG), which must be new.
     """
+    untouched = others.untouched
     if len(files) < (2 if untouched is None else 1):
         raise ConfigError(
             "twin needs recordings of the closed and of the untouched tube; name CLOSED UNTOUCHED"
@@ -82,11 +111,19 @@ def twin(
     report = ConsoleReporter(output.console())
     length = None if known.length is None else known.length / CM
     bench = Bench(length=length, bits=known.bits, humidity=known.humidity)
+    options = dataclasses.asdict(recording)
     with watched_interrupts() as check:
         found = fitted_sensor(
-            closed, free, dataclasses.asdict(recording), lead.pulse_at,
-            bench=bench, report=report, check=check,
-        )  # fmt: skip
+            closed, free, options, lead.pulse_at, bench=bench, report=report, check=check
+        )
+        if others.pressed is not None and others.library is not None:
+            from acoustube.runs.twin_pressed import fitted_material
+
+            material, states = fitted_material(
+                found, others.pressed, free, others.library, options, lead.pulse_at,
+                report=report, check=check,
+            )  # fmt: skip
+            found = dataclasses.replace(found, material=material, pressed=states)
     contents: dict[Path, bytes | str] = {out: in_toml(found)}
     if figure is not None:
         from acoustube.reports.figures.run import picture
@@ -98,6 +135,7 @@ def twin(
     if note := time_zero_note(found):
         report.note(note)
     _print_closures(found, report)
+    _print_presses(found, report)
     rows = [
         (one.name, f"{one.value:.6g} +- {one.deviation:.2g}"
          + ("" if one.determined else ", not determined by the recordings"))
@@ -122,4 +160,26 @@ def _print_closures(found: FittedSensor, report: Reporter) -> None:
     if explained.mean() < ODD:
         report.note(
             "so little that the sensor has parts which the model lacks; see the figure of --figure"
+        )
+
+
+def _print_presses(found: FittedSensor, report: Reporter) -> None:
+    """Report what the presses tell, and which do not."""
+    material = found.material
+    if material is None:
+        return
+    for i, state in enumerate(found.pressed):
+        where = f" at {CM * state.place:.1f} cm" if isfinite(state.place) else ""
+        words = [state.reason, material.left_out.get(i, "")]
+        if told := " and ".join(word for word in words if word):
+            report.note(f"{state.source}: the press{where}: {told}")
+    told = sum(isfinite(state.press.depth) for state in found.pressed)
+    used = len(found.pressed) - len(material.left_out)
+    report.line(
+        f"{len(found.pressed)} presses: the echoes of {told} tell their depth; the forces of "
+        f"{used} tell the wall's modulus"
+    )
+    if material.yields:
+        report.note(
+            "the ground yields under the tube: stated depths are larger than those of the echoes"
         )

@@ -216,7 +216,7 @@ class Inverter:
                     probability=float(sum(seen)),
                     distance=posterior.estimate(2 * i, self._scale_error(place)),
                     depth=posterior.estimate(2 * i + 1),
-                    force=posterior.mapped(2 * i + 1, known.force_at, known.force_error.max()),
+                    force=posterior.mapped(2 * i + 1, known.force_at, known.force_deviation),
                     tool=tool,
                 )
             )
@@ -281,7 +281,10 @@ class Posterior:
         return mixture(self.weight, self.mean[:, parameter], deviation)
 
     def mapped(
-        self, parameter: int, function: Callable[[Array, int], Array], error: float
+        self,
+        parameter: int,
+        function: Callable[[Array, int], Array],
+        error: Callable[[Array], Array],
     ) -> Estimate:
         """Return the distribution of a rising function of a parameter, with an error of its own.
 
@@ -290,12 +293,12 @@ class Posterior:
         parameter : int
         function : callable
             Takes values and the order of a derivative.
-        error : float
-            Standard deviation of the function itself.
+        error : callable
+            Takes values; standard deviation of the function itself.
         """
         mean = self.mean[:, parameter]
         slope = function(mean, 1)
-        deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error)
+        deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error(mean))
         return mixture(self.weight, function(mean, 0), deviation)
 
 

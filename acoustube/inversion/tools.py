@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import nan
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from acoustube.base.checks import Several, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import MM
 from acoustube.waves.scattering import Complex
@@ -50,6 +52,13 @@ class Tool:
         reflection of the plane wave relative to its rms, or of the transmission, (n - 1,).
     sound_speed : float
         In m/s, of the air in which the scattering was computed.
+    young_modulus : float
+        Of the wall in Pa, to which the forces are proportional; nan where it is not known, or the
+        ground yields, so that they are not.
+    poisson_ratio : float
+        Of the wall.
+    stiffness_error : float
+        Relative standard deviation of that modulus; 0 for an exact one.
     """
 
     shape: str
@@ -64,6 +73,9 @@ class Tool:
     error: Array
     interpolation_error: Array
     sound_speed: float
+    young_modulus: float = nan
+    poisson_ratio: float = 0.49
+    stiffness_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that the arrays belong together."""
@@ -101,6 +113,11 @@ class Tool:
     def force_at(self, depth: ArrayLike, derivative: int = 0) -> Array:
         """Return the force in N at depths in m, or its derivative by depth, by monotone cubics."""
         return np.asarray(self._force(np.asarray(depth, float), derivative))
+
+    def force_deviation(self, depth: ArrayLike) -> Array:
+        """Return the standard deviation of the forces at depths in m, in N."""
+        own = float(self.force_error.max())
+        return np.asarray(np.hypot(own, self.stiffness_error * self.force_at(depth)))
 
     def error_at(self, depth: ArrayLike) -> Array:
         """Return the interpolation error of the interval that each depth is in."""
@@ -151,6 +168,41 @@ class Library:
                     "the tools of the library differ in frequencies or modes; compute them with "
                     "one command"
                 )
+
+    def with_young_modulus(self, value: float, deviation: float = 0.0) -> Library:
+        """Return the library of a wall of another Young's modulus.
+
+        Parameters
+        ----------
+        value, deviation : float
+            The modulus and its standard deviation in Pa.
+
+        Raises
+        ------
+        ConfigError
+            If the modulus of a tool is not known, or its ground yields.
+
+        Notes
+        -----
+        In a Neo-Hookean wall between rigid bodies the shape at a depth does not depend on the
+        modulus, and the force is proportional to it.
+        """
+        value = Number(1e-3, 1e15, "Pa").check("young_modulus", value)
+        tools = []
+        for tool in self.tools:
+            if not np.isfinite(tool.young_modulus):
+                raise ConfigError(
+                    f"forces of the {tool.name} of the library are not proportional to a known "
+                    "modulus of the wall; make one on rigid ground with acoustube library"
+                )
+            factor = value / tool.young_modulus
+            tools.append(
+                replace(
+                    tool, force=factor * tool.force, force_error=factor * tool.force_error,
+                    young_modulus=value, stiffness_error=deviation / value,
+                )
+            )  # fmt: skip
+        return Library(tuple(tools))
 
     @property
     def radius(self) -> float:

@@ -193,7 +193,7 @@ class ContactTracker:
             depth = best.mean[:, 2 * i + 1]
             slope = known.force_at(depth, 1) * np.sqrt(variance[:, 2 * i + 1])
             force = mixture(
-                weight, known.force_at(depth), np.hypot(slope, known.force_error.max())
+                weight, known.force_at(depth), np.hypot(slope, known.force_deviation(depth))
             )  # fmt: skip
             distance = told(2 * i, self._scale_error(places[0, i]))
             contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))

@@ -29,7 +29,7 @@ from acoustube.inversion import (
 )
 from acoustube.ranging import Rangefinder
 from acoustube.runs.config import read_document
-from acoustube.runs.sensor_file import sensor_document
+from acoustube.runs.sensor_file import sensor_document, young_modulus
 from acoustube.runs.sweep.dataset import rangefinder_in
 
 CONTACT_COLUMNS = (
@@ -55,11 +55,22 @@ class Sensor:
     length : float or None
         Of the tube in m; None if only recordings state it.
     priors : Priors
+    young_modulus : (float, float) or None
+        Of the wall and its standard deviation, in Pa; None for that of the library.
     """
 
     rangefinder: Rangefinder | None = None
     length: float | None = None
     priors: Priors = field(default_factory=Priors)
+    young_modulus: tuple[float, float] | None = None
+
+    def own(self, library: Library) -> Library:
+        """Return a library with the forces of the sensor's wall."""
+        return (
+            library
+            if self.young_modulus is None
+            else library.with_young_modulus(*self.young_modulus)
+        )
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -77,7 +88,8 @@ def read_sensor(path: Path) -> Sensor:
     ConfigError
         If it cannot be read, or a name or a value is wrong.
     """
-    document = sensor_document(read_document(path), path)
+    given = read_document(path)
+    document, modulus = sensor_document(given, path), young_modulus(given, path)
     length, priors = document.pop("length_cm", None), document.pop("priors", {})
     known = [one.name for one in dataclasses.fields(Priors)]
     if not isinstance(priors, dict):
@@ -90,7 +102,10 @@ def read_sensor(path: Path) -> Sensor:
         found = Priors(**priors)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    return Sensor(rangefinder=rangefinder_in(document, path), length=metres, priors=found)
+    return Sensor(
+        rangefinder=rangefinder_in(document, path), length=metres, priors=found,
+        young_modulus=modulus,
+    )  # fmt: skip
 
 
 class RecordingInverter:
@@ -113,7 +128,7 @@ class RecordingInverter:
         untouched: Sequence[tuple[Path, xr.Dataset]] = (),
         most: int = 3,
     ) -> None:
-        self.tool_library, self.sensor, self.most = library, sensor, most
+        self.tool_library, self.sensor, self.most = sensor.own(library), sensor, most
         self.untouched = untouched
         self._known: dict[tuple[Any, ...], tuple[float, Inverter]] = {}
 

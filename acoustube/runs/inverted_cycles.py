@@ -59,7 +59,7 @@ def inverted(
             raise ConfigError(
                 f"{path} has no label {' or '.join(TARGETS)}; give one in the file or in a sidecar"
             )
-        for part, share in _alike(data, known, size):
+        for part, share in alike(data, known, size):
             ((_, found),) = inverter.groups(path, part, part.sizes["cycle"], lambda: None)
             for name, values in labels.items():
                 values.append(float(part[name].values[0]) if name in known else np.nan)
@@ -74,9 +74,7 @@ def inverted(
     return table, estimates
 
 
-def _alike(
-    data: xr.Dataset, labels: Sequence[str], size: int
-) -> Iterator[tuple[xr.Dataset, float]]:
+def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[xr.Dataset, float]]:
     """Yield groups of consecutive cycles with equal labels, and the share that is done."""
     values = np.stack([np.nan_to_num(data[name].values.astype(float)) for name in labels])
     n = data.sizes["cycle"]

@@ -91,8 +91,8 @@ class Follower:
 
     def __init__(self, how: Contacts, rate: float, n_samples: int, temperature: float) -> None:
         self.how = how
-        self.tool_library = open_library(how.folder)
         sensor = Sensor() if how.sensor is None else read_sensor(how.sensor)
+        self.tool_library = sensor.own(open_library(how.folder))
         rangefinder = sensor.rangefinder or Rangefinder(sampling_rate=rate, bits=BITS)
         if abs(rangefinder.sampling_rate / rate - 1) > 1e-3:
             raise ConfigError(

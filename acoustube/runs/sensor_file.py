@@ -9,9 +9,11 @@ from typing import Any
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
+from acoustube.base.units import MPA
 
 KIND = "twin"
 """Name of the table that only files of twins have."""
+MODULUS = "young_modulus_mpa"
 OF_OTHERS = ("length_cm", "priors")
 """What such a file states besides the rangefinder."""
 
@@ -41,6 +43,30 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
         if name in document:
             found[name] = document[name]
     return found
+
+
+def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float] | None:
+    """Return Young's modulus of the wall in Pa, and its deviation, if presses told a twin it.
+
+    Parameters
+    ----------
+    document : mapping
+        Content of the file.
+    path : Path
+        For messages.
+
+    Raises
+    ------
+    ConfigError
+        If they are not positive numbers.
+    """
+    told = document.get("determined", [])
+    if KIND not in document or not isinstance(told, list) or MODULUS not in told:
+        return None
+    found = document.get(MODULUS), document.get(f"{MODULUS}_sd")
+    if not all(isinstance(one, int | float) and 0 < one < 1e6 for one in found):
+        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
+    return found[0] / MPA, found[1] / MPA
 
 
 def twin_settings(path: Path) -> dict[str, Any]:

@@ -15,7 +15,15 @@ from acoustube.air import ABSOLUTE_ZERO, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
-from acoustube.inversion.twin import Background, Group, Twin, fit_background, fit_twin
+from acoustube.inversion.twin import (
+    Background,
+    Group,
+    Material,
+    Press,
+    Twin,
+    fit_background,
+    fit_twin,
+)
 from acoustube.inversion.twin.estimate import SPEED
 from acoustube.runs.inversion import all_recordings
 from acoustube.runs.recordings import aligned
@@ -54,6 +62,27 @@ class Bench:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class PressedState:
+    """A press that was recorded.
+
+    Attributes
+    ----------
+    source : str
+        File of the recording.
+    place : float
+        Distance in m, as stated or else as told by the echo; nan if neither.
+    press : Press
+    reason : str
+        Why its echo tells no depth; empty if it does.
+    """
+
+    source: str
+    place: float
+    press: Press
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FittedSensor:
     """Twin of a sensor with what it was fitted to.
 
@@ -73,6 +102,10 @@ class FittedSensor:
         Standard deviation of the reported temperature in a group, in K.
     length : float or None
         Stated length of the tube in m.
+    material : Material or None
+        Of presses, if there are recordings of them.
+    pressed : tuple of PressedState
+        These presses.
     """
 
     twin: Twin
@@ -84,6 +117,8 @@ class FittedSensor:
     full_scale: float
     temperature_noise: float
     length: float | None
+    material: Material | None = None
+    pressed: tuple[PressedState, ...] = ()
 
     @property
     def per_volt(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from math import exp, isfinite
+from math import exp, isfinite, log
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,14 +12,16 @@ import numpy as np
 import tomlkit
 
 from acoustube.base.files import toml_array
-from acoustube.base.units import CM, KHZ, MM, MS, PERCENT, US
+from acoustube.base.units import CM, KHZ, MM, MPA, MS, PERCENT, US
 from acoustube.base.version import __version__
 from acoustube.inversion.twin.background import Measured
 from acoustube.inversion.twin.estimate import PRIORS, radius
+from acoustube.inversion.twin.material import PRIOR_COMPLIANCE, PRIOR_MODULUS, PRIOR_ZERO, Material
 from acoustube.inversion.twin.model import NOMINAL_FREQUENCY, NOMINAL_RADIUS, SHARED
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.sensor_file import KIND
 from acoustube.runs.twin import FittedSensor
+from acoustube.tube import shore_from_shear_modulus
 
 MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
@@ -57,7 +59,9 @@ class Parameter(NamedTuple):
 
 def parameters(found: FittedSensor) -> list[Parameter]:
     """Return all parameters of a twin with their standard deviations."""
-    return [*_echo_parameters(found), *_background_parameters(found)]
+    return [
+        *_echo_parameters(found), *_background_parameters(found), *_material_parameters(found)
+    ]  # fmt: skip
 
 
 def _echo_parameters(found: FittedSensor) -> Iterator[Parameter]:
@@ -121,6 +125,29 @@ def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
         yield Parameter(name, value, value / np.sqrt(max(2 * (n - 2), 1)), None, meaning)
 
 
+def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
+    """Yield the parameters of wall and ground that presses tell."""
+    material = found.material
+    if material is None:
+        return
+    modulus, compliance, zero = material.young_modulus, material.compliance, material.zero
+    shear = modulus.value / (2 * (1 + material.poisson_ratio))
+    decade = 0.0235 * log(10)
+    yield Parameter("young_modulus_mpa", MPA * modulus.value, MPA * modulus.deviation,
+                    MPA * material.prior_modulus, "Young's modulus of the wall")  # fmt: skip
+    yield Parameter(
+        "hardness_shore_a", shore_from_shear_modulus(shear),
+        modulus.deviation / modulus.value / decade, PRIOR_MODULUS / decade,
+        "hardness that such a modulus is taken for",
+    )  # fmt: skip
+    yield Parameter(
+        "ground_compliance_mm_per_n", MM * compliance.value, MM * compliance.deviation,
+        MM * PRIOR_COMPLIANCE, "by which the ground yields",
+    )  # fmt: skip
+    yield Parameter("depth_zero_mm", MM * zero.value, MM * zero.deviation, MM * PRIOR_ZERO,
+                    "stated depth at first contact")  # fmt: skip
+
+
 def rangefinder_of(found: FittedSensor) -> Rangefinder:
     """Return the rangefinder that records as the sensor of a twin does."""
     twin, rest, volt = found.twin, found.rest, 1 / found.per_volt
@@ -167,6 +194,8 @@ def in_toml(found: FittedSensor) -> str:
     document.add("rangefinder", _rangefinder(rangefinder_of(found)))
     document.add("priors", _priors(found))
     document.add("closures", _closures(found))
+    if found.material is not None:
+        document.add("presses", _presses(found, found.material))
     document.add("clutter", _clutter(found))
     document.add("correlation", _correlation(found))
     return tomlkit.dumps(document)
@@ -218,17 +247,22 @@ def _rangefinder(rangefinder: Rangefinder) -> Any:
 
 def _priors(found: FittedSensor) -> Any:
     """Return standard deviations for the inversion, none below the scatter that was seen."""
-    twin = found.twin
     table = tomlkit.table()
-    for name, value in (
-        ("temperature", max(twin.deviation("temperature_offset"), 0.1)),
-        ("gain", max(twin.posterior.level, found.rest.wander.value, 0.005)),
-        ("resonance", max(twin.deviation("log_resonance"), 1e-4)),
-        ("quality_factor", max(twin.deviation("log_quality"), 1e-3)),
-        ("thermometer", twin.deviation("temperature_offset")),
-    ):
+    for name, value in deviations_of(found).items():
         table.add(name, _short(value))
     return table
+
+
+def deviations_of(found: FittedSensor) -> dict[str, float]:
+    """Return standard deviations of :class:`acoustube.inversion.Priors`, by name."""
+    twin = found.twin
+    return {
+        "temperature": max(twin.deviation("temperature_offset"), 0.1),
+        "gain": max(twin.posterior.level, found.rest.wander.value, 0.005),
+        "resonance": max(twin.deviation("log_resonance"), 1e-4),
+        "quality_factor": max(twin.deviation("log_quality"), 1e-3),
+        "thermometer": twin.deviation("temperature_offset"),
+    }
 
 
 def _closures(found: FittedSensor) -> Any:
@@ -247,6 +281,26 @@ def _closures(found: FittedSensor) -> Any:
             row.add("placement_error_mm", round(MM * float(error[k]), 4))
             deviation = MM * float(twin.posterior.displacement_deviation[k])
             row.add("placement_error_mm_sd", round(deviation, 4))
+        rows.append(row)
+    return rows
+
+
+def _presses(found: FittedSensor, material: Material) -> Any:
+    """Return the presses with the depths that their echoes tell, and the forces of these."""
+    rows = tomlkit.aot()
+    for i, state in enumerate(found.pressed):
+        row, press = tomlkit.table(), state.press
+        row.add("recording", Path(state.source).name)
+        for name, value in (
+            ("distance_cm", CM * state.place), ("stated_depth_mm", MM * press.stated_depth),
+            ("depth_mm", MM * press.depth), ("depth_mm_sd", MM * press.depth_deviation),
+            ("stated_force_n", press.force), ("force_n", float(material.expected[i])),
+        ):  # fmt: skip
+            if isfinite(value):
+                row.add(name, _short(value))
+        for name, words in (("no_depth", state.reason), ("left_out", material.left_out.get(i))):
+            if words:
+                row.add(name, words)
         rows.append(row)
     return rows
 

@@ -2,11 +2,24 @@
 
 Reading order: `recorded` (cycles in the band of the carrier), `model` (echoes of closures, with
 derivatives), `fit` (maximum of the posterior), `posterior` (with unknown scatter of the closures),
-`estimate` (the fit as a whole) and `background` (ring-down, far end, clutter, noise).
+`estimate` (the fit as a whole), `background` (ring-down, far end, clutter, noise) and `material`
+(the wall's modulus, from presses).
 """
 
 from acoustube.inversion.twin.background import Background, Measured, fit_background
 from acoustube.inversion.twin.estimate import Twin, fit_twin
+from acoustube.inversion.twin.material import Material, Press, fit_material
 from acoustube.inversion.twin.recorded import Band, Group
 
-__all__ = ["Background", "Band", "Group", "Measured", "Twin", "fit_background", "fit_twin"]
+__all__ = [
+    "Background",
+    "Band",
+    "Group",
+    "Material",
+    "Measured",
+    "Press",
+    "Twin",
+    "fit_background",
+    "fit_material",
+    "fit_twin",
+]

@@ -21,6 +21,8 @@ from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.inversion import Library, Tool
+from acoustube.runs.config import configured
+from acoustube.runs.config.si import settings_in_si
 
 if TYPE_CHECKING:
     from acoustube.runs.libraries.plan import ToolPlan
@@ -124,7 +126,19 @@ def from_dataset(data: xr.Dataset) -> Tool:
         shape=str(data.attrs["shape"]), diameter=float(data.attrs["diameter"]),
         radius=float(data.attrs["inner_diameter"]) / 2,
         sound_speed=float(data.attrs["sound_speed"]),
+        **_wall(data.attrs.get("configuration")),
     )  # fmt: skip
+
+
+def _wall(configuration: str | None) -> dict[str, float]:
+    """Return the wall's modulus in Pa and Poisson's ratio, where forces are proportional to it."""
+    if configuration is None:
+        return {}
+    settings = settings_in_si(configured(json.loads(configuration)))
+    tube = settings.tube
+    if settings.layer is not None:
+        return {}
+    return {"young_modulus": tube.young_modulus, "poisson_ratio": tube.poisson_ratio}
 
 
 @checked(path=PATH)

@@ -1,0 +1,243 @@
+"""Wall's modulus and the ground's compliance from presses of known force or depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.inversion.tools import Tool
+from acoustube.inversion.twin.background import Measured
+
+PRIOR_MODULUS = 0.5
+"""Standard deviation of the logarithm of the wall's modulus about the library's: ten Shore A, and
+as much again by the scatter of conversions from hardness."""
+PRIOR_ZERO, PRIOR_COMPLIANCE = 3e-4, 5e-4
+"""Standard deviations of the origin of the stated depths in m, and of the ground's compliance in
+m/N; tissue yields by 1e-4 to 5e-4."""
+FORCE_SCATTERS = np.geomspace(0.002, 0.5, 24)
+DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
+"""Scatter of the stated forces, relative, and of the stated depths in m, averaged over."""
+USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
+"""Medians of these scatters a priori, and the standard deviation of their logarithms."""
+ECHO_DEPTH = 3e-5
+"""Standard deviation in m of depths told by an echo that its posterior leaves out: errors of the
+model."""
+LIBRARY_FORCE = 0.01
+"""Relative standard deviation that forces of a library have in common, by the mesh."""
+OUTLYING, LEAST_OUTLYING, FEWEST_OUTLYING = 6.0, 0.1, 5
+"""Residual in median deviations, and relative, from which on a press is left out; presses needed to
+tell."""
+SIGNIFICANT = 3.0
+"""Compliance in its standard deviations from which on the ground is said to yield."""
+
+
+class Press(NamedTuple):
+    """A press with what is known of it; nan for what is not.
+
+    Attributes
+    ----------
+    tool : Tool
+    depth, depth_deviation : float
+        Told by the echo, in m: the compression of the tube.
+    stated_depth : float
+        Travel of the tool from first contact, in m: the tube's compression and the ground's.
+    force : float
+        Stated, in N.
+    """
+
+    tool: Tool
+    depth: float
+    depth_deviation: float
+    stated_depth: float
+    force: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material:
+    """Wall and ground of a tube.
+
+    Attributes
+    ----------
+    young_modulus : Measured
+        Of the wall in Pa.
+    poisson_ratio : float
+        Assumed.
+    compliance : Measured
+        Of the ground in m/N.
+    zero : Measured
+        Stated depth in m at first contact.
+    force_scatter : float
+        Most likely relative scatter of the stated forces.
+    expected : ndarray
+        Forces in N that wall and depths give, nan without a depth, (n,).
+    left_out : dict
+        Reasons in words, by number of the press.
+    yields : bool
+        Whether the ground is softer than its deviation.
+    prior_modulus : float
+        Standard deviation a priori of the modulus in Pa.
+    """
+
+    young_modulus: Measured
+    poisson_ratio: float
+    compliance: Measured
+    zero: Measured
+    force_scatter: float
+    expected: Array
+    left_out: dict[int, str]
+    yields: bool
+    prior_modulus: float
+
+
+def fit_material(presses: Sequence[Press]) -> Material:
+    """Return the wall's Young's modulus and the ground's compliance.
+
+    Parameters
+    ----------
+    presses : sequence of Press
+        Of tools whose forces are proportional to a known modulus, the same for all.
+
+    Raises
+    ------
+    ConfigError
+        If no press has a force or a depth, or the library's modulus is not known.
+
+    Notes
+    -----
+    The shape of a Neo-Hookean wall between rigid bodies depends on the depth alone, the force is
+    proportional to the modulus: ``F = (E / E_0) F_0(d)``, with the force F_0 of the library. The
+    depth d is that of the echo, which the modulus does not change; without an echo it is the stated
+    one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are linear least
+    squares, averaged over the unknown scatter of the labels.
+    """
+    modulus = presses[0].tool.young_modulus if presses else np.nan
+    if not np.isfinite(modulus):
+        raise ConfigError(
+            "the library does not state a modulus that its forces are proportional to; make one on "
+            "rigid ground with acoustube library"
+        )
+    told = np.array([one.depth for one in presses], float)
+    sure = np.hypot([one.depth_deviation for one in presses], ECHO_DEPTH)
+    stated = np.array([one.stated_depth for one in presses], float)
+    force = np.array([one.force for one in presses], float)
+    zero, compliance = _ground(told, sure, stated, force)
+    # Where the echo does not tell the depth, the label does, without what the ground takes.
+    depth = np.where(np.isfinite(told), told, stated - zero.value)
+    sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
+    depth = np.where(np.isfinite(told), depth, depth - sunk)
+    loose = np.hypot(zero.deviation, np.nan_to_num(force) * compliance.deviation)
+    sure = np.where(np.isfinite(told), sure, np.hypot(loose, USUAL_DEPTH))
+    scale, scatter, expected, left_out = _stiffness(presses, depth, sure, force)
+    factor = float(np.exp(scale.value))
+    return Material(
+        young_modulus=Measured(
+            value=modulus * factor, deviation=modulus * factor * scale.deviation
+        ),
+        poisson_ratio=presses[0].tool.poisson_ratio, compliance=compliance, zero=zero,
+        force_scatter=scatter, expected=factor * expected, left_out=left_out, prior_modulus=PRIOR_MODULUS * modulus,
+        yields=compliance.value > SIGNIFICANT * compliance.deviation,
+    )  # fmt: skip
+
+
+def _ground(told: Array, sure: Array, stated: Array, force: Array) -> tuple[Measured, Measured]:
+    """Return the origin of the stated depths, and the ground's compliance."""
+    known = np.isfinite(told) & np.isfinite(stated)
+    load = np.where(np.isfinite(force), force, 0.0)[known]
+    design = np.stack([np.ones(known.sum()), load], axis=1)
+    mean, covariance, _ = _averaged(
+        design, (stated - told)[known], sure[known] ** 2,
+        np.array([PRIOR_ZERO, PRIOR_COMPLIANCE]), DEPTH_SCATTERS, USUAL_DEPTH,
+    )  # fmt: skip
+    both = [
+        Measured(value=float(m), deviation=float(np.sqrt(v)))
+        for m, v in zip(mean, np.diag(covariance), strict=True)
+    ]
+    return both[0], both[1]
+
+
+def _stiffness(
+    presses: Sequence[Press], depth: Array, sure: Array, force: Array
+) -> tuple[Measured, float, Array, dict[int, str]]:
+    """Return the logarithm of the modulus over the library's, and the library's forces."""
+    known, left_out = np.zeros(len(presses), bool), {}
+    log_force, slope, expected = np.zeros((3, len(presses)))
+    expected[:] = np.nan
+    for i, one in enumerate(presses):
+        tool = one.tool
+        if not np.isfinite(depth[i]):
+            left_out[i] = "neither its echo nor its label tells a depth"
+        elif not tool.depth[0] <= depth[i] <= tool.depth[-1]:
+            left_out[i] = "its depth is outside the library's"
+        else:
+            expected[i] = tool.force_at(depth[i])
+            if not np.isfinite(force[i]):
+                left_out[i] = "its force is not stated"
+            elif force[i] <= 0 or expected[i] <= 0:
+                left_out[i] = "its force is not positive"
+            else:
+                known[i] = True
+                log_force[i] = np.log(force[i] / expected[i])
+                slope[i] = tool.force_at(depth[i], 1) / expected[i]
+    found = log_force[known]
+    if len(found) >= FEWEST_OUTLYING:
+        off = np.abs(log_force - np.median(found))
+        limit = max(OUTLYING * 1.48 * float(np.median(off[known])), LEAST_OUTLYING)
+        for i in np.flatnonzero(known & (off > limit)):
+            left_out[int(i)] = "its force is not that of its depth by all others; check the label"
+            known[i] = False
+    mean, covariance, scatter = _averaged(
+        np.ones((int(known.sum()), 1)), log_force[known], (slope * sure)[known] ** 2,
+        np.array([PRIOR_MODULUS]), FORCE_SCATTERS, USUAL_FORCE,
+    )  # fmt: skip
+    # An error of all depths, as of the origin of the stated ones, does not average out.
+    common = 0.0
+    if known.any():
+        common = float(np.hypot(LIBRARY_FORCE, np.min((slope * sure)[known])))
+    deviation = float(np.hypot(np.sqrt(covariance[0, 0]), common))
+    one = Measured(value=float(mean[0]), deviation=min(deviation, PRIOR_MODULUS))
+    return one, scatter, expected, left_out
+
+
+def _averaged(
+    design: Array, target: Array, variance: Array, prior: Array, scatters: Array, usual: float
+) -> tuple[Array, Array, float]:
+    """Return mean and covariance of linear parameters, averaged over the scatter of the data.
+
+    Parameters
+    ----------
+    design, target, variance : ndarray
+        (n, p), (n,) and (n,); the variances are those known besides the scatter.
+    prior : ndarray
+        Standard deviations of the parameters about zero, (p,).
+    scatters : ndarray
+        Standard deviations that are averaged over, (n_s,), log-normal a priori about `usual`.
+
+    Returns
+    -------
+    mean, covariance : ndarray
+    scatter : float
+        The most likely one.
+    """
+    weight, means, covariances = [], [], []
+    for scatter in scatters:
+        total = variance + scatter**2
+        precision = (design.T / total) @ design + np.diag(prior**-2.0)
+        covariance = np.linalg.inv(precision)
+        mean = covariance @ (design.T @ (target / total))
+        left = target - design @ mean
+        value = np.sum(left**2 / total) + np.sum((mean / prior) ** 2) + np.sum(np.log(total))
+        value += np.linalg.slogdet(precision)[1] + (np.log(scatter / usual) / WIDTH) ** 2
+        weight.append(-0.5 * value)
+        means.append(mean)
+        covariances.append(covariance)
+    share = np.exp(np.array(weight) - max(weight))
+    share /= share.sum()
+    mean = share @ np.array(means)
+    spread = np.array(means) - mean
+    covariance = np.einsum("i,ipq->pq", share, covariances) + (share * spread.T) @ spread
+    return mean, covariance, float(scatters[int(np.argmax(weight))])

@@ -1,0 +1,170 @@
+"""Wall and ground of a twin, from recordings of presses of known tool, depth or force."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.report import Reporter
+from acoustube.base.units import CM, MM, PERCENT
+from acoustube.inversion import Contact, Inversion, Library, Priors
+from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.twin import Material, Press, fit_material
+from acoustube.inversion.twin.estimate import radius
+from acoustube.runs.inversion import RecordingInverter, Sensor
+from acoustube.runs.inverted_cycles import alike
+from acoustube.runs.libraries.files import open_library
+from acoustube.runs.twin import FittedSensor, PressedState, read_recordings
+from acoustube.runs.twin_file import deviations_of, rangefinder_of, tube_length
+
+TOLD = ("depth", "force")
+"""Labels of which a press must have one."""
+LABELS = ("true_distance", "diameter", *TOLD)
+MOST_CYCLES = 50
+"""Cycles of a press that are inverted together."""
+NEAR = 0.05
+"""Distance in m within which a contact is that of a label."""
+SAME_TOOL = 0.1e-3
+"""Difference in m up to which diameters are those of one tool."""
+WRONG_BORE, OTHER_BORE = 0.03, 0.005
+"""Relative difference of the twin's bore from the library's that is refused, and that is noted."""
+
+
+def fitted_material(
+    found: FittedSensor,
+    pressed: Sequence[Path],
+    untouched: Sequence[Path],
+    library: Path,
+    options: Mapping[str, Any],
+    pulse_at: str | float | None,
+    *,
+    report: Reporter,
+    check: Callable[[], None],
+) -> tuple[Material, tuple[PressedState, ...]]:
+    """Return wall and ground of a twin's tube, and the presses that tell them.
+
+    Parameters
+    ----------
+    found : FittedSensor
+    pressed, untouched : sequence of Path
+        Files and folders.
+    library : Path
+        Of the tools that press.
+    options : mapping
+        Of :func:`acoustube.recordings.read`.
+    pulse_at : float, "auto" or None
+        As of :func:`acoustube.runs.recordings.aligned`.
+    report : Reporter
+    check : callable
+        Called with the progress, to raise an interrupt that was lost.
+
+    Raises
+    ------
+    ConfigError
+        If a recording cannot be used, or the library is of another tube.
+    """
+    known = open_library(library)
+    _check_bore(found, known, library, report)
+    free = read_recordings(untouched, options, pulse_at)
+    inverters: dict[tuple[int, ...], RecordingInverter] = {}
+    states: list[PressedState] = []
+    recordings = read_recordings(pressed, options, pulse_at)
+    with report.progress(check) as show:
+        for path, data in recordings:
+            labels = [name for name in LABELS if name in data]
+            if not any(name in data for name in TOLD):
+                raise ConfigError(
+                    f"the pressed cycles of {path} have no label depth or force; give one in the "
+                    "file or in a sidecar"
+                )
+            for part, share in alike(data, labels, MOST_CYCLES):
+                label = {
+                    name: float(part[name].values[0]) if name in labels else np.nan
+                    for name in LABELS
+                }
+                tools = _tools(known, label["diameter"], path)
+                if tools not in inverters:
+                    inverters[tools] = _inverter(found, known, tools, free)
+                own = inverters[tools]
+                ((_, told),) = own.groups(path, part, part.sizes["cycle"], check)
+                states.append(_state(path, label, told, own.tool_library))
+                show(path.name, share)
+    material = fit_material([state.press for state in states])
+    return material, tuple(states)
+
+
+def _check_bore(found: FittedSensor, known: Library, path: Path, report: Reporter) -> None:
+    """Raise if the library is of another bore than the twin's; note a small difference."""
+    own = radius(found.twin)[0]
+    off = abs(known.radius / own - 1)
+    words = (
+        f"{path} is of a bore of {2 * MM * known.radius:.4g} mm, and the twin's is "
+        f"{2 * MM * own:.4g} mm; make one with --bore {2 * MM * own:.4g}"
+    )
+    if off > WRONG_BORE:
+        raise ConfigError(words)
+    if off > max(OTHER_BORE, 3 * found.twin.deviation("log_radius")):
+        report.note(words)
+
+
+def _tools(known: Library, diameter: float, path: Path) -> tuple[int, ...]:
+    """Return the numbers of the library's tools that a label may mean."""
+    if not np.isfinite(diameter):
+        return tuple(range(len(known.tools)))
+    found = tuple(
+        i for i, one in enumerate(known.tools) if abs(one.diameter - diameter) < SAME_TOOL
+    )
+    if not found:
+        tools = ", ".join(one.name for one in known.tools)
+        raise ConfigError(
+            f"{path} is of a tool of {MM * diameter:g} mm and the library of {tools}; make one "
+            f"with --indenter {MM * diameter:g}"
+        )
+    return found
+
+
+def _inverter(
+    found: FittedSensor,
+    known: Library,
+    tools: tuple[int, ...],
+    free: Sequence[tuple[Path, xr.Dataset]],
+) -> RecordingInverter:
+    sensor = Sensor(
+        rangefinder=rangefinder_of(found), length=tube_length(found),
+        priors=Priors(**deviations_of(found)),
+    )  # fmt: skip
+    return RecordingInverter(Library(tuple(known.tools[i] for i in tools)), sensor, free, most=1)
+
+
+def _state(
+    path: Path, label: Mapping[str, float], told: Inversion, library: Library
+) -> PressedState:
+    """Return a press with what its label and its echo tell."""
+    contact, reason = _contact(told, label["true_distance"])
+    tool = library.tools[0 if contact is None else contact.tool]
+    place = label["true_distance"]
+    depth, deviation = np.nan, np.nan
+    if contact is not None:
+        place = place if np.isfinite(place) else contact.distance.value
+        if not reason:
+            depth, deviation = contact.depth.value, contact.depth.deviation
+    press = Press(tool, depth, deviation, label["depth"], label["force"])
+    return PressedState(source=str(path), place=place, press=press, reason=reason)
+
+
+def _contact(told: Inversion, place: float) -> tuple[Contact | None, str]:
+    """Return the contact that a label means, and why its depth cannot be taken, or nothing."""
+    likely = [one for one in told.contacts if one.probability > 0.5]
+    if not likely:
+        return None, "no contact is found in its echo"
+    contact = min(likely, key=lambda one: abs(one.distance.value - place))
+    if abs(contact.distance.value - place) > NEAR:
+        return contact, f"its echo comes from {CM * contact.distance.value:.1f} cm"
+    if told.misfit > MISFIT:
+        return contact, f"{PERCENT * told.misfit:.0f} % of its echo is not explained"
+    return contact, ""
