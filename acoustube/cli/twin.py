@@ -173,10 +173,10 @@ def _print_presses(found: FittedSensor, report: Reporter) -> None:
         words = [state.reason, material.left_out.get(i, "")]
         if told := " and ".join(word for word in words if word):
             report.note(f"{state.source}: the press{where}: {told}")
-    told = sum(isfinite(state.press.depth) for state in found.pressed)
+    heard = sum(isfinite(state.press.depth) for state in found.pressed)
     used = len(found.pressed) - len(material.left_out)
     report.line(
-        f"{len(found.pressed)} presses: the echoes of {told} tell their depth; the forces of "
+        f"{len(found.pressed)} presses: the echoes of {heard} tell their depth; the forces of "
         f"{used} tell the wall's modulus"
     )
     if material.yields:

@@ -63,10 +63,11 @@ def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float
     told = document.get("determined", [])
     if KIND not in document or not isinstance(told, list) or MODULUS not in told:
         return None
-    found = document.get(MODULUS), document.get(f"{MODULUS}_sd")
-    if not all(isinstance(one, int | float) and 0 < one < 1e6 for one in found):
+    found = [document.get(name) for name in (MODULUS, f"{MODULUS}_sd")]
+    good = [one / MPA for one in found if isinstance(one, int | float) and 0 < one < 1e6]
+    if len(good) < len(found):
         raise ConfigError(f"{path} is a damaged file of a twin; make it again")
-    return found[0] / MPA, found[1] / MPA
+    return good[0], good[1]
 
 
 def twin_settings(path: Path) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     Raises
     ------
     ConfigError
-        If no press has a force or a depth, or the library's modulus is not known.
+        If there is no press, or the library's modulus is not known.
 
     Notes
     -----
@@ -139,7 +139,8 @@ def fit_material(presses: Sequence[Press]) -> Material:
             value=modulus * factor, deviation=modulus * factor * scale.deviation
         ),
         poisson_ratio=presses[0].tool.poisson_ratio, compliance=compliance, zero=zero,
-        force_scatter=scatter, expected=factor * expected, left_out=left_out, prior_modulus=PRIOR_MODULUS * modulus,
+        force_scatter=scatter, expected=factor * expected, left_out=left_out,
+        prior_modulus=PRIOR_MODULUS * modulus,
         yields=compliance.value > SIGNIFICANT * compliance.deviation,
     )  # fmt: skip
 
@@ -187,9 +188,9 @@ def _stiffness(
     if len(found) >= FEWEST_OUTLYING:
         off = np.abs(log_force - np.median(found))
         limit = max(OUTLYING * 1.48 * float(np.median(off[known])), LEAST_OUTLYING)
-        for i in np.flatnonzero(known & (off > limit)):
-            left_out[int(i)] = "its force is not that of its depth by all others; check the label"
-            known[i] = False
+        for k in np.flatnonzero(known & (off > limit)):
+            left_out[int(k)] = "its force is not that of its depth by all others; check the label"
+            known[k] = False
     mean, covariance, scatter = _averaged(
         np.ones((int(known.sum()), 1)), log_force[known], (slope * sure)[known] ** 2,
         np.array([PRIOR_MODULUS]), FORCE_SCATTERS, USUAL_FORCE,
@@ -199,8 +200,8 @@ def _stiffness(
     if known.any():
         common = float(np.hypot(LIBRARY_FORCE, np.min((slope * sure)[known])))
     deviation = float(np.hypot(np.sqrt(covariance[0, 0]), common))
-    one = Measured(value=float(mean[0]), deviation=min(deviation, PRIOR_MODULUS))
-    return one, scatter, expected, left_out
+    scale = Measured(value=float(mean[0]), deviation=min(deviation, PRIOR_MODULUS))
+    return scale, scatter, expected, left_out
 
 
 def _averaged(

@@ -130,7 +130,7 @@ def from_dataset(data: xr.Dataset) -> Tool:
     )  # fmt: skip
 
 
-def _wall(configuration: str | None) -> dict[str, float]:
+def _wall(configuration: str | None) -> dict[str, Any]:
     """Return the wall's modulus in Pa and Poisson's ratio, where forces are proportional to it."""
     if configuration is None:
         return {}
