@@ -8,19 +8,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from commands import run_here
+from test_inversion import CUT_ONS, press, tool
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
-from acoustube.inversion.twin import Band, Group, Measured, fit_twin
+from acoustube.inversion.twin import Band, Group, Measured, Press, fit_material, fit_twin
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
 from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
 from acoustube.recordings import read
 from acoustube.runs.inversion import read_sensor
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.files import open_library
+from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe
 from acoustube.runs.sweep.dataset import read_rangefinder
 from acoustube.runs.twin import _check_untouched, read_recordings
+from acoustube.waves.network import at_sound_speed
 
 SIDES = np.array([0.0, 120e3])
 RADIUS, AIR, REPORTED, LENGTH = 4.2e-3, 22.5, 20.9, 2.5
@@ -31,6 +36,9 @@ SENSOR = Rangefinder(
 PLACES = np.linspace(0.35, 1.6, 9)
 MISPLACED = 0.6e-3 * np.array([0.3, -1.2, 0.8, 1.1, -0.6, -1.4, 1.5, 0.1, -0.5])
 """Errors in m of stated places, whose standard deviation is 0.6 mm."""
+PRESSED, DEPTHS = np.array([0.5, 0.62, 0.71, 0.55]), np.array([3.2e-3, 4.1e-3, 5.3e-3, 4.6e-3])
+SOFTER, ZERO, COMPLIANCE = 0.8, 0.1e-3, 3e-5
+"""Modulus over the library's, stated depth in m at first contact, and the ground's in m/N."""
 
 
 def voltage(presses, sensor=SENSOR):
@@ -66,7 +74,31 @@ def recorded(tmp_path_factory):
         true_distance_cm=np.repeat(100 * PLACES, len(closed[0])),
     )  # fmt: skip
     np.savez(folder / "free.npz", signal=cycles_of(voltage([]), 99), **known)
+    np.savez(folder / "pressed.npz", **known, **pressed_cycles())
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (folder / "lib").mkdir()
+    files.write_tool(folder / "lib" / plan.name, tool(radius=RADIUS), plan)
     return folder
+
+
+def pressed_cycles():
+    """Cycles and labels of three presses, of force and depth, and of one, of force alone."""
+    speed, signal, force = air_at(AIR).sound_speed, [], []
+    for k, (place, depth, scatter) in enumerate(
+        zip(PRESSED, DEPTHS, (1.01, 0.98, 1.02, 0.99), strict=True)
+    ):
+        found = press(depth, place)
+        cut_ons = CUT_ONS * 3.95e-3 / RADIUS
+        scattering = at_sound_speed(replace(found.scattering, cut_ons=cut_ons), speed)
+        signal.append(cycles_of(voltage([replace(found, scattering=scattering)]), 70 + k))
+        force.append(SOFTER * float(tool().force_at(depth)) * scatter)
+    stated = DEPTHS + ZERO + COMPLIANCE * np.array(force)
+    stated[3] = np.nan
+    labels = {"force_n": force, "depth_mm": 1e3 * stated, "true_distance_cm": 100 * PRESSED,
+              "diameter_mm": np.full(4, 25.0)}  # fmt: skip
+    return {"signal": np.concatenate(signal)} | {
+        name: np.repeat(values, 6) for name, values in labels.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +106,8 @@ def made(recorded):
     """Folder after the command, and its result."""
     result = run_here(
         "twin", recorded / "closed.npz", recorded / "free.npz", "--out", recorded / "left.toml",
-        "--figure", recorded / "twin.png",
+        "--figure", recorded / "twin.png", "--pressed", recorded / "pressed.npz",
+        "--library", recorded / "lib",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     return recorded, result, tomllib.loads((recorded / "left.toml").read_text())
@@ -225,6 +258,63 @@ def test_twin_records_as_the_sensor_does(made):
         np.linalg.norm(np.fft.irfft(spectrum * np.exp(1j * s), len(true)) - true) for s in shifts
     )
     assert left < 0.02 * np.linalg.norm(true)
+
+
+def test_presses_tell_the_wall_and_the_ground(made):
+    """Three standard deviations; a modulus 20 % under the library's, and a ground that yields."""
+    folder, result, found = made
+    library = open_library(folder / "lib").tools[0]
+    for name, true, sharpest in (
+        ("young_modulus_mpa", 1e-6 * SOFTER * library.young_modulus, 0.06),
+        ("hardness_shore_a", 35 + np.log10(SOFTER) / 0.0235, 1.0),
+        ("ground_compliance_mm_per_n", 1e3 * COMPLIANCE, 0.006),
+        ("depth_zero_mm", 1e3 * ZERO, 0.3),
+    ):
+        assert abs(found[name] - true) < 3 * found[f"{name}_sd"], name
+        assert found[f"{name}_sd"] < sharpest, name
+    assert {"young_modulus_mpa", "ground_compliance_mm_per_n"} <= set(found["determined"])
+    depth = np.array([one["depth_mm"] for one in found["presses"]])
+    assert np.abs(depth - 1e3 * DEPTHS).max() < 0.1
+    assert "the ground yields" in " ".join((result.stdout + result.stderr).split())
+
+
+def test_inversion_takes_the_modulus_of_the_twin(made):
+    """Forces are in proportion, and their deviation holds that of the modulus."""
+    folder, _, found = made
+    library, sensor = open_library(folder / "lib"), read_sensor(folder / "left.toml")
+    tool, own = library.tools[0], sensor.own(library).tools[0]
+    ratio = 1e6 * found["young_modulus_mpa"] / tool.young_modulus
+    assert own.force_at(4e-3) == pytest.approx(ratio * tool.force_at(4e-3), rel=1e-6)
+    share = found["young_modulus_mpa_sd"] / found["young_modulus_mpa"]
+    expected = np.hypot(ratio * tool.force_error.max(), share * own.force_at(4e-3))
+    assert own.force_deviation(4e-3) == pytest.approx(expected, rel=1e-6)
+
+
+def test_depths_alone_do_not_tell_the_modulus():
+    """The modulus keeps its prior, 50 %; an outlying force is named where others agree."""
+    stiff = tool(young_modulus=1.5e6)
+    silent = [Press(stiff, d, 2e-5, d + 1e-4, np.nan) for d in DEPTHS]
+    found = fit_material(silent)
+    assert found.young_modulus.deviation == pytest.approx(0.5 * 1.5e6, rel=0.01)
+    assert not found.yields
+    assert set(found.left_out) == {0, 1, 2, 3}
+    depths = np.linspace(2e-3, 6e-3, 8)
+    forces = 1.2 * stiff.force_at(depths)
+    forces[2] *= 1.6
+    pressed = [
+        Press(stiff, np.nan, np.nan, float(d), float(f))
+        for d, f in zip(depths, forces, strict=True)
+    ]
+    found = fit_material(pressed)
+    assert set(found.left_out) == {2}
+    assert abs(found.young_modulus.value - 1.8e6) < 3 * found.young_modulus.deviation
+
+
+def test_presses_without_a_library_are_refused(recorded, tmp_path):
+    result = run_here("twin", recorded / "closed.npz", recorded / "free.npz", "--pressed",
+                      recorded / "pressed.npz", "--out", tmp_path / "left.toml")  # fmt: skip
+    assert result.returncode == 2
+    assert "--pressed and --library go together" in " ".join(result.stderr.split())
 
 
 def test_figure_and_table_are_made(made):
