@@ -205,7 +205,7 @@ class Ranging(Checked):
     Attributes
     ----------
     calibration : str
-        Calibration to use: a file that ``calibrate`` wrote, or a name.
+        Calibration to use: a file that ``calibrate`` or ``twin`` wrote, or a name.
     prominence : float
         Least prominence of an echo, as a fraction of the send pulse, in place of the calibration's.
     """

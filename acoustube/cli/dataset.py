@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -42,7 +42,9 @@ class Counts(Checked):
 def dataset(
     *sweep: Path,
     counts: Counts = Counts(),
-    rangefinder: Annotated[Path | None, Parameter(name=("--rangefinder", "--sensor"))] = None,
+    rangefinder: Annotated[
+        list[Path] | None, Parameter(name=("--rangefinder", "--sensor"), consume_multiple=True)
+    ] = None,
     out: Path,
     processes: Workers = Workers(),
     output: Output = Output(),
@@ -53,23 +55,31 @@ def dataset(
     ----------
     sweep : Path
         Folders that ``acoustube sweep`` wrote.
-    rangefinder : Path
+    rangefinder : list
         TOML file with the parameters of the rangefinder, or of a twin, whose clutter the first tube
-        has; that of the sleeve paper, at the case's carrier, if not given.
+        has; that of the sleeve paper, at the case's carrier, if not given. Twins of several
+        sessions of one sensor: each session is drawn from what stays and what wanders.
     out : Path
         Folder to write, or to resume.
     """
     if not sweep:
         raise ConfigError("dataset needs the folder of a sweep; name one or more")
 
-    from acoustube.runs.sensor_file import twin_settings
     from acoustube.runs.sweep.cycles import Recipe
-    from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
+    from acoustube.runs.sweep.dataset import run_dataset
+    from acoustube.runs.twin_sessions import recipe_settings
 
+    report = ConsoleReporter(output.console())
+    settings: dict[str, Any] = {}
+    if rangefinder:
+        settings, table = recipe_settings(rangefinder)
+        report.rows([
+            (one.name, f"{one.mean:.6g} +- {one.deviation:.2g}, "
+             + (f"wanders by {one.spread:.2g}" if one.wanders else "stays"))
+            for one in table
+        ])  # fmt: skip
     recipe = Recipe(
         n_cycles=counts.cycles, n_tubes=counts.tubes, n_sessions=counts.sessions, seed=counts.seed,
-        rangefinder=None if rangefinder is None else read_rangefinder(rangefinder),
-        **({} if rangefinder is None else twin_settings(rangefinder)),
+        **settings,
     )  # fmt: skip
-    report = ConsoleReporter(output.console())
     run_dataset(sweep, out, recipe, report=report, workers=processes.workers)

@@ -30,6 +30,7 @@ def process(
     ranging: Ranging = Ranging(),
     recording: Recording = Recording(),
     lead: Lead = Lead(),
+    sensor: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
     output: Output = Output(),
@@ -40,6 +41,9 @@ def process(
     ----------
     files : Path
         NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF files, or folders of these.
+    sensor : Path
+        TOML file of a twin, or of a rangefinder: temperatures are corrected by the error of its
+        thermometer; a twin gives gain, send time and prominence too, in place of --calibration.
     out : Path
         Table to write (CSV), which must be new; standard output if not given.
     figure : Path
@@ -58,7 +62,13 @@ def process(
         process_recording,
     )
 
-    known, settings = chosen(ranging.calibration, ranging.prominence)
+    calibration, bias = ranging.calibration, 0.0
+    if sensor is not None:
+        from acoustube.runs.twin_calibration import is_twin, thermometer
+
+        bias = thermometer(sensor)
+        calibration = str(sensor) if calibration is None and is_twin(sensor) else calibration
+    known, settings = chosen(calibration, ranging.prominence)
     report = ConsoleReporter(output.console(stderr=out is None))
     failures, n_cycles, n_found = 0, 0, 0
     pictures: dict[Path, bytes | str] = {}
@@ -70,6 +80,7 @@ def process(
                 if isinstance(data, ConfigError):
                     raise data
                 data, begins = aligned(data, lead.pulse_at, settings)
+                data = data.assign(temperature=data["temperature"] - bias)
                 found = process_recording(path, data, known, settings, report, check)
             except (ConfigError, ValueError) as error:
                 failures += 1

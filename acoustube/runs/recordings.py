@@ -20,6 +20,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MS
 from acoustube.base.writing import write_all
+from acoustube.runs.twin_calibration import is_twin, twin_calibration
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
@@ -95,7 +96,7 @@ def chosen(
     Parameters
     ----------
     calibration : str or None
-        A file, or the name of a calibration.
+        A file of a calibration or of a twin, which gives one, or the name of a calibration.
     prominence : float or None
         In place of the calibration's.
 
@@ -104,9 +105,14 @@ def chosen(
     ConfigError
         If the calibration does not exist.
     """
-    known = None if calibration is None else signals.load(calibration_path(calibration))
+    known = None if calibration is None else _calibration(calibration_path(calibration))
     how = Processing() if known is None else known.processing
     return known, how if prominence is None else replace(how, prominence=prominence)
+
+
+def _calibration(path: Path) -> Calibration:
+    """Return the calibration in a file, or that of a twin."""
+    return twin_calibration(path) if is_twin(path) else signals.load(path)
 
 
 @contextlib.contextmanager

@@ -16,9 +16,11 @@ import xarray as xr
 from acoustube import ranging
 from acoustube.base.checks import SEED, Instance, Optional, Reals, check_fields
 from acoustube.base.netcdf import variable
-from acoustube.base.rules import Number
+from acoustube.base.rules import Choice, Number
+from acoustube.base.types import Array
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
+from acoustube.ranging.analogue import MEASURED_SPACING
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.scattering_file import StoredScattering, from_dataset
@@ -26,6 +28,9 @@ from acoustube.runs.sweep import store
 from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.plan import digest, tube_name
 
+PLAIN = ("offset",)
+SPREAD = ("resonance", "quality_factor", "gain", "send", "noise", *PLAIN)
+"""Parameters of the rangefinder that may differ from session to session."""
 LONGEST_SESSION = 72_000
 """Number of cycles in an hour, over which a session's cases are spread."""
 SIGNAL_CHUNK = 64
@@ -59,6 +64,13 @@ class Recipe:
     reflectors : tuple of float
         Irregularities of the first specimen, as of :func:`acoustube.ranging.clutter`; random if
         empty.
+    spread : tuple of (str, float)
+        Standard deviations over the sessions of parameters of the rangefinder, by their names:
+        of the logarithm, but of the value of those in :data:`PLAIN`.
+    clutter_spread : float
+        Power in 1/m of what the given irregularities change by from session to session.
+    young_modulus : float or None
+        Of the wall in Pa, for forces and moduli of the labels; None for that of the sweep.
     """
 
     n_cycles: int = 50
@@ -68,6 +80,9 @@ class Recipe:
     rangefinder: Rangefinder | None = None
     offset_deviation: float | None = None
     reflectors: tuple[float, ...] = ()
+    spread: tuple[tuple[str, float], ...] = ()
+    clutter_spread: float = 0.0
+    young_modulus: float | None = None
 
     def __post_init__(self) -> None:
         """Validate counts, seed and rangefinder."""
@@ -77,7 +92,12 @@ class Recipe:
             rangefinder=Optional(Instance((Rangefinder,))),
             offset_deviation=Optional(Number(0, 100, "K")),
             reflectors=Reals(-1, 1, ndim=1, empty=True),
+            clutter_spread=Number(0, 1, "1/m"),
+            young_modulus=Optional(Number(1e-3, 1e15, "Pa")),
         )  # fmt: skip
+        for name, deviation in self.spread:
+            Choice(SPREAD).check("spread", name)
+            Number(0, 10).check(f"spread of {name}", deviation)
 
     @property
     def per_case(self) -> int:
@@ -98,6 +118,8 @@ class Recipe:
         ]
         if self.offset_deviation is not None or self.reflectors:
             words += [self.offset_deviation, *self.reflectors]
+        if self.spread or self.clutter_spread or self.young_modulus is not None:
+            words += [self.spread, self.clutter_spread, self.young_modulus]
         return digest(words)
 
     def rangefinder_for(self, settings: SISettings) -> Rangefinder:
@@ -172,7 +194,7 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
             session = seed_of(tube, number, recipe.seed)
             cycles = ranging.record(
                 presses,
-                _in_session(rangefinder, session, recipe.offset_deviation),
+                _in_session(rangefinder, session, recipe),
                 radius=settings.radius,
                 length=settings.tube.length,
                 temperature=settings.temperature,
@@ -181,21 +203,53 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
                 seed=seed_of(name, tube, number, recipe.seed),
                 session_seed=session,
                 tube_seed=seed_of(tube, recipe.seed),
-                reflectors=np.array(recipe.reflectors) if measured else None,
+                reflectors=_reflectors(recipe, session) if measured else None,
             )
-            yield _labelled(cycles, case, settings, {
-                "press": name, "tube": tube, "session": f"{tube}-{number}",
-            })  # fmt: skip
+            names = {"press": name, "tube": tube, "session": f"{tube}-{number}"}
+            labelled = _labelled(cycles, case, settings, names)
+            yield _with_modulus(labelled, settings, recipe.young_modulus)
 
 
-def _in_session(rangefinder: Rangefinder, seed: int, deviation: float | None) -> Rangefinder:
-    """Return a rangefinder with a temperature error drawn for a session."""
+def _reflectors(recipe: Recipe, seed: int) -> Array:
+    """Return the irregularities of the measured specimen in a session."""
+    mean = np.array(recipe.reflectors)
+    if recipe.clutter_spread == 0:
+        return mean
+    deviation = np.sqrt(recipe.clutter_spread * MEASURED_SPACING)
+    moved = mean + np.random.default_rng([seed, 1]).normal(0, deviation, len(mean))
+    return np.clip(moved, -1, 1)
+
+
+def _in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
+    """Return a rangefinder with what is drawn for a session: its thermometer's error and more."""
+    random, drawn = np.random.default_rng([seed, 2]), {}
+    for name, deviation in recipe.spread:
+        value, off = getattr(rangefinder, name), deviation * random.normal()
+        drawn[name] = value + off if name in PLAIN else value * float(np.exp(off))
+    rangefinder = dataclasses.replace(rangefinder, **drawn)
     most = rangefinder.temperature_bias
-    if deviation is not None:
-        bias = np.random.default_rng(seed).normal(most, deviation)
+    if recipe.offset_deviation is not None:
+        bias = np.random.default_rng(seed).normal(most, recipe.offset_deviation)
         return dataclasses.replace(rangefinder, temperature_bias=float(bias))
     bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
     return dataclasses.replace(rangefinder, temperature_bias=float(bias))
+
+
+def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | None) -> xr.Dataset:
+    """Return cycles with the forces of a wall of another Young's modulus."""
+    if modulus is None:
+        return cycles
+    if settings.layer is not None:
+        raise ValueError(
+            "on an elastic layer the force is not proportional to the twin's modulus of the wall; "
+            "sweep with the twin's hardness and remove young_modulus_mpa from its file"
+        )
+    factor = modulus / settings.tube.young_modulus
+    scaled = {
+        name: cycles[name].copy(data=factor * cycles[name].values)
+        for name in ("force", "shear_modulus")
+    }
+    return cycles.assign(scaled)
 
 
 def _labelled(

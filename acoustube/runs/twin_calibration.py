@@ -1,0 +1,100 @@
+"""Calibration that the twin of a sensor gives, from closures that it records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acoustube import signals
+from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
+from acoustube.base.units import CM, MM, US
+from acoustube.ranging import blockage, record
+from acoustube.runs.sensor_file import KIND, OF_OTHERS, twin_settings
+from acoustube.runs.sweep.dataset import rangefinder_in
+from acoustube.signals import Calibration
+
+FIRST, APART = 0.2, 0.05
+"""The nearest closure, and the distance from one to the next, in m: those of the sleeve paper."""
+BEFORE_END = 0.05
+"""Distance in m of the farthest closure from the tube's end."""
+CYCLES, UNTOUCHED = 3, 100
+AIR = 20.0
+"""Temperature in degC, by which only the losses change: some per cent over 10 K."""
+SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
+"""Least prominences in standard deviations of untouched cycles, of which the first is taken with
+which at most this share of them shows an echo."""
+OUTSIDE = 0.9
+"""End of the closures' band, in halves of the sampling rate."""
+
+
+def is_twin(path: Path) -> bool:
+    """Return whether a file is that of a twin; one that cannot be read is not."""
+    try:
+        return KIND in read_document(path)
+    except ConfigError:
+        return False
+
+
+def twin_calibration(path: Path) -> Calibration:
+    """Return the calibration of the sensor of a twin's file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    ConfigError
+        If the file is damaged, or the sensor's echoes do not suffice.
+
+    Notes
+    -----
+    The twin records closures every 5 cm and the untouched tube with its measured clutter, as
+    :func:`acoustube.signals.calibrate` takes them. The thermometer's error is left out: correct
+    the temperatures by it.
+    """
+    document = read_document(path)
+    own = replace(rangefinder_in(document, path), temperature_bias=0.0, temperature_noise=0.0)
+    numbers = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
+    good = [float(one) for one in numbers if isinstance(one, int | float)]
+    if len(good) < len(numbers) or min(good[:2]) <= 0:
+        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
+    bore, length, trigger = good[0] / MM, good[1] / CM, good[2] / US
+    band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
+    farthest = min(length - BEFORE_END, own.n_samples / own.sampling_rate * 165.0)
+    places = np.arange(FIRST, farthest, APART)
+    common: dict[str, Any] = {
+        "radius": bore / 2, "length": length, "temperature": AIR,
+        "reflectors": np.array(twin_settings(path)["reflectors"]),
+    }  # fmt: skip
+    shut = [
+        record([blockage(band, float(z))], own, n_cycles=CYCLES, seed=i, session_seed=0, **common)
+        for i, z in enumerate(places)
+    ]
+    free = record([], own, n_cycles=UNTOUCHED, seed=len(places), session_seed=0, **common)
+    # Time zero of the twin's recordings, before which they may begin.
+    time = free["time"].values - own.lead + trigger
+    cycles = np.concatenate([one["signal"].values for one in shut])
+    for sigmas in SIGMAS:
+        try:
+            found = signals.calibrate(
+                time, cycles, np.repeat(places, CYCLES), free["signal"].values,
+                temperature=AIR, untouched_temperature=AIR, sigmas=sigmas,
+            )  # fmt: skip
+        except ValueError as error:
+            raise ConfigError(f"{path}: the twin gives no calibration: {error}") from error
+        if found.false_alarms <= FALSE_ALARMS:
+            break
+    return found
+
+
+def thermometer(path: Path) -> float:
+    """Return what a sensor's thermometer reads too much, in K, as its file states."""
+    document = read_document(path)
+    if KIND not in document:
+        document = {name: one for name, one in document.items() if name not in OF_OTHERS}
+    return rangefinder_in(document, path).temperature_bias

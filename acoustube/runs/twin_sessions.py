@@ -1,0 +1,198 @@
+"""Sessions of one sensor: what stays and what wanders between the twins fitted to each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
+from acoustube.base.types import Array
+from acoustube.base.units import MPA
+from acoustube.ranging.analogue import MEASURED_SPACING
+from acoustube.runs.sensor_file import KIND, twin_settings, young_modulus
+from acoustube.runs.sweep.cycles import PLAIN
+from acoustube.runs.sweep.dataset import rangefinder_in
+
+COMPARED = {
+    "inner_diameter_mm": None, "resonance_khz": "resonance", "quality_factor": "quality_factor",
+    "temperature_offset_c": "temperature_bias", "gain_v": "gain", "send_v": "send",
+    "noise_v": "noise", "offset_v": "offset", "young_modulus_mpa": None,
+}  # fmt: skip
+"""Parameters of twins, and those of the rangefinder that they are."""
+LOGARITHMS = ("resonance_khz", "quality_factor", "gain_v", "send_v", "noise_v")
+"""Those that are positive, and compared by their logarithms."""
+CHANCE = 0.05
+"""Probability of a scatter as large by the deviations alone, below which a parameter wanders."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Across:
+    """A parameter over sessions.
+
+    Attributes
+    ----------
+    name : str
+    mean, deviation : float
+        Mean over sessions and its standard deviation.
+    spread : float
+        Standard deviation between sessions beyond that of the fits; of the logarithm relative to
+        the mean.
+    wanders : bool
+        Whether the sessions differ by more than their deviations.
+    """
+
+    name: str
+    mean: float
+    deviation: float
+    spread: float
+    wanders: bool
+
+
+def across_sessions(name: str, values: Array, deviations: Array) -> Across:
+    """Return mean and scatter of a parameter over sessions.
+
+    Parameters
+    ----------
+    name : str
+    values, deviations : ndarray
+        Of each session, (n,).
+
+    Notes
+    -----
+    Random effects: each session's value is that of the sensor plus a normal one of the session plus
+    the error of the fit. The variance between sessions is estimated by moments [1]_, and they are
+    said to differ where Cochran's Q exceeds the chi-squared distribution of n - 1 degrees.
+
+    References
+    ----------
+    .. [1] DerSimonian, R. and Laird, N. (1986). Meta-analysis in clinical trials. Controlled
+       Clinical Trials 7, 177-188. doi:10.1016/0197-2456(86)90046-2
+    """
+    logarithmic = name in LOGARITHMS
+    y, s = (np.log(values), deviations / values) if logarithmic else (values, deviations)
+    weight = np.maximum(s, 1e-9 * max(float(np.abs(y).max()), 1e-9)) ** -2.0
+    fixed = float(weight @ y / weight.sum())
+    scatter, freedom = float(weight @ (y - fixed) ** 2), len(y) - 1
+    excess = scatter - freedom
+    variance = max(excess, 0.0) / float(weight.sum() - (weight**2).sum() / weight.sum())
+    both = 1 / (variance + 1 / weight)
+    mean, deviation = float(both @ y / both.sum()), float(both.sum() ** -0.5)
+    wanders = bool(chi2.sf(scatter, freedom) < CHANCE)
+    scale = float(np.exp(mean)) if logarithmic else 1.0
+    return Across(
+        name=name, mean=scale if logarithmic else mean, deviation=scale * deviation,
+        spread=scale * float(np.sqrt(variance)), wanders=wanders,
+    )  # fmt: skip
+
+
+def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]]:
+    """Return settings of :class:`acoustube.runs.sweep.cycles.Recipe` of a sensor's sessions.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files of twins of one sensor; or a single file of any sensor.
+
+    Returns
+    -------
+    settings : dict
+        The rangefinder is that of the first file with the means over sessions.
+    table : list of Across
+        What stays and what wanders; empty for one file.
+
+    Raises
+    ------
+    ConfigError
+        If one of several files is not that of a twin, or they are of different samplings.
+    """
+    documents = [read_document(path) for path in paths]
+    first = rangefinder_in(documents[0], paths[0])
+    settings: dict[str, Any] = {"rangefinder": first} | twin_settings(paths[0])
+    if len(paths) == 1:
+        modulus = young_modulus(documents[0], paths[0])
+        return settings | ({} if modulus is None else {"young_modulus": modulus[0]}), []
+    for path, document in zip(paths, documents, strict=True):
+        if KIND not in document:
+            raise ConfigError(f"{path} is not the file of a twin; several sensors are twins' files")
+        other = rangefinder_in(document, path)
+        for name in ("sampling_rate", "n_samples", "bits", "full_scale"):
+            if getattr(other, name) != getattr(first, name):
+                raise ConfigError(
+                    f"{path} has {name} = {getattr(other, name):g} and {paths[0]} "
+                    f"{getattr(first, name):g}; sessions are of one sensor"
+                )
+    table = [
+        across_sessions(name, *known)
+        for name in COMPARED
+        if (known := _known(name, documents, paths)) is not None
+    ]
+    return settings | _drawn(settings, table, documents[0], paths), table
+
+
+def _known(
+    name: str, documents: Sequence[dict[str, Any]], paths: Sequence[Path]
+) -> tuple[Array, Array] | None:
+    """Return values and deviations of a parameter in the sessions that determine it."""
+    found = []
+    for document, path in zip(documents, paths, strict=True):
+        told = document.get("determined")
+        if not isinstance(told, list) or name not in told:
+            continue
+        pair: list[Any] = [document.get(name), document.get(f"{name}_sd")]
+        if not all(isinstance(one, int | float) and isfinite(one) for one in pair) or (
+            name in LOGARITHMS and not pair[0] > 0
+        ):
+            raise ConfigError(f"{path} is a damaged file of a twin; make it again")
+        found.append(pair)
+    values = np.array(found, float)
+    return (values[:, 0], values[:, 1]) if len(found) > 1 else None
+
+
+def _drawn(
+    settings: dict[str, Any],
+    table: Sequence[Across],
+    first: dict[str, Any],
+    paths: Sequence[Path],
+) -> dict[str, Any]:
+    """Return the means over sessions, and the deviations that sessions are drawn with."""
+    means: dict[str, float] = {}
+    spread: list[tuple[str, float]] = []
+    found: dict[str, Any] = {}
+    kilo = {"resonance_khz": 1e3}
+    for one in table:
+        own = COMPARED[one.name]
+        if own == "temperature_bias":
+            # The bias is that for dry air, whose offset differs in moist air.
+            moist = settings["rangefinder"].temperature_bias + float(first[one.name])
+            means[own] = moist - one.mean
+            found["offset_deviation"] = float(np.hypot(one.spread, one.deviation))
+        elif own is not None:
+            means[own] = one.mean * kilo.get(one.name, 1.0)
+            width = one.spread if own in PLAIN else one.spread / one.mean
+            if width > 0:
+                spread.append((own, float(width)))
+        elif one.name == "young_modulus_mpa":
+            found["young_modulus"] = one.mean / MPA
+    clutter, power = _clutter(paths)
+    return found | {
+        "rangefinder": replace(settings["rangefinder"], **means), "spread": tuple(spread),
+        "reflectors": clutter, "clutter_spread": power,
+    }  # fmt: skip
+
+
+def _clutter(paths: Sequence[Path]) -> tuple[tuple[float, ...], float]:
+    """Return the mean irregularities, and the power in 1/m of what differs between sessions."""
+    each = [np.array(twin_settings(path)["reflectors"]) for path in paths]
+    n = min(len(one) for one in each)
+    if n == 0:
+        return (), 0.0
+    all_of = np.stack([one[:n] for one in each])
+    power = float(np.mean(all_of.var(axis=0, ddof=1))) / MEASURED_SPACING
+    return tuple(map(float, all_of.mean(axis=0))), power
