@@ -391,9 +391,11 @@ def sessions(made, tmp_path_factory):
 
 
 def with_values(text, new):
-    """The text of a TOML file with other values of names, each of which it has once."""
+    """The text of a TOML file with other values of the first lines of names."""
     for name, value in new.items():
-        text, count = re.subn(rf"(?ms)^{name} = (\[.*?\]|[^\n]*)", f"{name} = {value}", text)
+        text, count = re.subn(
+            rf"(?ms)^{name} = (\[.*?\]|[^\n]*)", f"{name} = {value}", text, count=1
+        )
         assert count == 1, name
     return text
 

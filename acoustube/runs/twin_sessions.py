@@ -73,7 +73,7 @@ def across_sessions(name: str, values: Array, deviations: Array) -> Across:
     References
     ----------
     .. [1] DerSimonian, R. and Laird, N. (1986). Meta-analysis in clinical trials. Controlled
-       Clinical Trials 7, 177-188. doi:10.1016/0197-2456(86)90046-2
+       Clinical Trials 7, 177-188.
     """
     logarithmic = name in LOGARITHMS
     y, s = (np.log(values), deviations / values) if logarithmic else (values, deviations)
