@@ -174,10 +174,10 @@ def row_of(effect, size, unit, bench, tool):
 def main() -> None:
     """Compute the rows that are missing, and print all."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("library", type=Path)
+    parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("table", type=Path)
     given = parser.parse_args()
-    tool = open_library(given.library).tools[0]
+    tool = open_library(given.folder).tools[0]
     rows = []
     if given.table.exists():
         with given.table.open(encoding="utf-8") as file:

@@ -59,17 +59,17 @@ class Others:
     pressed : list
         Recordings of presses of known tool, with the label ``force`` or ``depth``, files or
         folders: they tell the wall's modulus and whether the ground yields.
-    library : Path
+    tools : Path
         Folder that the command library wrote, of the tools that press.
     """
 
     untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
     pressed: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
-    library: Path | None = None
+    tools: Annotated[Path | None, Parameter(name="--library")] = None
 
     def __post_init__(self) -> None:
         """Check that presses have a library."""
-        if (self.pressed is None) != (self.library is None):
+        if (self.pressed is None) != (self.tools is None):
             raise ConfigError(
                 "--pressed and --library go together: recordings of presses, and the folder of "
                 "their tools that acoustube library wrote"
@@ -116,11 +116,11 @@ def twin(
         found = fitted_sensor(
             closed, free, options, lead.pulse_at, bench=bench, report=report, check=check
         )
-        if others.pressed is not None and others.library is not None:
+        if others.pressed is not None and others.tools is not None:
             from acoustube.runs.twin_pressed import fitted_material
 
             material, states = fitted_material(
-                found, others.pressed, free, others.library, options, lead.pulse_at,
+                found, others.pressed, free, others.tools, options, lead.pulse_at,
                 report=report, check=check,
             )  # fmt: skip
             found = dataclasses.replace(found, material=material, pressed=states)
