@@ -61,13 +61,9 @@ def process(
         opened,
         process_recording,
     )
+    from acoustube.runs.twin_calibration import corrections
 
-    calibration, bias = ranging.calibration, 0.0
-    if sensor is not None:
-        from acoustube.runs.twin_calibration import is_twin, thermometer
-
-        bias = thermometer(sensor)
-        calibration = str(sensor) if calibration is None and is_twin(sensor) else calibration
+    calibration, bias = corrections(sensor, ranging.calibration)
     known, settings = chosen(calibration, ranging.prominence)
     report = ConsoleReporter(output.console(stderr=out is None))
     failures, n_cycles, n_found = 0, 0, 0

@@ -98,3 +98,19 @@ def thermometer(path: Path) -> float:
     if KIND not in document:
         document = {name: one for name, one in document.items() if name not in OF_OTHERS}
     return rangefinder_in(document, path).temperature_bias
+
+
+def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | None, float]:
+    """Return the calibration to take, and what the thermometer reads too much, in K.
+
+    Parameters
+    ----------
+    sensor : Path or None
+        File of a sensor; that of a twin is a calibration too.
+    calibration : str or None
+        Goes before that of the twin.
+    """
+    if sensor is None:
+        return calibration, 0.0
+    own = str(sensor) if is_twin(sensor) else None
+    return calibration or own, thermometer(sensor)
