@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from acoustube.runs.recordings import Processed
     from acoustube.signals import Processing
 
+UNCALIBRATED = (
+    "without a calibration distances are from the maximum of the send pulse and may be some "
+    "centimetres off; acoustube calibrate makes one"
+)
 LOUD = 1.5
 """Echo amplitude relative to the send pulse above which the record may begin after that pulse."""
 
@@ -91,10 +95,7 @@ def process(
         if failures and not n_cycles:
             raise ConfigError("no file could be processed, and nothing was written; see above")
     if known is None:
-        report.note(
-            "without a calibration distances are from the maximum of the send pulse and may be "
-            "some centimetres off; acoustube calibrate makes one"
-        )
+        report.note(UNCALIBRATED)
     if figure is not None and not pictures:
         report.note("no echo is detected, so no picture is drawn")
     failed = f"; {failures} files could not be processed" if failures else ""
