@@ -23,8 +23,8 @@ from acoustube.base.writing import FULL, DiskFullError
 
 COMMANDS = (
     "simulate", "sweep", "dataset", "library", "show", "export", "indent", "scatter", "process",
-    "live", "calibrate", "twin", "invert", "train", "evaluate", "reproduce", "sleeve", "check",
-    "cite",
+    "live", "calibrate", "twin", "invert", "design", "train", "evaluate", "reproduce", "sleeve",
+    "check", "cite",
 )  # fmt: skip
 """Modules of this package that hold a command of their name."""
 SETTLED = ("simulate", "indent", "sweep")

@@ -1,0 +1,121 @@
+"""Reflection of the plane mode by presses of one tube, over depth, and contacts to be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.waves.scattering import Complex
+
+FEWEST = 4
+"""Depths between which a reflection is interpolated."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PressedTube:
+    """Reflection and force of one tool on one tube, over depth.
+
+    Attributes
+    ----------
+    radius : float
+        Of the undeformed bore in m.
+    diameter : float
+        Of the tool in m.
+    depth : ndarray
+        Indentation depths in m, rising, (n,).
+    force : ndarray
+        In N at the shear modulus of the press, (n,).
+    frequency : ndarray
+        In Hz, even, (n_f,).
+    reflection : ndarray
+        Reflection coefficient of the plane mode, (n, n_f).
+    sound_speed : float
+        In m/s.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than four depths, or they do not increase.
+    """
+
+    radius: float
+    diameter: float
+    depth: Array
+    force: Array
+    frequency: Array
+    reflection: Complex
+    sound_speed: float
+
+    def __post_init__(self) -> None:
+        """Check that the arrays belong together."""
+        n = len(self.depth)
+        if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):
+            raise ConfigError(
+                f"a tube has {n} depths and reflections of shape {self.reflection.shape}; give "
+                f"{FEWEST} or more depths and (n, {len(self.frequency)})"
+            )
+        if not (np.all(np.diff(self.depth) > 0) and np.all(np.diff(self.force) > 0)):
+            raise ConfigError("depths and forces of a tube must increase; sort them")
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        """Reflection over depth; the untouched tube reflects nothing."""
+        none = np.zeros((1, len(self.frequency)), complex)
+        depth = np.concatenate([[0.0], self.depth])
+        return CubicSpline(depth, np.concatenate([none, self.reflection]))
+
+    @cached_property
+    def _depth_of(self) -> PchipInterpolator:
+        """Depth over force."""
+        return PchipInterpolator(
+            np.concatenate([[0.0], self.force]), np.concatenate([[0.0], self.depth])
+        )
+
+    def depth_at(self, force: Array) -> Array:
+        """Return the depths in m at forces in N, that of the last press beyond it."""
+        return np.asarray(self._depth_of(np.clip(force, 0.0, self.force[-1])))
+
+    def compliance_at(self, force: Array) -> Array:
+        """Return the slopes of depth over force in m/N."""
+        inside = np.clip(force, 1e-3 * self.force[0], self.force[-1] * (1 - 1e-9))
+        return np.asarray(self._depth_of(inside, 1))
+
+    def reflection_at(self, depth: Array, derivative: int = 0) -> Complex:
+        """Return reflections at depths in m, (n, n_f), or their derivatives by depth per m."""
+        return np.asarray(self._spline(depth, derivative))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contacts:
+    """Contacts that a sensor has to tell.
+
+    Attributes
+    ----------
+    place : ndarray
+        Distances from the face in m, (n,).
+    force : ndarray
+        In N, (n,).
+    tool : ndarray
+        Number of the tool, (n,).
+    lightest, strongest : float
+        Range of the forces in N.
+    length : float
+        Of the tube in m.
+    """
+
+    place: Array
+    force: Array
+    tool: Array
+    lightest: float
+    strongest: float
+    length: float
+
+    @property
+    def force_prior(self) -> float:
+        """Standard deviation of the logarithm of the force where nothing is heard."""
+        return float(np.log(self.strongest / self.lightest) / np.sqrt(12))

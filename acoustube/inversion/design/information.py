@@ -1,0 +1,167 @@
+"""Fisher information of a contact over frequency, which the pulse then weights.
+
+The echo of a press is R(f, d) exp(-2j k z) times the spectrum that the electronics receive from a
+complete reflection. Sums over frequency of products of its derivatives are linear in the power of
+that spectrum: what does not depend on pulse and transducer is computed once for a tube.
+
+References
+----------
+* Fisher information and the Cramer-Rao bound: Kay, S. M. (1993). Fundamentals of Statistical
+  Signal Processing: Estimation Theory, chapter 3. Prentice Hall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.air import air_at
+from acoustube.base.types import Array
+from acoustube.inversion.design.echoes import Contacts, PressedTube
+from acoustube.inversion.model import Priors
+from acoustube.waves.modes import axial_wavenumber
+from acoustube.waves.scattering import Complex
+
+FARTHEST, REACHES = 12.0, 48
+"""Largest reach in m that is distinguished, and number of places up to it."""
+
+
+class Information(NamedTuple):
+    """What is known of contacts on a tube apart from the electronics.
+
+    Columns are place, depth, temperature, stretch, gain and phase, each in units of its prior
+    standard deviation, for the rangefinder at the face and for one at the far end.
+
+    Attributes
+    ----------
+    frequency : ndarray
+        In Hz, (n_f,).
+    sound_speed : float
+        In m/s.
+    wavenumber : ndarray
+        Real part, in rad/m, (n_f,).
+    products : ndarray
+        Real parts of products of columns, (2, n, 6, 6, n_f).
+    echoes : ndarray
+        Products of the conjugate columns with the echo, (2, n, 6, n_f).
+    power : ndarray
+        Of the echo, (2, n, n_f).
+    place : ndarray
+        Distances from either face in m, (2, n).
+    scale : ndarray
+        Prior standard deviations of place and depth in m, (2,).
+    slope : ndarray
+        Relative change of force with depth in 1/m, (n,).
+    told : ndarray
+        Whether the force is within the tube's range, (n,).
+    force_prior : float
+        Standard deviation of the logarithm of an unknown force.
+    hardness : float
+        Relative standard deviation of the wall's modulus.
+    range_grid : ndarray
+        Places in m at which the lightest contact is looked for, (m,).
+    range_power : ndarray
+        Its power there, the least of the tools, (m, n_f).
+    """
+
+    frequency: Array
+    sound_speed: float
+    wavenumber: Array
+    products: Array
+    echoes: Complex
+    power: Array
+    place: Array
+    scale: Array
+    slope: Array
+    told: Array
+    force_prior: float
+    hardness: float
+    range_grid: Array
+    range_power: Array
+
+
+def information(
+    tubes: Sequence[PressedTube],
+    contacts: Contacts,
+    *,
+    modulus: float = 1.0,
+    temperature: float = 20.0,
+    priors: Priors | None = None,
+    hardness: float = 0.05,
+) -> Information:
+    """Return the information of contacts on a tube over frequency.
+
+    Parameters
+    ----------
+    tubes : sequence of PressedTube
+        One for each tool, of one bore and one band.
+    contacts : Contacts
+    modulus : float
+        Shear modulus relative to that of the presses. Forces of a neo-Hookean tube on a rigid floor
+        are proportional to it.
+    temperature : float
+        Of the air in degC.
+    priors : Priors, optional
+        Standard deviations of the nuisance parameters.
+    hardness : float
+        Relative standard deviation of the modulus.
+
+    Returns
+    -------
+    Information
+    """
+    priors, air = priors or Priors(), air_at(temperature)
+    f, first = tubes[0].frequency, tubes[0]
+    k = axial_wavenumber(0, 0, f, first.radius, air)
+    low, high = (axial_wavenumber(0, 0, f, first.radius, air_at(temperature + d))
+                 for d in (-0.5, 0.5))  # fmt: skip
+    by_heat = high - low
+    warmer = -(air_at(temperature + 0.5).sound_speed - air_at(temperature - 0.5).sound_speed)
+    depth, slope, told, echo, by_depth = _presses(tubes, contacts, modulus)
+    by_stretch = f * np.gradient(echo, f, axis=1)
+    span = np.ptp(depth) if np.ptp(depth) > 0 else depth[0]
+    scale = np.array([contacts.length, max(span, 1e-4)]) / np.sqrt(12)
+    place = np.stack([contacts.place, contacts.length - contacts.place])
+    heated = -2j * by_heat * place[..., None] * echo + warmer / air.sound_speed * by_stretch
+    same = np.ones((2, 1, 1))
+    columns = np.stack([
+        np.array([1, -1])[:, None, None] * scale[0] * (-2j * k * echo),
+        same * scale[1] * by_depth,
+        priors.temperature * heated,
+        same * priors.stretch * by_stretch,
+        same * priors.gain * echo,
+        same * priors.phase * 1j * echo,
+    ], axis=2)  # fmt: skip
+    left = np.exp(4 * k.imag * place[..., None])
+    turned = columns.conj() * left[:, :, None]
+    grid = np.linspace(0.1, FARTHEST, REACHES)
+    forces = np.full(1, contacts.lightest / modulus)
+    light = [np.abs(tube.reflection_at(tube.depth_at(forces))[0]) ** 2 for tube in tubes]
+    return Information(
+        frequency=f, sound_speed=air.sound_speed, wavenumber=k.real,
+        products=(turned[:, :, :, None] * columns[:, :, None]).real,
+        echoes=turned * echo[:, None], power=np.abs(echo) ** 2 * left, place=place, scale=scale,
+        slope=slope, told=told, force_prior=contacts.force_prior, hardness=hardness,
+        range_grid=grid,
+        range_power=np.min(light, axis=0) * np.exp(4 * k.imag * grid[:, None]),
+    )  # fmt: skip
+
+
+def _presses(
+    tubes: Sequence[PressedTube], contacts: Contacts, modulus: float
+) -> tuple[Array, Array, Array, Complex, Complex]:
+    """Return depth, relative slope of force, whether told, reflection and its slope by depth."""
+    n = len(contacts.force)
+    depth, slope, told = np.zeros((3, n))
+    echo, by_depth = np.zeros((2, n, len(tubes[0].frequency)), complex)
+    for i, tube in enumerate(tubes):
+        here = contacts.tool == i
+        force = contacts.force[here] / modulus
+        depth[here] = tube.depth_at(force)
+        slope[here] = 1 / (force * tube.compliance_at(force))
+        told[here] = force <= tube.force[-1]
+        echo[here] = tube.reflection_at(depth[here])
+        by_depth[here] = tube.reflection_at(depth[here], 1)
+    return depth, slope, told, echo, by_depth

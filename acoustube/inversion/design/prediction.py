@@ -1,0 +1,302 @@
+"""Expected errors of a sensor on drawn contacts, for one pulse; differentiable by JAX.
+
+Besides the Cramer-Rao bound with nuisance parameters, which holds near the true contact alone, the
+probability of an estimate whole half wavelengths off is estimated, as for the ambiguity of a
+narrow-band pulse: that the likelihood of a contact so far off, with the best nuisance parameters,
+is the larger one.
+
+References
+----------
+* Errors beyond the Cramer-Rao bound by the next maxima of the ambiguity function: Van Trees, H. L.
+  and Bell, K. L. (2013). Detection, Estimation, and Modulation Theory, Part I, section 4.3. Wiley.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+
+from acoustube.base.types import Array
+from acoustube.inversion.baseband import AFTER_CLIPPING, DITHER, FADE, HALF_WIDTH
+from acoustube.inversion.design.information import Information
+from acoustube.ranging import Burst, Rangefinder
+
+HALF_WAVES = (-3, -2, -1, 1, 2, 3)
+"""Half wavelengths that an estimate may be off."""
+DETECTED = 6.0
+"""Amplitude of an echo behind its matched filter, in standard deviations of the noise, from which
+half of the echoes are taken for a press: a false one in a thousand metres of tube."""
+BAND_EDGE, BAND_ROLL = 0.875 * HALF_WIDTH, 0.012
+"""Middle of the ends of the inversion's band from its carrier, in carriers, and their width."""
+BLIND_ROLL = 0.02
+"""Width in m over which the ring-down sets an echo free."""
+OWN_LENGTH = 0.03
+"""Length in m of the tube that a press deforms: nearer ones touch the same tube."""
+
+
+class Electronics(NamedTuple):
+    """Pulse, transducer and converter, as numbers or as arrays of one shape.
+
+    Attributes
+    ----------
+    carrier : float
+        Of drive and transducer in Hz.
+    cycles : float
+        Of a square drive.
+    quality : float
+        Quality factor of the transducer.
+    level : float
+        Counts that a steady drive receives of a complete reflection, over the standard deviation of
+        a sample's noise.
+    rate : float
+        Samples per second.
+    ring : float
+        Received level of the own drive over full scale.
+    ends : float
+        1 or 2 rangefinders.
+    """
+
+    carrier: float | Array
+    cycles: float | Array
+    quality: float | Array
+    level: float | Array
+    rate: float | Array
+    ring: float | Array
+    ends: float | Array
+
+
+class Prediction(NamedTuple):
+    """Expected errors.
+
+    Attributes
+    ----------
+    place : ndarray
+        Standard deviations of places in m, (..., n).
+    depth : ndarray
+        Of depths in m.
+    force : ndarray
+        Of forces, relative.
+    found : ndarray
+        Probabilities that the contact is detected.
+    wrong : ndarray
+        Probabilities of an error of half wavelengths.
+    noise : ndarray
+        Relative deviation of the force by the Cramer-Rao bound alone.
+    reach : ndarray
+        Farthest place in m at which the lightest contact is detected, (...).
+    resolution : ndarray
+        Least distance in m of two presses whose echoes are apart, (...).
+    """
+
+    place: Array
+    depth: Array
+    force: Array
+    found: Array
+    wrong: Array
+    noise: Array
+    reach: Array
+    resolution: Array
+
+    @property
+    def objectives(self) -> Array:
+        """Reach in m, rms relative deviation of force, and resolution in m, (..., 3)."""
+        force = np.sqrt(np.mean(self.force**2, axis=-1))
+        return np.stack([self.reach, force, self.resolution], axis=-1)
+
+
+def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) -> Electronics:
+    """Return the electronics of a rangefinder with a burst at its resonance.
+
+    Parameters
+    ----------
+    rangefinder : Rangefinder
+    ends : int
+        Rangefinders, of which the second is at the far end.
+    average : int
+        Cycles whose mean is inverted.
+    """
+    r, drive = rangefinder, rangefinder.drive
+    assert isinstance(drive, Burst)
+    noise = r.noise * 2**r.bits / r.full_scale
+    variance = noise**2
+    if r.quantised:
+        # Rounding that noise does not dither is an error of the signal's own band.
+        share = min(2 * HALF_WIDTH * drive.frequency / (r.sampling_rate / 2), 1.0)
+        variance += 1 / 12 / (1.0 if noise >= DITHER else share)
+    level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance / average, 1e-12))
+    return Electronics(
+        drive.frequency, drive.cycles, r.quality_factor, level, r.sampling_rate,
+        max(2 * r.send / r.full_scale, 1.0), ends,
+    )  # fmt: skip
+
+
+def predict(known: Information, electronics: Electronics) -> Prediction:
+    """Return the expected errors for one set of electronics, or for many.
+
+    Parameters
+    ----------
+    known : Information
+    electronics : Electronics
+        Numbers, or arrays (m,).
+
+    Returns
+    -------
+    Prediction
+        Arrays (n,) and numbers, or (m, n) and (m,).
+
+    Notes
+    -----
+    In the band of the inversion. Not contained are clutter that the calibration leaves, reflections
+    by the face, and errors of the forward model but for its stretch.
+    """
+    given = np.broadcast_arrays(*(np.asarray(one, float) for one in electronics))
+    with jax.enable_x64(True):
+        run = _many if given[0].ndim else _one
+        found = run(jnp.stack([jnp.asarray(one) for one in given], axis=-1), _tensors(known))
+        return Prediction(*(np.asarray(one) for one in found))
+
+
+def score(found: Prediction, reach: float, separation: float, place: float) -> Array:
+    """Return the logarithm of the rms error of force, with penalties for what a goal lacks.
+
+    Parameters
+    ----------
+    found : Prediction
+    reach, separation, place : float
+        What is asked for, in m.
+    """
+    return np.asarray(_score(np, found, np.array([reach, separation, place])))
+
+
+def gradient(
+    known: Information, electronics: Electronics, reach: float, separation: float, place: float
+) -> tuple[float, Array]:
+    """Return the score and its gradient by the logarithms of carrier and cycles.
+
+    Parameters
+    ----------
+    known : Information
+    electronics : Electronics
+        Numbers.
+    reach, separation, place : float
+        As of :func:`score`.
+    """
+    with jax.enable_x64(True):
+        given = jnp.array([float(one) for one in electronics])
+        goal = jnp.array([reach, separation, place])
+        value, slope = _scored(jnp.log(given[:2]), given, _tensors(known), goal)
+        return float(value), np.asarray(slope)
+
+
+def _tensors(known: Information) -> tuple[jax.Array, ...]:
+    return tuple(jnp.asarray(one) for one in known)
+
+
+def _score(numbers, found, goal):  # type: ignore[no-untyped-def]
+    reach, separation, place = goal
+    missing = [
+        numbers.log(reach / found.reach), numbers.log(found.resolution / separation),
+        numbers.log(numbers.median(found.place, -1) / place),
+    ]  # fmt: skip
+    penalty = sum(2 * numbers.maximum(one, 0.0) for one in missing)
+    force = numbers.log(numbers.mean(found.force**2, -1)) / 2
+    return force + penalty + 0.02 * missing[2]
+
+
+@jax.jit
+@partial(jax.value_and_grad, argnums=0)
+def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
+    found = Prediction(*_prediction(jnp.concatenate([jnp.exp(logs), given[2:]]), tensors))
+    return _score(jnp, found, goal)
+
+
+def spectrum(frequency, carrier, cycles, quality):  # type: ignore[no-untyped-def]
+    """Return the power of a drive's spectrum behind both passages of its transducer, in s2.
+
+    Of a square burst, as :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
+    continuous in their number.
+    """
+    u = jnp.pi / 2 * (frequency / carrier - 1)
+    near = jnp.abs(jnp.sin(u)) < 1e-7
+    safe = jnp.where(near, 1.0, u)
+    kernel = jnp.where(near, 2 * cycles, jnp.sin(2 * cycles * safe) / jnp.sin(safe))
+    drive = (jnp.cos(u) * kernel / (jnp.pi * frequency)) ** 2
+    off = frequency / carrier - carrier / frequency
+    return drive / (1 + (quality * off) ** 2) ** 2
+
+
+def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
+    carrier, cycles, quality, level, rate, ring, ends = electronics
+    known = Information(*tensors)
+    f = known.frequency
+    step = f[1] - f[0]
+    sides = (BAND_EDGE - jnp.abs(f / carrier - 1)) / BAND_ROLL
+    received = spectrum(f, carrier, cycles, quality) * jax.nn.sigmoid(4 * sides)
+    weight = 2 * rate * step * level**2 * received
+    decay = quality / (jnp.pi * carrier)
+    free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE
+    nearest = 0.5 * known.sound_speed * free
+    heard = jax.nn.sigmoid(4 * (known.place - nearest) / BLIND_ROLL)
+    heard = heard * jnp.stack([1.0, jnp.where(ends > 1.5, 1.0, 0.0)])[:, None]
+    power = (known.power @ weight) * heard
+    found = ndtr(jnp.sqrt(power.sum(axis=0) + 1e-12) - DETECTED)
+    matrix, missed, distance, shifts = _told(known, weight, carrier, heard)
+    covariance = jnp.linalg.inv(matrix)
+    each = ndtr(-jnp.sqrt(jnp.maximum(distance, 1e-9)) / 2)
+    each = each / (1 + each.sum(axis=0))
+    scale = known.scale
+    # Of whatever is missed, only the prior is known.
+    off = (each * missed[:, None] ** 2).sum(axis=0) / scale[0] ** 2
+    turned = (each * shifts**2).sum(axis=0)
+    place = jnp.minimum(covariance[:, 0, 0] + off, 1.0)
+    depth = jnp.minimum(covariance[:, 1, 1] + turned, 1.0)
+    place, depth = (found * one + 1 - found for one in (place, depth))
+    noise = known.slope * scale[1] * jnp.sqrt(covariance[:, 1, 1])
+    force = (known.slope * scale[1]) ** 2 * depth + known.hardness**2
+    prior = known.force_prior**2
+    force = jnp.where(known.told > 0, found / (1 / force + 1 / prior) + (1 - found) * prior, prior)
+    far = jnp.log(known.range_power @ weight + 1e-300) - 2 * jnp.log(DETECTED)
+    reach = jnp.interp(0.0, -far, known.range_grid) * jnp.where(ends > 1.5, 2.0, 1.0)
+    width = step * received.sum() ** 2 / (received**2).sum()
+    resolution = jnp.hypot(known.sound_speed / (2 * width), OWN_LENGTH)
+    return (
+        jnp.sqrt(place) * scale[0], jnp.sqrt(depth) * scale[1], jnp.sqrt(force), found,
+        each.sum(axis=0), noise, reach, resolution,
+    )  # fmt: skip
+
+
+def _told(known, weight, carrier, heard):  # type: ignore[no-untyped-def]
+    """Return information, half waves in m, their squared distances and shifts of depth."""
+    half = jnp.interp(carrier, known.frequency, known.wavenumber)
+    off = jnp.array(HALF_WAVES) * jnp.pi / half
+    angle = 2 * known.wavenumber * off[:, None]
+    side = jnp.array([1.0, -1.0])
+    n = known.place.shape[1]
+    matrix = jnp.eye(4)[None]
+    vector, energy = jnp.zeros((len(HALF_WAVES), n, 4)), jnp.zeros((len(HALF_WAVES), n))
+    for end in (0, 1):
+        given = heard[end]
+        full = (known.products[end] @ weight) * given[:, None, None]
+        turn_real, turn_imag = jnp.cos(angle) - 1, -side[end] * jnp.sin(angle)
+        real, imag = known.echoes[end].real, known.echoes[end].imag
+        moved = (turn_real * weight) @ real.reshape(-1, len(weight)).T
+        moved = moved - (turn_imag * weight) @ imag.reshape(-1, len(weight)).T
+        moved = moved.reshape(len(HALF_WAVES), n, 6) * given[:, None]
+        size = ((turn_real**2 + turn_imag**2) * weight) @ known.power[end].T * given
+        own = full[:, 4:, 4:] + jnp.eye(2)
+        solved = jnp.linalg.solve(own, full[:, 4:, :4])
+        matrix = matrix + full[:, :4, :4] - full[:, :4, 4:] @ solved
+        vector = vector + moved[..., :4] - jnp.einsum("mnj,nji->mni", moved[..., 4:], solved)
+        own_moved = jnp.linalg.solve(own[None], moved[..., 4:, None])[..., 0]
+        energy = energy + size - (moved[..., 4:] * own_moved).sum(axis=-1)
+    best = jnp.linalg.solve(matrix[None], vector[..., None])[..., 0]
+    return matrix, off, energy - (vector * best).sum(axis=-1), best[..., 1]
+
+
+_one = jax.jit(_prediction)
+_many = jax.jit(jax.vmap(_prediction, in_axes=(0, None)))

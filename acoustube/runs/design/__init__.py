@@ -1,0 +1,5 @@
+"""Design of a sensor for a goal.
+
+Reading order: `goal` (what it must do), `tubes` (presses and their sound), `search` (candidates),
+`choice` (the recommended sensors), `run` (all of these) and `files`.
+"""

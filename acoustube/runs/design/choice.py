@@ -1,0 +1,233 @@
+"""Recommended sensors of a design, their errors over the tube, limits and robustness."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.air import air_at
+from acoustube.base.types import Array
+from acoustube.base.units import CM, MM, PERCENT
+from acoustube.inversion.design import Contacts, PressedTube
+from acoustube.ranging import Rangefinder
+from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.design.search import (
+    CONTACTS,
+    Candidate,
+    evaluated,
+    known_of,
+    rangefinder_of,
+)
+from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
+
+PAPER = TubeSpec(7.9, 1.6, 35.0)
+"""Tube of the sleeve paper."""
+WORSE = 1.25
+"""Error of force of the recommended sensors, at most, in that of the best."""
+MAP_PLACES, MAP_FORCES = 16, 12
+"""Places and forces of a map."""
+CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
+"""Changes of bore (relative), hardness in Shore A and temperature in K of the robustness."""
+
+
+class Map(NamedTuple):
+    """Expected errors over place and force under the first tool.
+
+    Attributes
+    ----------
+    place : ndarray
+        In m, (n_z,).
+    force : ndarray
+        In N, (n_f,).
+    depth : ndarray
+        Of the forces, in m, (n_f,); that of the last press beyond it.
+    force_error : ndarray
+        Relative standard deviations of force, (n_f, n_z).
+    place_error : ndarray
+        Standard deviations of place in m, (n_f, n_z).
+    """
+
+    place: Array
+    force: Array
+    depth: Array
+    force_error: Array
+    place_error: Array
+
+
+class Recommended(NamedTuple):
+    """A sensor with all that is reported of it.
+
+    Attributes
+    ----------
+    name : str
+        Of its files.
+    words : str
+        Why it is recommended.
+    candidate : Candidate
+    map : Map
+    limits : dict of str to float
+        Shares of the force's variance, by cause.
+    robustness : dict of str to ndarray
+        Objectives with a change, by the change.
+    """
+
+    name: str
+    words: str
+    candidate: Candidate
+    map: Map
+    limits: dict[str, float]
+    robustness: dict[str, Array]
+
+
+def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[str, str, Candidate]]:
+    """Return names, reasons and sensors: the best in force, reach and resolution.
+
+    Each is the best of those that meet the goal's other demands, and whose error of force is not
+    far above the least; without one, of those that lack least. A sensor that is named already is
+    left to the next best.
+    """
+    goal, least = design.goal, min(one.objectives[1] for one in front)
+
+    def lack(one: Candidate, skip: int) -> float:
+        reach, force, resolution, place = one.objectives
+        asked = (
+            goal.reach_m / reach, force / (WORSE * least), CM * resolution / goal.separation_cm,
+            MM * place / goal.place_mm,
+        )  # fmt: skip
+        return sum(max(np.log(max(x, 1e-9)), 0) for i, x in enumerate(asked) if i != skip)
+
+    found: list[tuple[str, str, Candidate]] = []
+    for name, words, column, sign in (
+        ("force", "least error of force", 1, 1), ("reach", "longest reach", 0, -1),
+        ("resolution", "finest resolution", 2, 1),
+    ):  # fmt: skip
+        left = [one for one in front if all(one is not other for *_, other in found)]
+        if not left:
+            break
+        # What lacks a little less than a per cent is as good.
+        best = min(
+            left,
+            key=lambda one: (round(lack(one, column), 2), sign * one.objectives[column], one.score),
+        )
+        found.append((name, words, best))
+    return found
+
+
+def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
+    """Return the sleeve paper's sensor with what is expected of it for a goal."""
+    usual = Rangefinder()
+    made = rangefinder_of(design, usual.resonance, 13.0, usual.quality_factor,
+                          usual.sampling_rate, usual.bits)  # fmt: skip
+    start = Candidate(tube=PAPER, rangefinder=made, ends=1, found=None, score=0.0)  # type: ignore[arg-type]
+    return evaluated(design, known_of(design, tubes, PAPER.shore), start)
+
+
+def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate) -> Map:
+    """Return the expected errors of a sensor over place and force, under the first tool."""
+    goal = design.goal
+    place = np.linspace(goal.nearest_m, goal.reach_m, MAP_PLACES)
+    force = np.geomspace(*goal.forces_n, MAP_FORCES)
+    rows, columns = (part.ravel() for part in np.meshgrid(force, place, indexing="ij"))
+    found = []
+    # In blocks of the size for which the prediction is compiled.
+    for i in range(0, len(rows), CONTACTS):
+        here = slice(i, i + CONTACTS)
+        contacts = Contacts(
+            place=columns[here], force=rows[here], tool=np.zeros(len(rows[here]), int),
+            lightest=goal.forces_n[0], strongest=goal.forces_n[1], length=goal.reach_m,
+        )  # fmt: skip
+        known = known_of(design, tubes, candidate.tube.shore, contacts)
+        one = evaluated(design, known, candidate).found
+        found.append((one.force, one.place))
+    errors = np.concatenate(found, axis=1).reshape(2, MAP_FORCES, MAP_PLACES)
+    depth = tubes[0].depth_at(force / _modulus(design, candidate.tube.shore))
+    return Map(place, force, depth, errors[0], errors[1])
+
+
+def _modulus(design: DesignGoal, shore: float) -> float:
+    from acoustube.tube import shear_modulus_from_shore
+
+    if design.goal.support != "table":
+        return 1.0
+    return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
+
+
+def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
+    """Return what the mean square error of the force is made of, as shares of it.
+
+    Causes are the wall's hardness, noise with unknown temperature, gain and phase, errors of half
+    wavelengths, and presses that are missed, in the ring-down, or beyond a closed lumen.
+    """
+    found, hardness = candidate.found, design.goal.hardness_percent / PERCENT
+    square = found.force**2
+    prior = float(np.log(design.goal.forces_n[1] / design.goal.forces_n[0]) ** 2 / 12)
+    seen = np.minimum(found.noise**2, prior)
+    lost = np.maximum(square - prior * found.found, 0) * (found.found < 0.5)
+    lost += np.where(square >= prior * (1 - 1e-6), square - lost, 0)
+    rest = square - lost
+    parts = {
+        "hardness of the wall": np.minimum(hardness**2, rest),
+        "noise, temperature, gain and phase": np.minimum(seen, np.maximum(rest - hardness**2, 0)),
+        "missed, in the ring-down, or beyond a closed lumen": lost,
+    }
+    parts["errors of half wavelengths"] = np.maximum(square - sum(parts.values()), 0)
+    total = float(square.sum())
+    return {name: float(np.sum(part)) / total for name, part in parts.items()}
+
+
+def robustness_of(
+    design: DesignGoal, candidate: Candidate, tubes: Sequence[PressedTube], compute: Compute
+) -> dict[str, Array]:
+    """Return the objectives of a sensor that was made otherwise, each with its own calibration.
+
+    Parameters
+    ----------
+    design : DesignGoal
+    candidate : Candidate
+    tubes : sequence of PressedTube
+        Of the candidate.
+    compute : callable
+        For tubes of another bore and, on a soft layer, of another hardness.
+    """
+    spec, found = candidate.tube, {}
+    table = design.goal.support == "table"
+    for sign in (-1, 1):
+        shore = float(np.clip(spec.shore + sign * CHANGES["hardness"], 10, 90))
+        bore = round(spec.bore * (1 + sign * CHANGES["bore"]), 4)
+        pressed = REFERENCE_SHORE_A if table else spec.shore
+        other = TubeSpec(bore, spec.wall, pressed)
+        stiff = TubeSpec(spec.bore, spec.wall, REFERENCE_SHORE_A if table else shore)
+        wanted = [other] if table else [other, stiff]
+        made = compute(wanted)
+        cases: list[tuple[str, Sequence[PressedTube] | str, float]] = []
+        cases.append((f"bore {sign * 5:+d} %", made[other], spec.shore))
+        cases.append((f"{sign * 5:+d} Shore A", tubes if table else made[stiff], shore))
+        for name, parts, hardness in cases:
+            if not isinstance(parts, str):
+                known = known_of(design, parts, hardness)
+                found[name] = evaluated(design, known, candidate).objectives
+        warm = dataclasses.replace(
+            design, goal=dataclasses.replace(
+                design.goal, temperature_c=float(
+                    np.clip(design.goal.temperature_c + sign * CHANGES["temperature"], -20, 60)
+                ),
+            ),
+        )  # fmt: skip
+        heated = [warmed(tube, warm.goal.temperature_c) for tube in tubes]
+        known = known_of(warm, heated, spec.shore)
+        found[f"{sign * 10:+d} K"] = evaluated(warm, known, candidate).objectives
+    return found
+
+
+def warmed(tube: PressedTube, temperature: float) -> PressedTube:
+    """Return a tube in air of another temperature in degC: its reflection is that of f / c."""
+    speed = air_at(temperature).sound_speed
+    at = tube.frequency * tube.sound_speed / speed
+    parts = [
+        np.array([np.interp(at, tube.frequency, row) for row in part])
+        for part in (tube.reflection.real, tube.reflection.imag)
+    ]
+    return dataclasses.replace(tube, reflection=parts[0] + 1j * parts[1], sound_speed=speed)

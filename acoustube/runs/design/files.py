@@ -1,0 +1,63 @@
+"""Files of a design: the front as a table, and sensors as settings of other commands."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import tomlkit
+
+from acoustube.base.units import CM, KHZ
+from acoustube.ranging import Burst
+from acoustube.runs.config import configured, to_toml
+from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.design.search import Candidate
+from acoustube.runs.sensor_file import OF_OTHERS
+
+
+def front_csv(front: Sequence[Candidate]) -> str:
+    """Return the candidates of a front as a table, the longest reach first."""
+    text = io.StringIO()
+    rows = [one.row for one in front]
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
+    """Return a candidate's rangefinder as a file for ``--sensor``."""
+    words: dict[str, Any] = json.loads(candidate.rangefinder.to_json())
+    drive = words.pop("drive")
+    document = tomlkit.document()
+    document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
+    if candidate.ends == 2:
+        document.add(tomlkit.comment("The sensor has a second one of its kind at the far end."))
+    document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
+    for name, value in words.items():
+        document.add(name, value)
+    table = tomlkit.table()
+    for name, value in drive.items():
+        table.add(name, value)
+    document.add("drive", table)
+    return tomlkit.dumps(document)
+
+
+def config_toml(design: DesignGoal, candidate: Candidate) -> str:
+    """Return a candidate's tube and a press of it as a file for ``--config``."""
+    goal, spec, r = design.goal, candidate.tube, candidate.rangefinder
+    assert isinstance(r.drive, Burst)
+    ground: dict[str, Any] = {"support": "held"}
+    if goal.support == "arm":
+        ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
+    config = configured(
+        {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=round(spec.shore, 3),
+        length_cm=max(CM * goal.reach_m, 20.0), indenter_mm=goal.tools_mm[0],
+        depth_mm=round(spec.bore / 2, 3), frequency_khz=round(KHZ * r.resonance, 4),
+        cycles=max(round(r.drive.cycles), 2), temperature_c=goal.temperature_c, method="spectral",
+        **ground,
+    )  # fmt: skip
+    return to_toml(config)

@@ -1,0 +1,230 @@
+"""Goals of a design: what a sensor must tell, and what it may be made of, from TOML files."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
+from acoustube.base.rules import Choice, Number, Section, nearest, setting
+
+MOST_VALUES = 64
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Rule for one or more numbers within bounds, both included.
+
+    Parameters
+    ----------
+    each : Number
+        Rule of each.
+    span : bool
+        Whether they are the ends of a range: one number, or two that do not fall.
+    """
+
+    each: Number
+    span: bool = False
+
+    @property
+    def meaning(self) -> str:
+        """What the setting is."""
+        return self.each.meaning
+
+    @property
+    def allowed(self) -> str:
+        """The values in words."""
+        kind = "a number or [lowest, highest]" if self.span else "one or more numbers"
+        return f"{kind} within {self.each.allowed}"
+
+    def check(self, name: str, value: Any) -> tuple[float, ...]:
+        """Return the values as a tuple, of a range both ends.
+
+        Raises
+        ------
+        ConfigError
+            If a value is wrong, or there are none or too many.
+        """
+        given = tuple(value) if isinstance(value, list | tuple) else (value,)
+        most = 2 if self.span else MOST_VALUES
+        if not 1 <= len(given) <= most:
+            raise ConfigError(
+                f"has {len(given)} values", setting=name, value=list(given)[:4],
+                advice=f"use {self.allowed}",
+            )  # fmt: skip
+        found = tuple(self.each.check(name, one) for one in given)
+        if self.span and list(found) != sorted(found):
+            raise ConfigError(
+                "falls", setting=name, value=list(found), advice="give the lowest value first"
+            )
+        return (found[0], found[-1]) if self.span else found
+
+
+def _numbers(default: tuple[float, ...], each: Number, *, span: bool = False) -> Any:
+    return dataclasses.field(default=default, metadata={"rule": Numbers(each, span)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal(Section):
+    """What a sensor must tell.
+
+    Attributes
+    ----------
+    reach_m : float
+        Length of the tube in m, up to which contacts are to be told.
+    nearest_m : float
+        Distance in m of the nearest contact.
+    forces_n : tuple of float
+        Least and largest force in N.
+    tools_mm : tuple of float
+        Diameters of rods in mm.
+    separation_cm : float
+        Distance in cm of two presses that are to be told apart.
+    place_mm : float
+        Median standard deviation of places in mm that will do.
+    support : str
+        ``table``: the tube is held on rigid ground; ``arm``: it rests on a soft layer.
+    layer_mm, layer_mpa : float
+        Thickness and Young's modulus of the arm's layer.
+    hardness_percent : float
+        Relative standard deviation of the wall's modulus, in per cent.
+    temperature_c : float
+        Of the air.
+    average : int
+        Cycles whose mean is inverted.
+    """
+
+    reach_m: float = setting(2.0, Number(0.2, 10, "m", "length over which presses are told"))
+    nearest_m: float = setting(0.3, Number(0.02, 9, "m", "distance of the nearest press"))
+    forces_n: tuple[float, float] = _numbers(
+        (2.0, 20.0), Number(0.05, 500, "N", "forces to be told"), span=True
+    )
+    tools_mm: tuple[float, ...] = _numbers((25.0,), Number(5, 80, "mm", "diameters of the rods"))
+    separation_cm: float = setting(15.0, Number(3, 200, "cm", "distance of two presses"))
+    place_mm: float = setting(10.0, Number(0.1, 500, "mm", "deviation of places that will do"))
+    support: str = setting("table", Choice(("table", "arm"), "what the tube lies on"))
+    layer_mm: float = setting(20.0, Number(1, 100, "mm", "thickness of the arm's soft layer"))
+    layer_mpa: float = setting(0.1, Number(0.005, 50, "MPa", "Young's modulus of that layer"))
+    hardness_percent: float = setting(5.0, Number(0, 50, "%", "deviation of the wall's modulus"))
+    temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
+    average: int = setting(1, Number(1, 1000, "", "cycles whose mean is inverted", whole=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variables(Section):
+    """Ranges of what the sensor may be made of; a single number fixes a variable."""
+
+    bore_mm: tuple[float, float] = _numbers((5.0, 12.0), Number(2, 25, "mm", "bore"), span=True)
+    wall_mm: tuple[float, float] = _numbers(
+        (1.0, 2.5), Number(0.5, 8, "mm", "wall thickness"), span=True
+    )
+    outer_mm: float = setting(14.0, Number(4, 40, "mm", "largest outer diameter"))
+    hardness_shore_a: tuple[float, float] = _numbers(
+        (20.0, 60.0), Number(10, 90, "Shore A", "hardness of the wall"), span=True
+    )
+    carrier_khz: tuple[float, float] = _numbers(
+        (10.0, 42.0), Number(5, 90, "kHz", "carrier and resonance of the transducer"), span=True
+    )
+    cycles: tuple[float, float] = _numbers(
+        (3.0, 20.0), Number(1, 100, "", "periods of the drive"), span=True
+    )
+    quality_factor: tuple[float, ...] = _numbers(
+        (14.0,), Number(0, 100, "", "quality factors of the transducers at hand")
+    )
+    rate_khz: tuple[float, ...] = _numbers((200.0,), Number(10, 5000, "kHz", "sampling rates"))
+    bits: tuple[int, ...] = _numbers(
+        (12,), Number(8, 16, "", "resolutions of the converter", whole=True)
+    )
+    ends: tuple[int, ...] = _numbers((1,), Number(1, 2, "", "rangefinders", whole=True))
+
+
+SECTIONS: dict[str, type[Any]] = {"goal": Goal, "variables": Variables}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignGoal:
+    """A goal and the variables of its sensor.
+
+    Raises
+    ------
+    ConfigError
+        If they contradict each other.
+    """
+
+    goal: Goal = dataclasses.field(default_factory=Goal)
+    variables: Variables = dataclasses.field(default_factory=Variables)
+
+    def __post_init__(self) -> None:
+        """Check what concerns several settings."""
+        goal, free = self.goal, self.variables
+        if goal.nearest_m >= goal.reach_m:
+            raise ConfigError(
+                f"is not below reach_m = {goal.reach_m:g}", setting="nearest_m",
+                value=goal.nearest_m, advice="give a smaller distance",
+            )  # fmt: skip
+        if goal.forces_n[0] == goal.forces_n[1]:
+            raise ConfigError(
+                "is no range", setting="forces_n", value=list(goal.forces_n),
+                advice="give the least and the largest force",
+            )  # fmt: skip
+        least = free.bore_mm[0] + 2 * free.wall_mm[0]
+        if free.outer_mm < least:
+            raise ConfigError(
+                f"is less than the smallest bore and twice the thinnest wall, {least:g} mm",
+                setting="outer_mm", value=free.outer_mm, advice="raise it or lower bore_mm",
+            )  # fmt: skip
+        if 2.3 * free.carrier_khz[0] > max(free.rate_khz):
+            raise ConfigError(
+                f"is too low for a carrier of {free.carrier_khz[0]:g} kHz", setting="rate_khz",
+                value=max(free.rate_khz), advice=f"use {2.3 * free.carrier_khz[0]:g} or more",
+            )  # fmt: skip
+
+
+def read_goal(path: Path) -> DesignGoal:
+    """Read a goal from a TOML file with the sections ``[goal]`` and ``[variables]``.
+
+    Parameters
+    ----------
+    path : Path
+        What it omits has the defaults of :class:`Goal` and :class:`Variables`.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or a section, a name or a value is wrong.
+    """
+    document, found = read_document(path), {}
+    for name, values in document.items():
+        if name not in SECTIONS:
+            raise ConfigError(f"{path}: [{name}] is not a section{nearest(name, SECTIONS)}")
+        if not isinstance(values, dict):
+            raise ConfigError(f"{path}: {name} must be a section, written [{name}]")
+        known = [one.name for one in dataclasses.fields(SECTIONS[name])]
+        for key in values:
+            if key not in known:
+                raise ConfigError(f"{path}: [{name}] {key} is not known{nearest(key, known)}")
+    try:
+        for name, section in SECTIONS.items():
+            found[name] = section(**document.get(name, {}))
+        return DesignGoal(**found)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def in_toml(design: DesignGoal) -> str:
+    """Return a goal with all defaults, as a file that :func:`read_goal` reads back."""
+    import tomlkit
+
+    document = tomlkit.document()
+    for name in SECTIONS:
+        table, section = tomlkit.table(), getattr(design, name)
+        for one in dataclasses.fields(section):
+            value, rule = getattr(section, one.name), one.metadata["rule"]
+            plain = list(value) if isinstance(value, tuple) else value
+            item = tomlkit.item(plain).comment(f"{rule.meaning}; {rule.allowed}")
+            table.add(one.name, item)
+        document.add(name, table)
+    return tomlkit.dumps(document)

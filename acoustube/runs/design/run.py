@@ -1,0 +1,220 @@
+"""Run of a design: the search with its workers and progress, and what it recommends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from acoustube.base.checks import Optional, checked
+from acoustube.base.errors import SimulationError
+from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.rules import Number
+from acoustube.base.units import KHZ
+from acoustube.inversion.design import PressedTube
+from acoustube.runs.design.choice import (
+    PAPER,
+    Recommended,
+    error_map,
+    limits_of,
+    paper_sensor,
+    recommended,
+    robustness_of,
+)
+from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.design.search import Candidate, Search
+from acoustube.runs.design.tubes import (
+    REFERENCE_SHORE_A,
+    TubeSpec,
+    band_of,
+    plan_of,
+    tasks_of,
+    tube_seconds,
+)
+from acoustube.runs.sweep.progress import Board
+from acoustube.runs.sweep.run import run_with_progress
+from acoustube.runs.sweep.workers import Workers, count_of, worker_pool
+
+PAPER_CARRIER = 42.0
+"""Carrier of the sleeve paper's sensor in kHz, which is compared in any case."""
+
+
+ASSUMED = (
+    (
+        "Presses are on the coarse mesh; what the calibration leaves of clutter, and errors of the "
+        "model but for its stretch, are not contained."
+    ),
+    (
+        "Level, noise and ring-down of the electronics are those of the default rangefinder at "
+        "every carrier."
+    ),
+)
+"""What the predictions assume."""
+
+
+class Designed(NamedTuple):
+    """Result of a design.
+
+    Attributes
+    ----------
+    design : DesignGoal
+    seed : int
+    front : list of Candidate
+        Candidates that no other is better than in reach, force and resolution.
+    sensors : list of Recommended
+        The recommended ones, and the sleeve paper's at the end.
+    tubes : int
+        Number of tubes that were computed.
+    failed : dict of TubeSpec to str
+        Those that could not be, and why.
+    best : Candidate
+        That of the best score.
+    """
+
+    design: DesignGoal
+    seed: int
+    front: list[Candidate]
+    sensors: list[Recommended]
+    tubes: int
+    failed: dict[TubeSpec, str]
+    best: Candidate
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the results."""
+        found = []
+        if not any(one.meets(self.design) for one in self.front):
+            found.append(
+                "No candidate meets the goal: the recommended sensors lack least of reach, "
+                "resolution and error of place."
+            )
+        if self.failed:
+            found.append(
+                f"{len(self.failed)} tubes could not be computed, the first: "
+                f"{next(iter(self.failed)).words}: {next(iter(self.failed.values()))}"
+            )
+        return [*found, *ASSUMED]
+
+
+@checked(
+    design=DesignGoal, seed=Number(0, 2**31, whole=True),
+    tubes=Number(1, 2000, "tubes", whole=True),
+    workers=Optional(Number(1, 1024, "processes", whole=True)),
+)  # fmt: skip
+def run_design(
+    design: DesignGoal,
+    *,
+    seed: int = 0,
+    tubes: int = 40,
+    robust: bool = True,
+    report: Reporter = SILENT,
+    workers: int | None = None,
+) -> Designed:
+    """Search for the sensors of a goal.
+
+    Parameters
+    ----------
+    design : DesignGoal
+    seed : int
+        Random seed of the first tubes.
+    tubes : int
+        Largest number of tubes of the search.
+    robust : bool
+        Whether the recommended sensors are also computed with other bore, hardness and air.
+    report : Reporter
+        Receives messages and progress.
+    workers : int, optional
+        Number of processes, by default that of the cores.
+
+    Returns
+    -------
+    Designed
+
+    Raises
+    ------
+    SimulationError
+        If no tube can be computed, or the sleeve paper's cannot.
+    """
+    count = count_of(workers)
+    band = band_of(design, [PAPER_CARRIER])
+    tools = design.goal.tools_mm
+    middle = TubeSpec(design.variables.bore_mm[1], design.variables.wall_mm[0], REFERENCE_SHORE_A)
+    each = sum(tube_seconds(plan_of(design, middle, tool, band)) for tool in tools)
+    more = (6 if robust else 0) * (1 if design.goal.support == "table" else 2)
+    report.title("a design")
+    report.rows([
+        ("tubes", f"at most {tubes}, first ones by seed {seed}"),
+        ("band", f"{KHZ * band[0]:g} to {KHZ * band[1]:g} kHz"),
+        ("expected", (f"at most {time_in_words((tubes + 1 + more) * each / count)} on {count} "
+                     "workers; presses and sound are kept in the cache")),
+    ])  # fmt: skip
+    with watched_interrupts() as check, report.progress(check) as show, worker_pool(count) as pool:
+        costs = (tubes + 1 + more) * len(tools)
+        board = Board({"tubes": (costs, (tubes + 1 + more) * each)}, count, show)
+        try:
+            return _searched(design, seed, tubes, robust, board, pool, band)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                "interrupted; presses and scattering matrices are in the cache, run the same "
+                "command again to go on"
+            ) from None
+
+
+def _searched(
+    design: DesignGoal, seed: int, most: int, robust: bool, board: Board, pool: Workers,
+    band: tuple[float, float],
+) -> Designed:  # fmt: skip
+    made: dict[TubeSpec, list[PressedTube] | str] = {}
+
+    def compute(specs: Sequence[TubeSpec]) -> dict[TubeSpec, list[PressedTube] | str]:
+        new = [spec for spec in dict.fromkeys(specs) if spec not in made]
+        if new:
+            run_with_progress(tasks_of(design, new, band, board, made), board, workers=pool)
+        return {spec: made[spec] for spec in specs}
+
+    search = Search(design, compute, seed, most)
+    best = search.run()
+    if best is None:
+        spec, reason = next(iter(search.failed.items()))
+        raise SimulationError(
+            f"none of {len(search.failed)} tubes can be computed, the first ({spec.words}): "
+            f"{reason}; widen bore_mm, wall_mm or outer_mm"
+        )
+    own = compute([PAPER])[PAPER]
+    if isinstance(own, str):
+        raise SimulationError(f"the sleeve paper's tube cannot be computed: {own}")
+    sensors = []
+    for name, words, one in recommended(design, search.kept):
+        parts = search.tubes[_pressed_as(design, one.tube)]
+        changed = robustness_of(design, one, parts, compute) if robust else {}
+        sensors.append(
+            Recommended(name, words, one, error_map(design, parts, one),
+                        limits_of(design, one), changed)
+        )  # fmt: skip
+    paper = paper_sensor(design, own)
+    sensors.append(
+        Recommended("paper", "the sleeve paper's sensor", paper, error_map(design, own, paper),
+                    limits_of(design, paper), {})
+    )  # fmt: skip
+    return Designed(design, seed, search.kept, sensors, len(search.best), search.failed, best)
+
+
+def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
+    """Return the tube that was pressed for a candidate's."""
+    return spec._replace(shore=REFERENCE_SHORE_A) if design.goal.support == "table" else spec
+
+
+def summary(found: Designed) -> list[tuple[str, str]]:
+    """Return the sensors in words, by name."""
+    rows = []
+    for one in found.sensors:
+        row = one.candidate.row
+        words = (
+            f"{one.candidate.tube.words}, {row['carrier_khz']:g} kHz, {row['cycles']:g} cycles, "
+            f"{row['ends']} end(s): reach {row['reach_m']:g} m, force {row['force_percent']:g} % "
+            f"(median {row['force_median_percent']:g} %), two presses {row['resolution_cm']:g} cm, "
+            f"place {row['place_mm']:g} mm"
+        )
+        rows.append((one.name, words))
+    rows.append(("tubes", f"{found.tubes} computed, {len(found.failed)} not"))
+    return rows

@@ -1,0 +1,354 @@
+"""Search for tubes and electronics: a pattern search over tubes, a grid and gradients inside."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from acoustube.base.types import Array
+from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.inversion.design import (
+    Contacts,
+    Electronics,
+    Information,
+    Prediction,
+    PressedTube,
+    gradient,
+    information,
+    predict,
+)
+from acoustube.inversion.design.prediction import electronics_of, score
+from acoustube.ranging import Burst, Rangefinder
+from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
+from acoustube.tube import shear_modulus_from_shore
+
+CONTACTS = 32
+"""Contacts that are drawn from a goal, always the same ones."""
+STEPS = {"bore": 0.5, "wall": 0.25, "shore": 5.0}
+"""Steps of the tubes' lattice in mm and Shore A: tubes nearer to each other are not made."""
+WIDEST = 4
+"""First step of the pattern search in those of the lattice; it is halved to 1."""
+CARRIERS, PULSES, HARDNESSES = 14, 5, 5
+"""Values of carrier, cycles and (on a table) hardness that are tried for each tube."""
+MOST_SAMPLES = 20000
+"""Samples of a cycle."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A sensor, and what is expected of it.
+
+    Attributes
+    ----------
+    tube : TubeSpec
+    rangefinder : Rangefinder
+    ends : int
+    found : Prediction
+    score : float
+        Logarithm of the force's error with penalties for what the goal lacks.
+    """
+
+    tube: TubeSpec
+    rangefinder: Rangefinder
+    ends: int
+    found: Prediction
+    score: float
+
+    @property
+    def objectives(self) -> Array:
+        """Reach in m, rms relative deviation of force, resolution and median one of place in m."""
+        return np.append(self.found.objectives, np.median(self.found.place))
+
+    def meets(self, design: DesignGoal) -> bool:
+        """Return whether reach, resolution and places are those that the goal asks for."""
+        goal, (reach, _, resolution, place) = design.goal, self.objectives
+        return bool(
+            reach >= goal.reach_m and resolution <= goal.separation_cm / CM
+            and place <= goal.place_mm / MM
+        )  # fmt: skip
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The sensor and its objectives in the units of their names."""
+        r, (reach, force, resolution, place) = self.rangefinder, self.objectives
+        assert isinstance(r.drive, Burst)
+        return {
+            "bore_mm": self.tube.bore, "wall_mm": self.tube.wall,
+            "hardness_shore_a": round(self.tube.shore, 1),
+            "carrier_khz": round(KHZ * r.resonance, 3), "cycles": round(r.drive.cycles, 2),
+            "quality_factor": r.quality_factor, "rate_khz": KHZ * r.sampling_rate,
+            "bits": r.bits, "ends": self.ends, "reach_m": round(float(reach), 3),
+            "force_percent": round(PERCENT * float(force), 3),
+            "force_median_percent": round(PERCENT * float(np.median(self.found.force)), 3),
+            "resolution_cm": round(CM * float(resolution), 2),
+            "place_mm": round(MM * float(place), 3),
+            "wrong_half_wave_percent": round(PERCENT * float(
+                np.average(self.found.wrong, weights=self.found.found + 1e-9)), 2),
+            "detected_percent": round(PERCENT * float(np.mean(self.found.found)), 2),
+        }  # fmt: skip
+
+
+def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
+    """Return contacts of a goal: even in place and tool, and in the logarithm of the force."""
+    goal = design.goal
+    draws = qmc.Sobol(3, seed=1).random(n)
+    low, high = goal.forces_n
+    return Contacts(
+        place=goal.nearest_m + (goal.reach_m - goal.nearest_m) * draws[:, 0],
+        force=low * (high / low) ** draws[:, 1],
+        tool=np.minimum((draws[:, 2] * len(goal.tools_mm)).astype(int), len(goal.tools_mm) - 1),
+        lightest=low, strongest=high, length=goal.reach_m,
+    )  # fmt: skip
+
+
+def known_of(
+    design: DesignGoal, tubes: Sequence[PressedTube], shore: float, contacts: Contacts | None = None
+) -> Information:
+    """Return the information of a goal's contacts on a tube of a hardness.
+
+    Parameters
+    ----------
+    design : DesignGoal
+    tubes : sequence of PressedTube
+        On a table pressed at :data:`REFERENCE_SHORE_A`, else at the hardness.
+    shore : float
+    contacts : Contacts, optional
+        Those of :func:`contacts_of` by default.
+    """
+    goal, modulus = design.goal, 1.0
+    if goal.support == "table":
+        modulus = float(
+            shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A)
+        )
+    return information(
+        tubes, contacts or contacts_of(design), modulus=modulus, temperature=goal.temperature_c,
+        hardness=goal.hardness_percent / PERCENT,
+    )  # fmt: skip
+
+
+def rangefinder_of(
+    design: DesignGoal, carrier: float, cycles: float, quality: float, rate: float, bits: int
+) -> Rangefinder:
+    """Return the default rangefinder with another transducer, pulse and converter, in SI units."""
+    samples = int(rate * (2 * design.goal.reach_m / 340 + 4e-3))
+    return Rangefinder(
+        drive=Burst(frequency=float(carrier), cycles=float(cycles)), resonance=float(carrier),
+        quality_factor=float(quality), sampling_rate=float(rate), bits=int(bits),
+        n_samples=min(max(samples, 512), MOST_SAMPLES),
+    )  # fmt: skip
+
+
+@dataclass
+class Search:
+    """Candidates of a goal, from tubes that are computed on demand.
+
+    Attributes
+    ----------
+    design : DesignGoal
+    compute : callable
+        See :data:`acoustube.runs.design.tubes.Compute`.
+    seed : int
+        Random seed of the first tubes.
+    most : int
+        Largest number of tubes.
+    best : dict of TubeSpec to Candidate
+        The best of each tube.
+    kept : list of Candidate
+        Those that no other one is better than in reach, force and resolution.
+    failed : dict of TubeSpec to str
+        Tubes that cannot be computed, and why.
+    """
+
+    design: DesignGoal
+    compute: Compute
+    seed: int = 0
+    most: int = 40
+    best: dict[TubeSpec, Candidate] = field(default_factory=dict)
+    kept: list[Candidate] = field(default_factory=list)
+    failed: dict[TubeSpec, str] = field(default_factory=dict)
+    tubes: dict[TubeSpec, list[PressedTube]] = field(default_factory=dict)
+
+    def run(self) -> Candidate | None:
+        """Search until no neighbouring tube is better, or there are as many as allowed.
+
+        Returns
+        -------
+        Candidate or None
+            The one of the best score; None if no tube could be computed.
+        """
+        self._try(self._first())
+        step = WIDEST
+        while step >= 1 and self.best and self._room() > 0:
+            centre = min(self.best, key=lambda spec: self.best[spec].score)
+            new = [spec for spec in self._around(centre, step) if not self._known(spec)]
+            if not new:
+                step //= 2
+                continue
+            self._try(new[: self._room()])
+        return min(self.best.values(), key=lambda one: one.score) if self.best else None
+
+    def _room(self) -> int:
+        return self.most - len(self.best) - len(self.failed)
+
+    def _known(self, spec: TubeSpec) -> bool:
+        return spec in self.best or spec in self.failed
+
+    def axes(self) -> dict[str, Array]:
+        """Return the values of bore, wall and hardness of the tubes that may be made."""
+        free = self.design.variables
+        ranges = {"bore": free.bore_mm, "wall": free.wall_mm, "shore": free.hardness_shore_a}
+        found = {}
+        for name, (low, high) in ranges.items():
+            n = round((high - low) / STEPS[name])
+            found[name] = np.round(np.linspace(low, high, n + 1), 4)
+        if self.design.goal.support == "table":
+            found["shore"] = np.array([REFERENCE_SHORE_A])
+        return found
+
+    def _fits(self, spec: TubeSpec) -> bool:
+        return spec.bore + 2 * spec.wall <= self.design.variables.outer_mm * (1 + 1e-9)
+
+    def _first(self) -> list[TubeSpec]:
+        """Return the first tubes: a third of all, spread evenly."""
+        values = list(self.axes().values())
+        draws = qmc.Sobol(3, seed=self.seed).random(64)
+        places = [
+            TubeSpec(*(float(v[min(int(u * len(v)), len(v) - 1)])
+                       for u, v in zip(row, values, strict=True)))
+            for row in draws
+        ]  # fmt: skip
+        fitting = dict.fromkeys(spec for spec in places if self._fits(spec))
+        if not fitting:  # a narrow choice
+            fitting = dict.fromkeys([TubeSpec(*(float(v[0]) for v in values))])
+        return list(fitting)[: max(self.most // 3, 1)]
+
+    def _around(self, centre: TubeSpec, step: int) -> Iterator[TubeSpec]:
+        """Yield the neighbours of a tube on the lattice."""
+        for name, values in self.axes().items():
+            here = int(np.argmin(np.abs(values - getattr(centre, name))))
+            for there in (here - step, here + step):
+                if 0 <= there < len(values):
+                    spec = centre._replace(**{name: float(values[there])})
+                    if self._fits(spec):
+                        yield spec
+
+    def _try(self, specs: Sequence[TubeSpec]) -> None:
+        for spec, tubes in self.compute(specs).items():
+            if isinstance(tubes, str):
+                self.failed[spec] = tubes
+                continue
+            self.tubes[spec] = tubes
+            found = candidates_of(self.design, spec, tubes)
+            if not found:
+                self.failed[spec] = "no carrier is below half of a sampling rate"
+                continue
+            self.best[spec] = min(found, key=lambda one: one.score)
+            self.kept = front_of([*self.kept, *found])
+
+
+def candidates_of(
+    design: DesignGoal, spec: TubeSpec, tubes: Sequence[PressedTube]
+) -> list[Candidate]:
+    """Return the candidates of one tube that no other one of it is better than, and the best.
+
+    Electronics and, on a table, hardness are tried on a grid; carrier and cycles of the best are
+    then improved by a quasi-Newton method.
+    """
+    shores = [spec.shore]
+    if design.goal.support == "table":
+        shores = list(np.unique(np.linspace(*design.variables.hardness_shore_a, HARDNESSES)))
+    found = []
+    known: dict[float, Information] = {}
+    for shore in shores:
+        known[shore] = known_of(design, tubes, shore)
+        found += _grid(design, spec._replace(shore=float(shore)), known[shore])
+    if not found:
+        return []
+    best = min(found, key=lambda one: one.score)
+    return front_of([*found, refined(design, known[best.tube.shore], best)])
+
+
+def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candidate]:
+    """Return the candidates of a tube and a grid of electronics."""
+    free = design.variables
+    carriers = np.geomspace(*free.carrier_khz, CARRIERS if np.ptp(free.carrier_khz) else 1) / KHZ
+    cycles = np.geomspace(*free.cycles, PULSES if np.ptp(free.cycles) else 1)
+    cycles = np.unique(np.round(2 * cycles) / 2)  # whole half periods
+    choices = [
+        (rangefinder_of(design, *given), ends)
+        for *given, ends in itertools.product(
+            carriers, cycles, free.quality_factor, np.array(free.rate_khz) / KHZ, free.bits,
+            free.ends,
+        )
+        if 2.3 * given[0] <= given[3] * (1 + 1e-9)
+    ]  # fmt: skip
+    if not choices:
+        return []
+    each = Electronics(
+        *np.array([electronics_of(r, ends, design.goal.average) for r, ends in choices]).T
+    )
+    found = predict(known, each)
+    goal = design.goal
+    scores = score(found, goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM)
+    return [
+        Candidate(
+            tube=spec, rangefinder=r, ends=ends, score=float(scores[i]),
+            found=Prediction(*(part[i] for part in found)),
+        )
+        for i, (r, ends) in enumerate(choices)
+    ]  # fmt: skip
+
+
+def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidate:
+    """Return a candidate with carrier and cycles improved by L-BFGS-B; the same if it fails.
+
+    The number of cycles is rounded to half ones.
+    """
+    free, goal, r = design.variables, design.goal, best.rangefinder
+    assert isinstance(r.drive, Burst)
+    asked = goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM
+    start = electronics_of(r, best.ends, goal.average)
+
+    def objective(logs: Array) -> tuple[float, Array]:
+        carrier, cycles = np.exp(logs)
+        return gradient(known, start._replace(carrier=carrier, cycles=cycles), *asked)
+
+    highest = min(free.carrier_khz[1] / KHZ, r.sampling_rate / 2.3)
+    bounds = [np.log([free.carrier_khz[0] / KHZ, highest]), np.log(free.cycles)]
+    first = np.log([r.drive.frequency, r.drive.cycles])
+    end = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
+                   options={"maxiter": 20})  # fmt: skip
+    carrier, cycles = np.exp(end.x)
+    moved = rangefinder_of(
+        design, round(float(carrier), 1), max(round(2 * float(cycles)) / 2, 0.5),
+        r.quality_factor, r.sampling_rate, r.bits,
+    )  # fmt: skip
+    candidate = evaluated(design, known, replace(best, rangefinder=moved))
+    return candidate if candidate.score < best.score else best
+
+
+def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> Candidate:
+    """Return a candidate with what is expected of it on given contacts."""
+    goal = design.goal
+    found = predict(known, electronics_of(candidate.rangefinder, candidate.ends, goal.average))
+    value = score(found, goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM)
+    return replace(candidate, found=found, score=float(value))
+
+
+def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the candidates that no other is better than in reach, force and resolution."""
+    values = np.array([one.objectives[:3] for one in candidates]) * (-1, 1, 1)
+    values = np.round(values, 5)
+    kept: list[int] = []
+    # Rising in the first objective: only what came before can be better.
+    for i in np.lexsort(values.T[::-1]):
+        if not any(np.all(values[j] <= values[i]) for j in kept):
+            kept.append(int(i))
+    return [candidates[i] for i in kept]

@@ -1,0 +1,223 @@
+"""Presses and reflections of a candidate tube, from the cache or computed by workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ, MM
+from acoustube.indentation import DepthPath, restored
+from acoustube.inversion.design import PressedTube
+from acoustube.inversion.design.echoes import FEWEST
+from acoustube.lumen import pressed_part
+from acoustube.runs.config import configured
+from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.costs import press_seconds, spectral_seconds
+from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.libraries.build import press_rows, scattering_at
+from acoustube.runs.libraries.plan import ToolPlan
+from acoustube.runs.sweep.progress import Board
+from acoustube.runs.sweep.tasks import Done
+from acoustube.runs.sweep.workers import Task
+from acoustube.waves.scattering import Complex
+
+REFERENCE_SHORE_A = 35.0
+"""Hardness of the presses on a table, whose forces are proportional to the modulus."""
+SHALLOWEST, DEEPEST, DEPTHS = 0.1, 0.94, 14
+"""Depths at which sound is computed, in bores: first, last and their number."""
+ROWS = 16
+"""Depths of a press: its shapes are interpolated between them."""
+INTO_LAYER = 0.4
+"""Further depth on a soft layer, in its thickness."""
+MARGIN = 0.85, 1.15
+"""Ends of the band in the lowest and the highest carrier."""
+STRIDE = 4
+"""Frequencies of the spectral solver that make one of the design's."""
+
+
+class TubeSpec(NamedTuple):
+    """A tube.
+
+    Attributes
+    ----------
+    bore, wall : float
+        In mm.
+    shore : float
+        Hardness.
+    """
+
+    bore: float
+    wall: float
+    shore: float
+
+    @property
+    def words(self) -> str:
+        """The tube in words."""
+        return f"bore {self.bore:g} mm, wall {self.wall:g} mm, {self.shore:g} Shore A"
+
+
+@dataclass(frozen=True, eq=False)
+class BandPlan(ToolPlan):
+    """Plan of a tool's presses whose sound is computed over a given band in Hz."""
+
+    edges: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency in Hz."""
+        return self.edges
+
+
+class Sounded(NamedTuple):
+    """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or why there are none."""
+
+    depth: Array
+    force: Array
+    frequency: Array
+    reflection: Complex
+    sound_speed: float
+    reason: str = ""
+
+
+def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
+    """Return the band in Hz that all carriers of a design need, and further ones in kHz."""
+    carriers = [*design.variables.carrier_khz, *extra]
+    low, high = MARGIN[0] * min(carriers) / KHZ, MARGIN[1] * max(carriers) / KHZ
+    return round(low, -2), round(high, -2)
+
+
+def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> BandPlan:
+    """Return the plan of a tube's presses by one tool of a diameter in mm."""
+    goal, on_arm = design.goal, design.goal.support == "arm"
+    ground: dict[str, Any] = {"support": "held"}
+    last = DEEPEST * spec.bore
+    if on_arm:
+        ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
+        last += INTO_LAYER * goal.layer_mm
+    settings = configured(
+        {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=spec.shore, length_cm=100.0,
+        indenter_mm=tool, depth_mm=min(DEEPEST * spec.bore, 0.9 * spec.bore), mesh="coarse",
+        method="spectral", resolution=64, frequency_khz=20.0,
+        temperature_c=goal.temperature_c, **ground,
+    )  # fmt: skip
+    pressed = np.round(np.linspace(0, last, ROWS + 1)[1:], 6) / MM
+    first = np.round(np.linspace(SHALLOWEST * spec.bore, last, DEPTHS), 6) / MM
+    return BandPlan(
+        settings, settings_in_si(settings), tuple(map(float, pressed)), tuple(map(float, first)),
+        0.005, band,
+    )  # fmt: skip
+
+
+def sounded(plan: BandPlan) -> Done[Sounded]:
+    """Press a tube and compute its reflection at the depths of a plan, or read them."""
+    (arrays, stopped), reused = press_rows(plan)
+    settings = plan.settings
+    reached = [d for d in plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
+    empty = np.zeros(0)
+    none = Sounded(empty, empty, empty, empty.astype(complex), 0.0)
+    if len(reached) < FEWEST:
+        return Done(none._replace(reason=stopped or "too few depths were reached"), reused)
+    path = DepthPath(
+        restored(
+            settings.tube, settings.indenter, arrays, support=settings.support,
+            layer=settings.layer, mesh=settings.mesh,
+        )
+    )  # fmt: skip
+    kept: list[float] = []
+    reflection: list[Complex] = []
+    frequency, reason = np.zeros(0), ""
+    for depth in reached:
+        found, known = scattering_at(plan, depth, pressed_part(path.at([depth])))
+        reused &= known
+        if isinstance(found, str):
+            reason = found
+            if len(kept) >= FEWEST:  # the lumen has closed
+                break
+            continue
+        frequency = np.asarray(found.frequency, float)[::STRIDE]
+        kept.append(depth)
+        reflection.append(found.s[::STRIDE, 0, 0, 0, 0])
+    if len(kept) < FEWEST:
+        return Done(none._replace(reason=reason), reused)
+    force = np.asarray(path.contact_force(kept), float)
+    rising = np.concatenate([[True], np.diff(np.maximum.accumulate(force)) > 0])
+    return Done(
+        Sounded(
+            np.array(kept)[rising], force[rising], frequency, np.array(reflection)[rising],
+            settings.air.sound_speed,
+        ),
+        reused,
+    )  # fmt: skip
+
+
+def pressed_tubes(
+    spec: TubeSpec, tools: Sequence[float], found: Sequence[Sounded]
+) -> list[PressedTube]:
+    """Return a tube under each tool, of diameters in mm, from what workers computed."""
+    return [
+        PressedTube(
+            radius=spec.bore / 2 / MM, diameter=tool / MM, depth=one.depth, force=one.force,
+            frequency=one.frequency, reflection=one.reflection, sound_speed=one.sound_speed,
+        )
+        for tool, one in zip(tools, found, strict=True)
+    ]  # fmt: skip
+
+
+def tasks_of(
+    design: DesignGoal,
+    specs: Sequence[TubeSpec],
+    band: tuple[float, float],
+    board: Board,
+    found: dict[TubeSpec, list[PressedTube] | str],
+) -> list[Task]:
+    """Return the tasks of tubes, which add them to those found, or why they cannot be computed."""
+    tools = design.goal.tools_mm
+    parts: dict[TubeSpec, dict[float, Sounded]] = {spec: {} for spec in specs}
+
+    def task(spec: TubeSpec, tool: float) -> Task:
+        plan = plan_of(design, spec, tool, band)
+        cost = tube_seconds(plan)
+
+        def then(done: Done[Sounded]) -> list[Task]:
+            board.count("tubes", cost, reused=done.reused)
+            parts[spec][tool] = done.result
+            if len(parts[spec]) == len(tools):
+                found[spec] = _joined(spec, tools, parts[spec])
+            return []
+
+        def failed(reason: str) -> None:
+            board.count("tubes", cost)
+            found[spec] = reason
+
+        return Task("tubes", sounded, (plan,), then, failed, cost)
+
+    return [task(spec, tool) for spec in specs for tool in tools]
+
+
+def _joined(
+    spec: TubeSpec, tools: Sequence[float], parts: Mapping[float, Sounded]
+) -> list[PressedTube] | str:
+    reasons = [one.reason for one in parts.values() if one.reason]
+    if reasons:
+        return reasons[0]
+    try:
+        return pressed_tubes(spec, tools, [parts[tool] for tool in tools])
+    except ConfigError as error:
+        return str(error)
+
+
+def tube_seconds(plan: BandPlan) -> float:
+    """Return the expected time in s of a tube under one tool."""
+    wide = (plan.band[1] - plan.band[0]) / 17e3
+    return press_seconds(plan.settings, plan.pressed[-1]) + len(plan.first) * spectral_seconds(
+        plan.settings
+    ) * max(wide, 1.0)
+
+
+Compute = Callable[[Sequence[TubeSpec]], dict[TubeSpec, "list[PressedTube] | str"]]
+"""Function that returns tubes, or why each cannot be computed."""
