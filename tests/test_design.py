@@ -25,7 +25,9 @@ from acoustube.inversion.design import prediction as predicting
 from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, score, spectrum
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import load_config
+from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
+from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
 from acoustube.runs.design.goal import DesignGoal, Goal, Variables, in_toml, read_goal
 from acoustube.runs.design.search import Search, front_of
@@ -34,6 +36,7 @@ from acoustube.runs.inversion import read_sensor
 from acoustube.runs.sweep.tasks import Done
 
 BAND = np.arange(8e3, 50e3, 100.0)
+COARSE = np.arange(8e3, 50e3, 300.0)
 ASKED = 2.0, 0.15, 0.01
 """Reach, separation and error of place in m of a goal."""
 
@@ -217,10 +220,21 @@ def test_hardness_scales_the_forces_and_needs_no_other_press():
 def made_up(spec):
     """Return a tube whose echoes are strongest at a bore of 8.5 mm and a wall of 1.25 mm."""
     strength = np.exp(-(((spec.bore - 8.5) / 2) ** 2) - ((spec.wall - 1.25) / 0.6) ** 2)
-    one = analytic(radius=spec.bore / 2e3)
+    one = analytic(COARSE, radius=spec.bore / 2e3)
     return [dataclasses.replace(one, reflection=strength * one.reflection, force=one.force / 3)]
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """Fewer electronics and contacts, of one shape, which is compiled once."""
+    for name, value in (("CARRIERS", 4), ("PULSES", 2), ("HARDNESSES", 2), ("CONTACTS", 8)):
+        monkeypatch.setattr(searching, name, value)
+    monkeypatch.setattr(choosing, "CONTACTS", 8)
+    monkeypatch.setattr(searching.contacts_of, "__defaults__", (8,))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small")
 def test_search_from_three_seeds_ends_within_five_per_cent():
     """On echoes with one best tube, which is not among the first; of at most 105 tubes 30."""
     design = DesignGoal(goal=Goal(forces_n=(2, 15)), variables=Variables(carrier_khz=(15, 40)))
@@ -284,7 +298,7 @@ def test_goal_is_read_back_from_its_own_file(tmp_path):
 
 def instead(plan):
     """Return the sound of a made-up tube over a plan's band, in place of its presses."""
-    frequency = np.arange(*plan.band, 100.0)
+    frequency = np.arange(*plan.band, 300.0)
     bore = 1e3 * plan.settings.tube.inner_diameter
     one = made_up(TubeSpec(bore, 1.6, 35.0))[0]
     s = matrices(one.depth, frequency)[:, :, 0, 0, 0, 0]
@@ -298,11 +312,12 @@ def serially(tasks, board, **_options):
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def quick(monkeypatch, small):  # noqa: ARG001
     monkeypatch.setattr(making, "sounded", instead)
     monkeypatch.setattr(running, "run_with_progress", serially)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_command_writes_front_sensors_maps_and_page(tmp_path):
     """Sensors that other commands read; the paper's is among them."""

@@ -41,7 +41,7 @@ PROCESS = ("--rate", "200000", "--temperature", "20")
 
 def settings(chance: Random, corpus: Path, folder: Path) -> Case:
     """Settings, plans, rangefinders, calibrations and sidecars."""
-    kind = chance.choice(("settings", "plan", "cases", "sensor", "calibration", "sidecar"))
+    kind = chance.choice(("settings", "plan", "cases", "sensor", "calibration", "sidecar", "goal"))
     if kind == "sidecar":
         ending = chance.choice((".toml", ".json"))
         shutil.copy(corpus / "good.npy", folder / "a.npy")
@@ -60,6 +60,8 @@ def settings(chance: Random, corpus: Path, folder: Path) -> Case:
             told=("s.toml",),
         )
     _text_of(chance, _tree(corpus / f"{kind}.toml"), folder / "p.toml")
+    if kind == "goal":
+        return Case(("design", "p.toml", "--out", "o"), told=("p.toml",))
     if kind == "settings" and chance.random() < 0.5:
         command = chance.choice(("simulate", "indent"))
         return Case((command, "--config", "p.toml", "--out", "o"), told=("p.toml",))
@@ -289,7 +291,14 @@ def words(chance: Random, corpus: Path, folder: Path) -> Case:
     """Words of commands: options that are odd, missing, repeated, unknown or without a value."""
     from tests.fuzz.options import OPTIONS, POSITIONAL
 
-    for name in ("good.npz", "lumen.stl", "markers.csv", "boosting.model", "plan.toml"):
+    for name in (
+        "good.npz",
+        "lumen.stl",
+        "markers.csv",
+        "boosting.model",
+        "plan.toml",
+        "goal.toml",
+    ):
         os.link(corpus / name, folder / name) if not (folder / name).exists() else None
     command = chance.choice(sorted(OPTIONS))
     said = command.split()

@@ -124,6 +124,7 @@ def _texts() -> None:
     from acoustube.runs.config import Config, to_toml
 
     Path("settings.toml").write_text(to_toml(Config()))
+    Path("goal.toml").write_text("[goal]\nreach_m = 1.5\nforces_n = [2, 10]\n")
     Path("plan.toml").write_text(
         "[tube]\nlength_cm = 40\n\n[sweep]\ncount = 8\nseed = 1\n\n[sweep.over]\n"
         'depth_mm = "1:4"\nindenter_mm = [10, 25]\n'

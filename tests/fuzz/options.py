@@ -7,7 +7,7 @@ from acoustube.cli._app import COMMANDS, app
 POSITIONAL = {
     "process": ("good.npz",), "scatter": ("lumen.stl",), "sleeve": ("markers.csv",),
     "evaluate": ("boosting.model", "good.npz"), "train": ("good.npz",), "calibrate": ("good.npz",),
-    "twin": ("good.npz", "good.npz"),
+    "twin": ("good.npz", "good.npz"), "design": ("goal.toml",),
     "show": (".",), "export": (".",), "dataset": (".",), "cite": (".",), "reproduce": ("all",),
 }  # fmt: skip
 """Words that come before the options, good ones."""

@@ -14,14 +14,14 @@ HEAVY = (
     "acoustube.waves.scattering:scatter", "acoustube.runs.sweep.run:run_sweep",
     "acoustube.runs.sweep.dataset:run_dataset", "acoustube.cli.reproduce:run_reproduce",
     "acoustube.runs.libraries.build:build_library", "acoustube.runs.selftest:all_trials",
-    "acoustube.estimation:train",
+    "acoustube.estimation:train", "acoustube.runs.design.run:run_design",
 )  # fmt: skip
 DRAWING = ("acoustube.reports.scenes.sleeve:draw", "acoustube.cli.check:can_draw")
 PRELOADED = (
     "acoustube.cli.simulate", "acoustube.cli.indent", "acoustube.cli.sweep", "acoustube.cli.show",
     "acoustube.cli.export", "acoustube.cli.cite", "acoustube.cli.process", "acoustube.cli.train",
     "acoustube.cli.evaluate", "acoustube.cli.calibrate", "acoustube.cli.sleeve",
-    "acoustube.cli.twin",
+    "acoustube.cli.twin", "acoustube.cli.design",
     "acoustube.cli.scatter", "acoustube.cli.live", "acoustube.recordings", "acoustube.signals",
     "acoustube.runs.recordings", "acoustube.runs.opening", "acoustube.runs.training",
     "acoustube.base.surfaces", "acoustube.indentation.tetrahedra", "acoustube.reports.page",

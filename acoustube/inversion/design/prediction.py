@@ -193,6 +193,12 @@ def gradient(
         return float(value), np.asarray(slope)
 
 
+def on_device(known: Information) -> Information:
+    """Return the information as arrays of JAX, which many predictions then need not copy."""
+    with jax.enable_x64(True):
+        return Information(*(jnp.asarray(one) for one in known))  # type: ignore[arg-type]
+
+
 def _tensors(known: Information) -> tuple[jax.Array, ...]:
     return tuple(jnp.asarray(one) for one in known)
 
@@ -248,7 +254,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     matrix, missed, distance, shifts = _told(known, weight, carrier, heard)
     covariance = jnp.linalg.inv(matrix)
     each = ndtr(-jnp.sqrt(jnp.maximum(distance, 1e-9)) / 2)
-    each = each / (1 + each.sum(axis=0))
+    each = each / (1 + each.sum(axis=0))[None]
     scale = known.scale
     # Of whatever is missed, only the prior is known.
     off = (each * missed[:, None] ** 2).sum(axis=0) / scale[0] ** 2
@@ -274,7 +280,7 @@ def _told(known, weight, carrier, heard):  # type: ignore[no-untyped-def]
     """Return information, half waves in m, their squared distances and shifts of depth."""
     half = jnp.interp(carrier, known.frequency, known.wavenumber)
     off = jnp.array(HALF_WAVES) * jnp.pi / half
-    angle = 2 * known.wavenumber * off[:, None]
+    angle = 2 * known.wavenumber[None] * off[:, None]
     side = jnp.array([1.0, -1.0])
     n = known.place.shape[1]
     matrix = jnp.eye(4)[None]
@@ -284,11 +290,11 @@ def _told(known, weight, carrier, heard):  # type: ignore[no-untyped-def]
         full = (known.products[end] @ weight) * given[:, None, None]
         turn_real, turn_imag = jnp.cos(angle) - 1, -side[end] * jnp.sin(angle)
         real, imag = known.echoes[end].real, known.echoes[end].imag
-        moved = (turn_real * weight) @ real.reshape(-1, len(weight)).T
-        moved = moved - (turn_imag * weight) @ imag.reshape(-1, len(weight)).T
-        moved = moved.reshape(len(HALF_WAVES), n, 6) * given[:, None]
-        size = ((turn_real**2 + turn_imag**2) * weight) @ known.power[end].T * given
-        own = full[:, 4:, 4:] + jnp.eye(2)
+        moved = (turn_real * weight[None]) @ real.reshape(-1, len(weight)).T
+        moved = moved - (turn_imag * weight[None]) @ imag.reshape(-1, len(weight)).T
+        moved = moved.reshape(len(HALF_WAVES), n, 6) * given[None, :, None]
+        size = ((turn_real**2 + turn_imag**2) * weight[None]) @ known.power[end].T * given[None]
+        own = full[:, 4:, 4:] + jnp.eye(2)[None]
         solved = jnp.linalg.solve(own, full[:, 4:, :4])
         matrix = matrix + full[:, :4, :4] - full[:, :4, 4:] @ solved
         vector = vector + moved[..., :4] - jnp.einsum("mnj,nji->mni", moved[..., 4:], solved)

@@ -23,7 +23,7 @@ from acoustube.inversion.design import (
     information,
     predict,
 )
-from acoustube.inversion.design.prediction import electronics_of, score
+from acoustube.inversion.design.prediction import electronics_of, on_device, score
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.design.goal import DesignGoal
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
@@ -267,7 +267,7 @@ def candidates_of(
     found = []
     known: dict[float, Information] = {}
     for shore in shores:
-        known[shore] = known_of(design, tubes, shore)
+        known[shore] = on_device(known_of(design, tubes, shore))
         found += _grid(design, spec._replace(shore=float(shore)), known[shore])
     if not found:
         return []
@@ -324,7 +324,7 @@ def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidat
     bounds = [np.log([free.carrier_khz[0] / KHZ, highest]), np.log(free.cycles)]
     first = np.log([r.drive.frequency, r.drive.cycles])
     end = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
-                   options={"maxiter": 20})  # fmt: skip
+                   options={"maxiter": 12})  # fmt: skip
     carrier, cycles = np.exp(end.x)
     moved = rangefinder_of(
         design, round(float(carrier), 1), max(round(2 * float(cycles)) / 2, 0.5),
@@ -344,11 +344,10 @@ def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> C
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates that no other is better than in reach, force and resolution."""
-    values = np.array([one.objectives[:3] for one in candidates]) * (-1, 1, 1)
-    values = np.round(values, 5)
+    values = np.round(np.array([one.objectives[:3] for one in candidates]) * (-1, 1, 1), 5)
     kept: list[int] = []
     # Rising in the first objective: only what came before can be better.
     for i in np.lexsort(values.T[::-1]):
-        if not any(np.all(values[j] <= values[i]) for j in kept):
+        if not np.any(np.all(values[kept] <= values[i], axis=1)):
             kept.append(int(i))
     return [candidates[i] for i in kept]
