@@ -373,7 +373,7 @@ def test_tubes_that_cannot_be_computed_are_one_sentence(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_tube_is_pressed_and_sounded(monkeypatch):
-    """Force and echo rise with depth at 10 kHz; a soft layer takes more depth for a force."""
+    """Force and echo rise with depth at 10 kHz, and no echo is larger than what is sent."""
     monkeypatch.setattr(making, "DEPTHS", 5)
     monkeypatch.setattr(making, "ROWS", 8)
     design = DesignGoal(variables=Variables(carrier_khz=10))
