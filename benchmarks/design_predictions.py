@@ -64,7 +64,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the design")
     parser.add_argument("name", help="of the sensor")
-    parser.add_argument("library", type=Path)
+    parser.add_argument("tools", type=Path, help="folder of the library")
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=5)
@@ -110,7 +110,7 @@ def main():
     """Record and invert, and print ratios of errors and predictions."""
     given = arguments()
     design, sensor, plan, path, tubes, shore = prepared(given)
-    library, average = open_library(given.library), design.goal.average
+    library, average = open_library(given.tools), design.goal.average
     drawn, depths = contacts(design, library, given)
     device, temperature = sensor.rangefinder, design.goal.temperature_c
     radius, length = library.radius, design.goal.reach_m
