@@ -21,12 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from acoustube import signals
+from acoustube.air import air_at
 from acoustube.inversion import Tool
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.runs.libraries.files import open_library
 from acoustube.waves import PlacedScatterer, Scattering
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.network import at_sound_speed
 
 COLUMNS = (
     "effect", "size", "unit", "closures", "line_mm", "whole_line_mm", "found", "median_cm",
@@ -60,8 +62,8 @@ def usual(**changes):
 CASES = [
     ("none", 0, "", Bench()),
     *(("place", mm, "mm", Bench(placement=1e-3 * mm)) for mm in (2, 5, 10, 36)),
-    *(("trigger, each cycle", us, "us", usual(jitter=1e-6 * us)) for us in (5, 50, 200)),
-    *(("trigger, each place", us, "us", Bench(late=1e-6 * us)) for us in (50, 200)),
+    *(("trigger, each cycle", us, "us", usual(jitter=1e-6 * us)) for us in (5, 50, 100)),
+    *(("trigger, each place", us, "us", Bench(late=1e-6 * us)) for us in (50, 100)),
     *(("air, from place to place", k, "K", Bench(warmth=k)) for k in (0.5, 2, 5, 15)),
     *(("gradient of the air", k, "K/m", Bench(gradient=k)) for k in (1, 3, 10)),
     *(("gain, each cycle", p, "%", usual(gain_wander=p / 100)) for p in (5, 20)),
@@ -103,7 +105,7 @@ class Recorder:
             leak = 10 ** (-abs(self.random.normal(0, b.leak)) / 20)
             presses = [weakened(blockage(SIDES, true), leak)]
         elif kind == "press":
-            presses = [self.placed(true, depth)]
+            presses = [self.placed(true, depth, air)]
         own = replace(b.own, lead=b.own.lead + late)
         found = record(
             presses, own, length=LENGTH, temperature=air, n_cycles=n, seed=self.number,
@@ -111,16 +113,17 @@ class Recorder:
         )  # fmt: skip
         return found["signal"].values
 
-    def placed(self, place, depth):
-        """Return a press of the rod."""
+    def placed(self, place, depth, air):
+        """Return a press of the rod in air of a temperature in degC."""
         s, m = self.tool.matrix(depth), len(self.tool.modes)
-        return PlacedScatterer(Scattering(
+        found = Scattering(
             frequency=self.tool.frequency, modes=self.tool.modes, s=s,
             propagates=np.ones((len(s), m), bool), cut_ons=self.cut_ons,
             settled=np.ones(s.shape, bool), sound_speed=self.tool.sound_speed,
             extent=(-0.01, 0.01), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0,
             time_step=np.nan,
-        ), place)  # fmt: skip
+        )  # fmt: skip
+        return PlacedScatterer(at_sound_speed(found, air_at(air).sound_speed), place)
 
 
 def weakened(closed, level):
@@ -145,7 +148,7 @@ def row_of(effect, size, unit, bench, tool):
         known = signals.calibrate(axis, closed, places, free, temperature=AIR,
                                   untouched_temperature=AIR, sigmas=SIGMAS)  # fmt: skip
     except ValueError as error:
-        return row | {"closures": f"none: {error}"[:60]}
+        return row | {"closures": f"not calibrated: {error}"}
     # The highest peak of the whole window, as published, without a window about each place.
     told = signals.locate(axis, closed, known.processing, temperature=AIR).distance
     seen = np.isfinite(told)

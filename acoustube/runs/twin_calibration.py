@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, US
-from acoustube.ranging import blockage, record
+from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.runs.sensor_file import KIND, OF_OTHERS, twin_settings
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration
@@ -21,6 +23,10 @@ FIRST, APART = 0.2, 0.05
 """The nearest closure, and the distance from one to the next, in m: those of the sleeve paper."""
 BEFORE_END = 0.05
 """Distance in m of the farthest closure from the tube's end."""
+FEWEST = 8
+"""Closures of a calibration."""
+LEAST_SPEED = 330.0
+"""Speed of sound in m/s by which the farthest closure is chosen."""
 CYCLES, UNTOUCHED = 3, 100
 AIR = 20.0
 """Temperature in degC, by which only the losses change: some per cent over 10 K."""
@@ -60,17 +66,27 @@ def twin_calibration(path: Path) -> Calibration:
     document = read_document(path)
     own = replace(rangefinder_in(document, path), temperature_bias=0.0, temperature_noise=0.0)
     numbers = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
-    good = [float(one) for one in numbers if isinstance(one, int | float)]
-    if len(good) < len(numbers) or min(good[:2]) <= 0:
+    good = [float(one) for one in numbers if isinstance(one, int | float) and isfinite(one)]
+    if len(good) < len(numbers):
         raise ConfigError(f"{path} is a damaged file of a twin; make it again")
     bore, length, trigger = good[0] / MM, good[1] / CM, good[2] / US
-    band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
-    farthest = min(length - BEFORE_END, own.n_samples / own.sampling_rate * 165.0)
-    places = np.arange(FIRST, farthest, APART)
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
         "reflectors": np.array(twin_settings(path)["reflectors"]),
     }  # fmt: skip
+    try:
+        return _calibrated(own, trigger, common)
+    except ValueError as error:
+        raise ConfigError(f"{path}: the twin gives no calibration: {error}") from error
+
+
+def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> Calibration:
+    """Return the calibration of a rangefinder on a tube, whose drive starts at a time in s."""
+    band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
+    heard = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
+    places = np.arange(FIRST, min(common["length"] - BEFORE_END, heard), APART)
+    if len(places) < FEWEST:
+        raise ConfigError(f"its tube of {CM * common['length']:.3g} cm is too short")
     shut = [
         record([blockage(band, float(z))], own, n_cycles=CYCLES, seed=i, session_seed=0, **common)
         for i, z in enumerate(places)
@@ -80,13 +96,10 @@ def twin_calibration(path: Path) -> Calibration:
     time = free["time"].values - own.lead + trigger
     cycles = np.concatenate([one["signal"].values for one in shut])
     for sigmas in SIGMAS:
-        try:
-            found = signals.calibrate(
-                time, cycles, np.repeat(places, CYCLES), free["signal"].values,
-                temperature=AIR, untouched_temperature=AIR, sigmas=sigmas,
-            )  # fmt: skip
-        except ValueError as error:
-            raise ConfigError(f"{path}: the twin gives no calibration: {error}") from error
+        found = signals.calibrate(
+            time, cycles, np.repeat(places, CYCLES), free["signal"].values,
+            temperature=AIR, untouched_temperature=AIR, sigmas=sigmas,
+        )  # fmt: skip
         if found.false_alarms <= FALSE_ALARMS:
             break
     return found
