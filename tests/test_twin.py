@@ -564,3 +564,18 @@ def test_dataset_records_with_the_measured_clutter(made):
     (folder / "damaged.toml").write_text(damaged)
     with pytest.raises(ConfigError, match="damaged"):
         twin_settings(folder / "damaged.toml")
+
+
+@pytest.mark.parametrize(
+    ("new", "part"),
+    [
+        ({"length_cm": 30.0}, "too short"),
+        ({"trigger_us": '"late"'}, "damaged"),
+        ({"inner_diameter_mm": -1.0}, "gives no calibration"),
+    ],
+)
+def test_twin_that_gives_no_calibration_is_refused(made, tmp_path, new, part):
+    folder, _, _ = made
+    (tmp_path / "wrong.toml").write_text(with_values((folder / "left.toml").read_text(), new))
+    with pytest.raises(ConfigError, match=part):
+        chosen(str(tmp_path / "wrong.toml"), None)
