@@ -92,12 +92,14 @@ def prepared(given):
     return design, sensor, plan, path, tubes, config.tube.shore_a
 
 
-def contacts(design, library, given):
+def contacts(design, library, tubes, given):
     """Return contacts within the library and their depths in m."""
     rng, goal, tool = np.random.default_rng(given.seed), design.goal, library.tools[0]
     places = rng.uniform(goal.nearest_m, goal.reach_m - 0.05, given.count)
     low = max(goal.forces_n[0], float(tool.force[0]))
-    high = min(goal.forces_n[1], float(tool.force[-1]))
+    # Within the design's own presses, which are on another mesh.
+    deepest = min(tool.depth[-1], 0.99 * tubes[0].depth[-1])
+    high = min(goal.forces_n[1], float(np.interp(deepest, tool.depth, tool.force)))
     forces = low * (high / low) ** rng.random(given.count)
     depths = np.round(np.interp(forces, tool.force, tool.depth), 7)
     return Contacts(
@@ -111,7 +113,7 @@ def main():
     given = arguments()
     design, sensor, plan, path, tubes, shore = prepared(given)
     library, average = open_library(given.tools), design.goal.average
-    drawn, depths = contacts(design, library, given)
+    drawn, depths = contacts(design, library, tubes, given)
     device, temperature = sensor.rangefinder, design.goal.temperature_c
     radius, length = library.radius, design.goal.reach_m
     tube = {"radius": radius, "length": length, "tube_seed": TUBE}
