@@ -11,10 +11,11 @@ from acoustube.air import Air
 from acoustube.base.errors import ConfigError
 from acoustube.waves import Scattering, axial_wavenumber, spectral
 from acoustube.waves.scattering import ModalScattering
-from acoustube.waves.spectral import boundary, layers
+from acoustube.waves.spectral import boundary, first_basis, layers
 from acoustube.waves.spectral.discretisation import discretise, respond
 from acoustube.waves.spectral.ports import axial_wavenumbers, changed_scattering, scattering_of
 from acoustube.waves.spectral.quadrature import axial_rule
+from acoustube.waves.spectral.reduction import ritz
 
 RADIUS = 3.95e-3
 AIR = Air(sound_speed=343.2, density=1.204)
@@ -103,6 +104,31 @@ def test_richer_basis_changes_no_coefficient_by_more_than_estimated():
     assert found.modes == ("00", "11c", "11s", "21c", "21s", "01", "31c", "31s")
     change = np.abs(found.s - richer.s).max(axis=(1, 2, 3, 4))
     assert np.all(change < found.error + richer.error)
+
+
+def test_error_of_too_few_shifts_to_begin_with_is_found_wherever_it_is(monkeypatch):
+    """What one more shift changes elsewhere says nothing of the error there."""
+    frequency = np.arange(8e3, 60.05e3, 200.0)
+    monkeypatch.setattr(first_basis, "FIELDS_PER_WAVE", {False: 1e-3})
+    monkeypatch.setattr(first_basis, "SPARE_SHIFTS", {False: 1})
+    ends = (-30e-3, 30e-3)
+    long = spectral.analytic_wall(shape("A"), ends=ends, radius=RADIUS, reversible=True)
+    found = scattered(long, frequency, reference=ends, symmetric_only=True)
+    short = scattered(wall("A"), frequency, reference=ends, symmetric_only=True)
+    assert np.abs(found.s - short.s).max() < found.tolerance
+
+
+def test_modes_of_linearly_dependent_functions_are_those_of_their_span():
+    """Third function: the sum of the first two, but for rounding, which leaves M indefinite."""
+    span = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    stiffness, mass = np.diag([2.0, 12.0]), np.diag([1.0, 3.0])
+    lack = np.diag([0.0, 0.0, -1e-14])
+    square, vector = ritz(span @ stiffness @ span.T, span @ mass @ span.T + lack)
+    np.testing.assert_allclose(square, [2.0, 4.0], rtol=1e-12)
+    fields = span.T @ vector
+    np.testing.assert_allclose(fields.T @ mass @ fields, np.eye(2), atol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError):
+        ritz(np.eye(2), np.diag([1.0, -1e-3]))
 
 
 def response(degree, order, n_elements, frequency=41e3):
@@ -304,6 +330,21 @@ def test_slit_and_tube_fill_with_their_layers_as_their_closed_forms():
         left = 1 - (2 + 2 * roundness) * f * thickness / narrow
         slowed = (narrow / (2 * thickness)) ** 2 / (3 if roundness == 0 else 8)
         np.testing.assert_allclose(left, slowed, rtol=1e-2)
+
+
+def test_losses_of_narrow_gaps_are_functions_of_their_own():
+    """Those of wide gaps come first; of the others, wide gaps have none."""
+    width = np.geomspace(2e-5, 8e-3, 200)
+    thickness = layers.layer_thickness(np.geomspace(8e3, 6e4, 5), AIR)[0][:, None]
+    both = layers.filling(width, np.zeros(1), thickness)
+    rows = np.concatenate([both.real, both.imag])
+    wide = width > 1e-3
+    functions, weights = layers._parts(rows, wide)
+    least = layers.LEAST_PART * np.linalg.norm(rows)
+    assert np.abs(functions @ weights - rows).max() < 2 * least
+    n_wide = int(weights[:, wide].any(axis=1).sum())
+    assert 0 < n_wide < len(weights)
+    assert not weights[n_wide:, wide].any()
 
 
 def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():

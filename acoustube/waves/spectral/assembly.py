@@ -182,7 +182,7 @@ def along_elements(
             terms.append((pairs(weighted[0], slope), flat(mixed.swapaxes(1, 2))))
         factors, parts = zip(*terms, strict=True)
         total = np.concatenate(factors, axis=1) @ np.concatenate(parts)
-        found[number] = total.ravel()[places]
+        np.take(total.ravel(), places, out=found[number], mode="clip")
     return found
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.waves.spectral.discretisation import (
     Discretisation,
@@ -21,7 +24,13 @@ from acoustube.waves.spectral.reduction import Reduced, corrected, extended, imp
 
 ADAPTATION_TOLERANCE = 0.25
 """Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
-MAX_EXTRA_SHIFTS = 8
+EXTRA_BLOCKS = {False: 2, True: 3}
+"""Blocks of the Krylov space at an added shift, without and with losses: most of it is in the
+others' span."""
+MAX_ROUNDS = 6
+"""Largest number of times that shifts are added."""
+NEAREST = 0.1
+"""Distance of a new shift from the others, in widths of the interval between them."""
 
 
 def swept(
@@ -31,55 +40,101 @@ def swept(
     k: Array,
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, Array, list[int]]:
-    """Return the largest basis per parity, S, its errors, and basis sizes before the last shift."""
-    blocks = KRYLOV_BLOCKS[system.layers is not None]
+    """Return the largest basis per parity, S, its errors, and basis sizes before the last shifts.
+
+    Notes
+    -----
+    The error of a space of m blocks at each shift is first extrapolated from the change d of S by
+    the last of them, as d^(m / (m - 1)): the error falls by the same factor with each block. A
+    shift is then added in each interval between others in which that is too large, and at least
+    one. What it changes there replaces the extrapolation, in that interval alone: elsewhere it
+    tells nothing of the error.
+    """
+    lossy, limit = system.layers is not None, ADAPTATION_TOLERANCE * tolerance
+    blocks = KRYLOV_BLOCKS[lossy]
     for shift in basis.shifts:
         if float(shift) not in responses:
             responses[float(shift)] = respond(system, float(shift), blocks)
-    n_sides = len(system.sides)
-    spaces = [
-        extended(system, None, _side_by_side([r[side].fields for r in responses.values()]))
-        for side in range(n_sides)
-    ]
+    sides = list(zip(*responses.values(), strict=True))
+    spaces = _extended(
+        system, [None] * len(sides), [[own.fields for own in side] for side in sides]
+    )
     before = scattering_at(system, spaces, k)
-    spaces = [
-        extended(system, space, _side_by_side([r[side].last for r in responses.values()]))
-        for side, space in enumerate(spaces)
-    ]
+    spaces = _extended(system, spaces, [[own.last for own in side] for side in sides])
     now = scattering_at(system, spaces, k)
-    for _ in range(MAX_EXTRA_SHIFTS):
-        doubt = difference(system, now, before, k)
-        shift = _worst(k, doubt, np.array(list(responses)))
-        responses[shift] = respond(system, shift, blocks)
+    doubt = difference(system, now, before, k) ** (blocks / (blocks - 1))
+    for _ in range(MAX_ROUNDS):
+        more, tested = _doubtful(k, doubt, np.sort(list(responses)), limit)
+        for shift in more:
+            responses[shift] = respond(system, shift, EXTRA_BLOCKS[lossy])
         before, sizes = now, [space.size for space in spaces]
-        spaces = [
-            extended(system, space, _side_by_side([response.fields, response.last]))
-            for space, response in zip(spaces, responses[shift], strict=True)
-        ]
+        sides = list(zip(*(responses[shift] for shift in more), strict=True))
+        fields = [[part for own in side for part in (own.fields, own.last)] for side in sides]
+        spaces = _extended(system, spaces, fields)
         now = scattering_at(system, spaces, k)
-        if difference(system, now, before, k).max() <= ADAPTATION_TOLERANCE * tolerance:
+        change = difference(system, now, before, k)
+        doubt = np.where(tested, change, np.maximum(change, doubt))
+        if doubt.max() <= limit:
             break
+    sides = list(zip(*(responses[float(shift)] for shift in basis.shifts), strict=True))
     spaces = [
-        corrected(system, space, _side_by_side([r[side].correction for r in responses.values()]))
-        for side, space in enumerate(spaces)
+        corrected(system, space, _side_by_side([own.correction for own in side]))
+        for space, side in zip(spaces, sides, strict=True)
     ]
     richest = scattering_at(system, spaces, k)
-    lacking = difference(system, richest, now, k)
-    error = lacking + difference(system, now, before, k)
-    return spaces, richest, error, sizes
+    return spaces, richest, difference(system, richest, now, k) + doubt, sizes
+
+
+def _extended(
+    system: Discretisation, spaces: Sequence[Reduced | None], fields: list[list[Array]]
+) -> list[Reduced]:
+    return [
+        extended(system, space, _side_by_side(own))
+        for space, own in zip(spaces, fields, strict=True)
+    ]
+
+
+def _doubtful(
+    k: Array, doubt: Array, shifts: Array, limit: float
+) -> tuple[list[float], NDArray[np.bool_]]:
+    """Return new shifts, one in each interval of too large an error, and what they test.
+
+    Parameters
+    ----------
+    k : ndarray
+        In 1/m, (n,).
+    doubt : ndarray
+        Estimated error, (n,).
+    shifts : ndarray
+        In 1/m2, rising, (n_shifts,).
+    limit : float
+
+    Returns
+    -------
+    more : list of float
+        In 1/m2; at least one.
+    tested : ndarray of bool
+        Which wavenumbers are in an interval with a new shift, (n,).
+    """
+    borders = np.concatenate([[0.0], shifts, [max(shifts[-1], k[-1] ** 2) * (1 + 1e-12)]])
+    interval = np.searchsorted(shifts, k**2)
+    below, above = borders[interval], borders[interval + 1]
+    away = np.minimum(k**2 - below, above - k**2) > NEAREST * (above - below)
+    at, largest = [], []
+    for number in np.unique(interval[away]):
+        here = np.flatnonzero(away & (interval == number))
+        at.append(int(here[np.argmax(doubt[here])]))
+        largest.append(float(doubt[interval == number].max()))
+    if not at:
+        return [float(shifts[-2:].mean())], np.ones(len(k), bool)
+    wanted = np.array(largest) > limit
+    wanted[np.argmax(largest)] = True
+    chosen = np.array(at)[wanted]
+    return [float(shift) for shift in k[chosen] ** 2], np.isin(interval, interval[chosen])
 
 
 def _side_by_side(fields: list[Array]) -> Array:
     return np.concatenate(fields, axis=-1)
-
-
-def _worst(k: Array, doubt: Array, shifts: Array) -> float:
-    """Return the squared wavenumber of largest estimated error, away from the shifts so far."""
-    gap = np.diff(np.sort(shifts)).min()
-    away = np.abs(k[:, None] ** 2 - shifts).min(axis=1) > 0.1 * gap
-    if not away.any():
-        return float(np.sort(shifts)[-2:].mean())
-    return float(k[np.argmax(np.where(away, doubt, -1.0))] ** 2)
 
 
 def difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.waves.spectral.assembly import Boxes, Layout, along_elements, element_boxes
-from acoustube.waves.spectral.polynomials import Array, Polynomials, polynomials
+from acoustube.waves.spectral.polynomials import Array, Index, Polynomials, polynomials
 from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
@@ -134,17 +134,23 @@ def tangential_functions(points: WallPoints, functions: WallFunctions) -> Tangen
 
 
 def tangential_matrices(
-    points: WallPoints, functions: TangentialFunctions, layout: Layout, weight: Array
+    points: WallPoints,
+    functions: TangentialFunctions,
+    layout: Layout,
+    weight: Array,
+    elements: Index,
 ) -> tuple[Array, Array]:
-    """Integrate as :func:`wall_matrices` with gradients along the wall."""
-    share = (weight * points.area)[:, None]
-    p, around, along, rise = functions
+    """Integrate as :func:`wall_matrices`, over some elements, with gradients along the wall."""
+    here = np.isin(points.rule.element, elements)
+    share = (weight * points.area)[here, None]
+    p, around, along, rise = (part[here] for part in functions)
     weighted = p * share
     mass = _product(weighted, p)
     values = _product(around * share, around) + _product(along * share, along)
     mixed, slopes = _product(weighted * rise, along), _product(weighted * rise**2, p)
-    stiffness = along_elements(points.rule, layout, slopes, mixed, values)
-    return stiffness, along_elements(points.rule, layout, None, None, mass)
+    rule = points.rule.only(elements)
+    stiffness = along_elements(rule, layout, slopes, mixed, values)
+    return stiffness, along_elements(rule, layout, None, None, mass)
 
 
 def _product(a: Array, b: Array) -> Array:

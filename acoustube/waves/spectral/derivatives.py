@@ -19,13 +19,12 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import eigh
 
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
 from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, changed_scattering
-from acoustube.waves.spectral.reduction import Reduced, projected
+from acoustube.waves.spectral.reduction import Reduced, projected, ritz
 from acoustube.waves.spectral.walls import Wall
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
@@ -107,9 +106,7 @@ def _changed_impedance(
     space: Reduced, stiffness: Array, mass: Array, k: Array
 ) -> tuple[Array, Array]:
     """Return Z and its derivative, (n, n_ports n_modes, n_ports n_modes)."""
-    square, vector = eigh(
-        *((part + part.T) / 2 for part in (space.stiffness, space.mass)), check_finite=False
-    )
+    square, vector = ritz(space.stiffness, space.mass)
     ports = vector.T @ space.ports
     fields = ports / (square - k[:, None] ** 2)[:, :, None]
     stiffness, mass = (vector.T @ part @ vector for part in (stiffness, mass))

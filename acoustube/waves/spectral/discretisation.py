@@ -27,8 +27,6 @@ LAYER_RATIO = 0.476
 """(gamma - 1) / sqrt(Pr): effect of the thermal layer relative to the viscous one."""
 ACTIVE_MARGIN = 0.6
 """Margin of j' over k R up to which modes have more than one block, and corrections."""
-LAYER_BLOCKS = 2
-"""Number of powers of the layers' operator that extend a Krylov space."""
 
 
 class Layers(NamedTuple):
@@ -38,7 +36,7 @@ class Layers(NamedTuple):
     ----------
     points : WallPoints
     functions : TangentialFunctions
-        Of the enriched basis.
+        Of the basis.
     stiffness, mass : ndarray
         Of an even layer in the basis, (n_elements, n_basis, n_basis).
     """
@@ -293,10 +291,11 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     driven, kept = response[..., active], held[active]
     fields = [response]
     if system.layers is not None:
-        layer, ahead = system.layers.stiffness + LAYER_RATIO * shift * system.layers.mass, response
-        for _ in range(LAYER_BLOCKS):
-            ahead = solve(factors, layer @ _normalised(ahead, len(sides)), held)
-            fields.append(ahead)
+        layer = system.layers.stiffness + LAYER_RATIO * shift * system.layers.mass
+        ahead = solve(factors, layer @ _normalised(response, len(sides)), held)
+        fields.append(ahead)
+        ahead = ahead[..., active]
+        fields.append(solve(factors, layer @ _normalised(ahead, len(sides)), kept))
     for _ in range(blocks - 1):
         driven = solve(factors, system.low.times_mass(_normalised(driven, len(sides))), kept)
         fields.append(driven)

@@ -16,8 +16,9 @@ LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
 """Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
 DEGREE_MARGIN = 3
-FIELDS_PER_WAVE = 1.2
-"""Fields of the reduced space per standing wave that fits the lumen in the band."""
+FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
+"""Fields of the reduced space per standing wave that fits the lumen in the band, without and with
+losses."""
 KRYLOV_BLOCKS = {False: 4, True: 3}
 """Number of blocks of the Krylov space at each shift, without and with losses.
 
@@ -71,7 +72,7 @@ def first_basis(
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
     waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
     per_shift = KRYLOV_BLOCKS[lossy] * len(modes) * (1 if wall.reversible else 2)
-    n_shifts = SPARE_SHIFTS[lossy] + int(np.ceil(FIELDS_PER_WAVE * waves / per_shift))
+    n_shifts = SPARE_SHIFTS[lossy] + int(np.ceil(FIELDS_PER_WAVE[lossy] * waves / per_shift))
     high = float(k[-1])
     low = min(max(float(k[0]), 0.1 * high), 0.9 * high)
     shifts = np.linspace(low**GRADING, high**GRADING, n_shifts) ** (1 / GRADING)

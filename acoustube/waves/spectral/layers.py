@@ -24,6 +24,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
@@ -37,6 +38,8 @@ from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
 """Heights of a section, in viscous layers, under which the gaps are measured point by point."""
+WIDE_GAP = 30.0
+"""Least width of an element's gaps, in viscous layers, from which it counts as wide."""
 MANY_LAYERS = 15.0
 """Half widths in ``|D|`` from which the functions of the width are taken asymptotically."""
 SAMPLES = 10
@@ -105,11 +108,14 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     sealed = width.ravel() < points.sealing_gap
     both[: len(sampled), sealed] = width.ravel()[sealed] / (2 * layers[0][:, None])
     rows = np.concatenate([both.real, both.imag])
-    # Of the small side: the points are many.
-    square, turned = np.linalg.eigh(rows @ rows.T)
-    kept = square > (LEAST_PART**2) * square[-1]
-    weights = (turned[:, kept].T @ rows) / np.sqrt(square[kept])[:, None]
-    parts = (both @ weights.T).reshape(2, len(sampled), -1)
+    number = points.rule.element
+    of_element = np.repeat(number, width.shape[1])
+    narrowest = np.full(number[-1] + 1, np.inf)
+    np.minimum.at(narrowest, number, width.min(axis=1))
+    wide = (narrowest > WIDE_GAP * float(np.abs(layers[0][0])))[of_element]
+    functions, weights = _parts(rows, wide)
+    halves = np.split(functions, 2)
+    parts = (halves[0] + 1j * halves[1]).reshape(2, len(sampled), -1)
     scaled = [
         _between(sampled, part, frequency) * d[:, None]
         for part, d in zip(parts, layer_thickness(frequency, air), strict=True)
@@ -117,6 +123,24 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     return LayerSeries(
         weights.reshape(-1, *width.shape), scaled[0], (air.heat_capacity_ratio - 1) * scaled[1]
     )
+
+
+def _parts(rows: Array, wide: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return values (n, n_points) as functions (n, n_parts) times weights (n_parts, n_points).
+
+    Functions of the wide points first: the others' weights are zero there, so that integrals with
+    them are over few elements.
+    """
+    left, functions, weights = rows, [], []
+    least = (LEAST_PART * np.linalg.norm(rows)) ** 2
+    for where in (wide, ~wide):
+        # Of the small side: the points are many.
+        square, turned = np.linalg.eigh(left[:, where] @ left[:, where].T)
+        functions.append(turned[:, square > least])
+        weights.append(functions[-1].T @ left)
+        left = left - functions[-1] @ weights[-1]
+        left[:, wide] = 0.0
+    return np.concatenate(functions, axis=1), np.concatenate(weights)
 
 
 def _between(sampled: Array, values: Complex, frequency: Array) -> Complex:

@@ -18,6 +18,7 @@ from acoustube.waves.spectral.boundary import (
     wall_points,
 )
 from acoustube.waves.spectral.discretisation import Discretisation, Layers
+from acoustube.waves.spectral.elimination import product
 from acoustube.waves.spectral.layers import LayerSeries, layer_series, lossy_ends
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, scattering_of
@@ -29,7 +30,6 @@ from acoustube.waves.spectral.reduction import (
     lossy_fields,
     lossy_impedance,
     lossy_model,
-    projected,
 )
 from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Wall
@@ -54,13 +54,17 @@ def with_layers(system: Discretisation, wall: Wall) -> Discretisation:
     """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
     rule = axial_rule(system.rule.edges, system.layout.order, NO_KNOTS)
     points, n = wall_points(wall, rule, LAYER_DEGREE), system.layout.n
-    functions = tangential_functions(points, wall_functions(points, system.functions))
-    low = TangentialFunctions(*(part[:, :n] for part in functions))
-    layout = Layout(n, n, system.layout.order)
-    even = tangential_matrices(points, low, layout, np.ones_like(points.area))
-    n = system.layout.n_basis
-    stiffness, mass = (system.in_modes(part[:, :n, :n]) for part in even)
-    return replace(system, layers=Layers(points, functions, stiffness, mass))
+    richer = tangential_functions(points, wall_functions(points, system.functions))
+    low = TangentialFunctions(*(part[:, :n] for part in richer))
+    every = np.arange(len(rule.step))
+    even = tangential_matrices(points, low, _wall_layout(system), np.ones_like(points.area), every)
+    stiffness, mass = (system.in_modes(part) for part in even)
+    return replace(system, layers=Layers(points, low, stiffness, mass))
+
+
+def _wall_layout(system: Discretisation) -> Layout:
+    """Return the layout that has the unknowns of a basis, and no others."""
+    return Layout(system.layout.n, system.layout.n, system.layout.order - 1)
 
 
 def wall_projections(
@@ -69,10 +73,13 @@ def wall_projections(
     """Return the losses at the wall, and its integrals (K, M) in the space of each side."""
     series = layer_series(layers.points, frequency, air)
     found: list[list[tuple[Array, Array]]] = [[] for _ in spaces]
+    fields = [system.in_polynomials(space.fields, space.corrections)[0] for space in spaces]
+    layout = _wall_layout(system)
     for weight in series.weights:
-        parts = tangential_matrices(layers.points, layers.functions, system.layout, weight)
-        for side, space in zip(found, spaces, strict=True):
-            stiffness, mass = (projected(system, part, space) for part in parts)
+        where = np.unique(layers.points.rule.element[weight.any(axis=1)])
+        parts = tangential_matrices(layers.points, layers.functions, layout, weight, where)
+        for side, own in zip(found, fields, strict=True):
+            stiffness, mass = (product(own[where], part @ own[where]) for part in parts)
             side.append((stiffness, mass))
     return series, found
 

@@ -44,6 +44,13 @@ class AxialRule(NamedTuple):
         low, high = np.searchsorted(self.element, [number, number + 1])
         return slice(int(low), int(high))
 
+    def only(self, elements: Index) -> AxialRule:
+        """Return the rule of some elements, in rising order, as if they followed each other."""
+        here = np.isin(self.element, elements)
+        edges = np.concatenate([[0.0], np.cumsum(self.step[elements])])
+        number = np.searchsorted(elements, self.element[here])
+        return AxialRule(self.z[here], self.point[here], self.weight[here], number, edges)
+
     @property
     def step(self) -> Array:
         """Lengths of the elements in m, (n_elements,)."""

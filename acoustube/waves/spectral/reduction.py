@@ -16,6 +16,9 @@ from acoustube.waves.spectral.ports import Complex
 DEPENDENCE_TOLERANCE = 1e-12
 """Relative norm of a field's component outside the span below which it is dropped."""
 
+NO_MASS, NEGATIVE_MASS = 1e-12, -1e-8
+"""Eigenvalues of a scaled M, relative to the largest, below which a direction has no mass but for
+rounding, and below which the volume is negative: the sections overlap themselves."""
 SAMPLE_TOLERANCE = 1e-5
 """The same for the span of solutions with losses at some frequencies."""
 MAX_MATRICES = 32
@@ -88,6 +91,45 @@ def corrected(system: Discretisation, before: Reduced, corrections: Array) -> Re
         found.append(np.block([[known, beside.T], [beside, product(new, rest @ new)]]))
     ports = np.concatenate([before.ports, product(new, system.load[:, n:])])
     return Reduced(before.fields, new, found[0], found[1], ports)
+
+
+def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
+    """Return the squared wavenumbers of a projection's modes, and the modes with unit M.
+
+    Parameters
+    ----------
+    stiffness, mass : ndarray
+        (r, r).
+
+    Returns
+    -------
+    square, vector : ndarray
+        In 1/m2, (m,), and (r, m); m < r where functions are linearly dependent to rounding.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the mass of a direction is negative.
+
+    Notes
+    -----
+    Where the walls almost touch, polynomials over the whole section differ by less than rounding
+    on the air that is left, and M is singular. Their span is then that of the eigenvectors of M
+    whose eigenvalues are not zero.
+    """
+    stiffness, mass = ((matrix + matrix.T) / 2 for matrix in (stiffness, mass))
+    try:
+        square, vector = eigh(stiffness, mass, check_finite=False)
+    except np.linalg.LinAlgError:
+        scale = 1 / np.sqrt(np.abs(np.diag(mass)))
+        weight, turned = np.linalg.eigh(mass * scale * scale[:, None])
+        if weight[0] < NEGATIVE_MASS * weight[-1]:
+            raise
+        kept = weight > NO_MASS * weight[-1]
+        span = scale[:, None] * turned[:, kept] / np.sqrt(weight[kept])
+        square, vector = np.linalg.eigh(span.T @ stiffness @ span)
+        vector = span @ vector
+    return square, vector
 
 
 def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
@@ -163,9 +205,7 @@ class LossyBand(NamedTuple):
 
 def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel:
     """Return a lumen's matrices with boundary layers, from those without and its wall's (K, M)."""
-    square, vector = eigh(
-        *((part + part.T) / 2 for part in (reduced.stiffness, reduced.mass)), check_finite=False
-    )
+    square, vector = ritz(reduced.stiffness, reduced.mass)
     stiffness, mass = (
         np.stack([vector.T @ part @ vector for part in parts]) for parts in zip(*wall, strict=True)
     )
@@ -232,8 +272,7 @@ def impedance(reduced: Reduced, wavenumber: Array) -> Array:
     -----
     Z = C^T (K - k^2 M)^-1 C by the eigenvectors of K and M.
     """
-    stiffness, mass = ((matrix + matrix.T) / 2 for matrix in (reduced.stiffness, reduced.mass))
-    square, vector = eigh(stiffness, mass, check_finite=False)
+    square, vector = ritz(reduced.stiffness, reduced.mass)
     ports = vector.T @ reduced.ports
     weight = 1 / (square - wavenumber[:, None] ** 2)
     return np.asarray(np.matmul(ports.T * weight[:, None], ports))

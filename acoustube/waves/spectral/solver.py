@@ -9,7 +9,7 @@ an enriched space:
 * that of the elements along it, by solving for the residual in the functions that the basis lacks
   (the next two degrees; one more degree along each element) at each shift, and adding these
   corrections to the reduced space;
-* that of the shifts, by one more where the last block of each changes S the most.
+* that of the shifts, by more of them where the last block of each changes S.
 
 S is taken from the largest space, with matrices integrated at more points along z, since walls may
 be rough; its error estimate is the sum of all changes.
@@ -69,6 +69,8 @@ ERROR_WINDOW = 5
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
 MAX_POINT_DOUBLINGS = 2
 """Largest number of times that the Gauss points along an element are doubled."""
+FIRST_SHARE = 0.5
+"""Share of the tolerance that degree and elements may each lack at the probes, to begin with."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 MAX_ADAPTATIONS = 8
@@ -207,7 +209,10 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
     moving = task.velocity is not None
-    basis, wanted = first_basis(wall, odd, k, lossy=task.lossy, moving=moving), tolerance
+    basis, wanted = (
+        first_basis(wall, odd, k, lossy=task.lossy, moving=moving),
+        FIRST_SHARE * tolerance,
+    )
     known = None
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = known = _adapted(task, odd, basis, wanted, known)
@@ -222,9 +227,11 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
     if task.lossy:
         assert system.layers is not None
-        series, walls = wall_projections(system, system.layers, spaces, task.frequency, task.air)
+        # Without corrections: those of the lossless fields are not those of the fields with losses.
+        own = [space.first(space.fields.shape[-1]) for space in spaces]
+        series, walls = wall_projections(system, system.layers, own, task.frequency, task.air)
         sides, kz, lacking = lossy_scattering(
-            system, spaces, walls, series, task.frequency, task.air, sizes
+            system, own, walls, series, task.frequency, task.air, sizes
         )
         # What the basis lacks at the cut-ons, it lacks with losses too.
         s, error = of_both_ports(sides), np.maximum(error, _estimated(lacking, wall, LOSSY_SAFETY))
