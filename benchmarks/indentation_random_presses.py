@@ -4,8 +4,8 @@ Draws the tube (bore 3 to 20 mm, wall 0.5 to 4 mm, hardness 10 to 70 Shore A), t
 punch or sphere, 4 to 60 mm, half of them off the axis, half of the rods turned), the ground and the
 depth (up to 95 % of the bore), and presses a mesh of one or two layers of 12 by 10 elements:
 ``OMP_NUM_THREADS=1 python benchmarks/indentation_random_presses.py FILE [COUNT]``. FILE gets a line
-of JSON for each press; a second run goes on after the last of them, and prints what all show. A
-press depends on its number alone.
+of JSON for each press; a second run presses those that FILE lacks, and prints what all show. A
+press depends on its number alone, and is given up after two minutes of processor time.
 
 Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
 and volume ratios above zero, and the work of the force against the change of the whole potential
@@ -15,6 +15,7 @@ energy, which are equal at a fixed ground whatever the contact.
 from __future__ import annotations
 
 import json
+import signal
 import sys
 import time
 from pathlib import Path
@@ -34,6 +35,9 @@ from acoustube.tube import Tube, shear_modulus_from_shore
 
 DEPTHS = 12
 """Depths of each press, so that the work can be integrated."""
+STATES = ("reached", "stopped", "refused", "unfinished")
+LIMIT = 120
+"""Seconds of processor time after which a press is given up."""
 WORK_TOLERANCE = 0.01
 """Largest difference of work and energy: of cubic splines through twelve forces."""
 
@@ -96,8 +100,12 @@ def pressed(number: int) -> dict[str, Any]:
         "support": options["support"], "layer": options["layer"] is not None,
         "layers": options["mesh"].through_wall,
     }  # fmt: skip
+    done: list[float] = [0.0]
+    depths = depth * np.arange(1, DEPTHS + 1) / DEPTHS
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
-        press = indent(tube, indenter, depth=depth * np.arange(1, DEPTHS + 1) / DEPTHS, **options)
+        press = indent(tube, indenter, depth=depths, progress=done.append, **options)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         record |= {"state": "reached", "force_N": float(press.contact_force[-1])}
         record |= {"closed": bool(press.closed[-1]), "rows": len(press.depth)}
         record |= {"iterations": int(press.iterations.sum()), "wrong": wrong(press)}
@@ -106,13 +114,20 @@ def pressed(number: int) -> dict[str, Any]:
     except PressError as error:
         last = MM * float(error.indentation.depth[-1])
         record |= {"state": "stopped", "reason": str(error), "stopped_mm": last}
+    except TimeoutError:
+        record |= {"state": "unfinished", "part_done": done[-1]}
+    signal.setitimer(signal.ITIMER_PROF, 0)
     return record | {"seconds": round(time.process_time() - start, 2)}
+
+
+def _give_up(*_: object) -> None:
+    raise TimeoutError
 
 
 def summary(records: list[dict[str, Any]]) -> str:
     """Return what all presses show, and a line for each that is not sound."""
     states = [record["state"] for record in records]
-    lines = [f"{states.count(state)} {state}" for state in ("reached", "stopped", "refused")]
+    lines = [f"{states.count(state)} {state}" for state in STATES]
     lines.append(f"{sum(bool(record.get('wrong')) for record in records)} wrong")
     lines.append(f"{sum(record['seconds'] for record in records):.0f} s of processor time")
     rest = [each for each in records if each["state"] != "reached" or each["wrong"]]
@@ -122,7 +137,8 @@ def summary(records: list[dict[str, Any]]) -> str:
 if __name__ == "__main__":
     path, count = Path(sys.argv[1]), int((*sys.argv[2:], 200)[0])
     known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    for number in range(len(known), count):
+    signal.signal(signal.SIGPROF, _give_up)
+    for number in sorted(set(range(count)) - {each["number"] for each in known}):
         known.append(pressed(number))
         with path.open("a") as file:
             file.write(json.dumps(known[-1]) + "\n")

@@ -26,6 +26,7 @@ from acoustube.indentation import linear_solver
 from acoustube.indentation.assembly import Model, State, evaluate, stiffness
 from acoustube.indentation.condensed_contact import CondensedContact
 from acoustube.indentation.contact import Body
+from acoustube.indentation.negative_curvature import curved_step
 
 MAX_ITERATIONS = 40
 MAX_HALVINGS = 8
@@ -45,6 +46,8 @@ REUSED_TOLERANCE = 0.1
 """Part of the tolerance that the residual must reach by a step with a factor used before."""
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
+SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
+"""Steps tried from a saddle of the energy, both ways: their largest displacement, in bores."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
 
 
@@ -94,11 +97,12 @@ def minimise(
 
     Notes
     -----
-    Where the tangent is indefinite, the step is that of a positive definite matrix near it. It
-    converges only by a step of a true, positive definite tangent: the result is a stable
-    equilibrium, not a saddle point of the energy. The factor of a tangent is used again while it
-    lowers the residual tenfold (the chord method); after such steps the residual must fall to
-    `REUSED_TOLERANCE` of the tolerance, as a step of the state's own tangent would make it.
+    Where the tangent is indefinite, the step is that of a positive definite matrix near it,
+    corrected by :mod:`acoustube.indentation.negative_curvature`; from a saddle of the energy it
+    goes the way of the least curvature. It converges only by a step of a true, positive definite
+    tangent: the result is a stable equilibrium, not a saddle. The factor of a tangent is used again
+    while it lowers the residual tenfold (the chord method); after such steps the residual must fall
+    to `REUSED_TOLERANCE` of the tolerance, as a step of the state's own tangent would make it.
     """
     state = evaluate(model, start, bodies)
     order = linear_solver.section_order(model.mesh.points, model.free)
@@ -119,14 +123,13 @@ def minimise(
         own = tangent is None or (near and not sound)
         if own:
             tangent = _factorised(model, state.displacement, bodies, order)
-        if tangent is None or (near and (iteration == 0 or not tangent.stable)):
-            reason = "" if tangent is not None and tangent.stable else BUCKLING
+        if tangent is None or (near and iteration == 0 and tangent.stable):
+            reason = "" if tangent is not None else BUCKLING
             break
-        step = np.zeros_like(start)
-        step[model.free] = tangent.step(state)
-        lower = _line_search(model, state, step, bodies)
+        lower = _descended(model, state, tangent, bodies, saddle=near and not tangent.stable)
         if lower is None and own:
-            reason = "" if near else "the line search found no decrease of the energy"
+            at_saddle = BUCKLING if near else "the line search found no decrease of the energy"
+            reason = "" if near and tangent.stable else at_saddle
             break
         if lower is None or not tangent.stable or not _worth(tangent, state, lower, tolerance):
             tangent = None
@@ -140,6 +143,8 @@ class _Tangent(NamedTuple):
     solve: linear_solver.Solve
     stable: bool
     contact: CondensedContact | None
+    indefinite: sparse.csc_array | None = None
+    """Lower triangle of the tangent itself, if it is not stable."""
 
     def step(self, state: State) -> Array:
         """Return Newton's step (n_free,) in m, with the contact solved exactly where it can be."""
@@ -172,6 +177,7 @@ def _factorised(
     That is the tangent without what makes it indefinite first, and with a part of its diagonal
     added where that is not enough ([2]_, section 3.4); None if the largest part is not either.
     """
+    indefinite = None
     for shift in (None, *DIAGONAL_SHIFTS):
         matrix = stiffness(model, displacement, bodies, convex=shift is not None)
         if shift:
@@ -179,6 +185,7 @@ def _factorised(
         try:
             solve = linear_solver.factorise(matrix, order)
         except LinAlgError:
+            indefinite = matrix if shift is None else indefinite
             continue
         condensed = None
         if (
@@ -187,7 +194,39 @@ def _factorised(
             and solve.band.size * len(solve.band) >= LEAST_CONDENSED_WORK
         ):
             condensed = CondensedContact(model, bodies, solve, displacement)
-        return _Tangent(solve, shift is None, condensed)
+        return _Tangent(solve, shift is None, condensed, indefinite)
+    return None
+
+
+def _descended(
+    model: Model, state: State, tangent: _Tangent, bodies: tuple[Body, ...], *, saddle: bool
+) -> State | None:
+    """Return a state of sufficiently lower energy by a step of a tangent, or None."""
+
+    def moved(step: Array) -> State | None:
+        on_nodes = np.zeros_like(state.displacement)
+        on_nodes[model.free] = step
+        return _line_search(model, state, on_nodes, bodies)
+
+    if tangent.indefinite is None:
+        return moved(tangent.step(state))
+    curved = curved_step(tangent.indefinite, tangent.solve, state.gradient)
+    if not saddle:
+        lower = moved(curved.step)
+        return moved(tangent.step(state)) if lower is None else lower
+    bore = np.ptp(model.mesh.points[np.unique(model.mesh.inner_faces), 1])
+    away = -np.sign(state.gradient @ curved.lowest) * curved.lowest
+    away *= bore / np.abs(away).max()
+    position = model.mesh.points + state.displacement
+    for size in SADDLE_STEPS:
+        for step in (size * away, -size * away):
+            target = state.displacement.copy()
+            target[model.free] += step
+            if model.lumen.collision_free_fraction(position, model.mesh.points + target) < 1:
+                continue
+            trial = evaluate(model, target, bodies)
+            if trial.energy < state.energy:
+                return trial
     return None
 
 

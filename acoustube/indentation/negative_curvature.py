@@ -1,0 +1,96 @@
+"""Newton steps at an indefinite tangent, from its curvatures in a Krylov subspace.
+
+A convex matrix K_c in place of an indefinite tangent K gives a step that descends, but near a
+bifurcation the iterations with it converge at a ratio close to one, or to the saddle itself.
+Lanczos's method, preconditioned by K_c, finds the subspace in which the two differ most [1]_. The
+step is Newton's there with the absolute values of the curvatures, which moves away from a saddle as
+fast as towards a minimum [2]_.
+
+References
+----------
+.. [1] N. I. M. Gould, S. Lucidi, M. Roma, P. L. Toint, "Solving the trust-region subproblem using
+   the Lanczos method", SIAM J. Optim. 9, 504-525 (1999). doi:10.1137/S1052623497322735
+.. [2] J. Nocedal, S. J. Wright, "Numerical Optimization", 2nd ed., Springer (2006), section 3.4.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import eigh_tridiagonal
+
+from acoustube.base.types import Array
+from acoustube.indentation.linear_solver import Solve
+
+LARGEST_SUBSPACE = 24
+ENOUGH = 0.1
+"""Part of the linear residual that a step may leave."""
+SMALLEST_CURVATURE = 0.02
+"""Least absolute value of the tangent's curvatures, relative to those of the convex matrix."""
+
+
+class CurvedStep(NamedTuple):
+    """A step at an indefinite tangent.
+
+    Attributes
+    ----------
+    step : array of shape (n,)
+        In m; the energy falls along it.
+    lowest : array of shape (n,)
+        Direction of the least curvature found, in m, of the convex matrix's unit norm.
+    curvature : float
+        Along `lowest`, relative to that of the convex matrix; negative at a saddle.
+    """
+
+    step: Array
+    lowest: Array
+    curvature: float
+
+
+def curved_step(lower: sparse.csc_array, convex: Solve, gradient: Array) -> CurvedStep:
+    """Return the step of a tangent with the absolute values of its curvatures.
+
+    Parameters
+    ----------
+    lower : sparse array of shape (n, n)
+        Lower triangle of the tangent K.
+    convex : callable
+        Solver of a positive definite matrix K_c near it.
+    gradient : array of shape (n,)
+        Of the energy, in N, not zero.
+
+    Returns
+    -------
+    CurvedStep
+
+    Notes
+    -----
+    With K_c-orthonormal Lanczos vectors Q from ``K_c^-1 g``, ``T = Q^T K Q`` is tridiagonal and the
+    step ``-Q |T|^-1 Q^T g``. All vectors are orthogonalised against all before them.
+    """
+    diagonal = lower.diagonal()
+    solved = convex(gradient)
+    size = float(np.sqrt(gradient @ solved))
+    vectors, duals = [solved / size], [gradient / size]
+    middle: list[float] = []
+    beside: list[float] = []
+    while True:
+        last = vectors[-1]
+        image = lower @ last + lower.T @ last - diagonal * last
+        middle.append(float(image @ last))
+        for vector, dual in zip(vectors, duals, strict=True):
+            image -= (image @ vector) * dual
+        solved = convex(image)
+        next_size = float(np.sqrt(max(image @ solved, 0.0)))
+        values, bases = eigh_tridiagonal(middle, beside)
+        share = bases @ (bases[0] / np.maximum(np.abs(values), SMALLEST_CURVATURE))
+        left = next_size * abs(share[-1])
+        if left <= ENOUGH or len(vectors) == LARGEST_SUBSPACE:
+            break
+        beside.append(next_size)
+        vectors.append(solved / next_size)
+        duals.append(image / next_size)
+    basis = np.array(vectors)
+    return CurvedStep(-size * (share @ basis), bases[:, 0] @ basis, float(values[0]))
