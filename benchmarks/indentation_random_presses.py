@@ -9,7 +9,9 @@ press depends on its number alone, and is given up after two minutes of processo
 
 Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
 and volume ratios above zero, and the work of the force against the change of the whole potential
-energy, which are equal at a fixed ground whatever the contact.
+energy, which are equal at a fixed ground whatever the contact. Where the wall snaps from one shape
+to another at a constant depth, energy is lost between two rows, which is recorded as a snap; it is
+never gained.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PchipInterpolator
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import MM
@@ -39,7 +41,9 @@ STATES = ("reached", "stopped", "refused", "unfinished")
 LIMIT = 120
 """Seconds of processor time after which a press is given up."""
 WORK_TOLERANCE = 0.01
-"""Largest difference of work and energy: of cubic splines through twelve forces."""
+"""Largest difference of work and energy: of cubics through twelve forces."""
+SNAP_SHARE = 0.8
+"""Part of the energy lost that a single interval of depth holds if the wall snaps there."""
 
 
 def drawn(number: int) -> tuple[Tube, Indenter, float, dict[str, Any]]:
@@ -66,8 +70,8 @@ def drawn(number: int) -> tuple[Tube, Indenter, float, dict[str, Any]]:
     return tube, indenter, depth, {"support": support, "layer": layer, "mesh": size}
 
 
-def wrong(press: Indentation) -> list[str]:
-    """Return what is wrong with a press."""
+def wrong(press: Indentation) -> tuple[list[str], str]:
+    """Return what is wrong with a press, and where the wall snaps with the energy lost."""
     bore, found = press.tube.inner_diameter, []
     with jax.enable_x64(True):
         model = press_model(press)
@@ -82,11 +86,15 @@ def wrong(press: Indentation) -> list[str]:
         found.append("gap")
     if press.smallest_volume_ratio.min() <= 0:
         found.append("J")
-    work = CubicSpline(press.depth, press.contact_force).integrate(0, press.depth[-1])
-    gained = energy[-1] - energy[0]
-    if abs(work - gained) > WORK_TOLERANCE * gained:
-        found.append(f"work {work:.4g} J, energy {gained:.4g} J")
-    return found
+    force = PchipInterpolator(press.depth, press.contact_force).antiderivative()
+    work, gained = np.diff(force(press.depth)), np.diff(energy)
+    lost, allowed = work - gained, WORK_TOLERANCE * max(energy) - WORK_TOLERANCE * energy[0]
+    if abs(lost.sum()) > allowed:
+        snaps = int(np.argmax(lost))
+        if lost[snaps] >= SNAP_SHARE * np.abs(lost).sum():
+            return found, f"{MM * press.depth[snaps]:.3f} mm: {lost[snaps]:.3g} J"
+        found.append(f"work {work.sum():.4g} J, energy {gained.sum():.4g} J")
+    return found, ""
 
 
 def pressed(number: int) -> dict[str, Any]:
@@ -108,7 +116,8 @@ def pressed(number: int) -> dict[str, Any]:
         signal.setitimer(signal.ITIMER_PROF, 0)
         record |= {"state": "reached", "force_N": float(press.contact_force[-1])}
         record |= {"closed": bool(press.closed[-1]), "rows": len(press.depth)}
-        record |= {"iterations": int(press.iterations.sum()), "wrong": wrong(press)}
+        record["iterations"] = int(press.iterations.sum())
+        record["wrong"], record["snap"] = wrong(press)
     except ConfigError as error:
         record |= {"state": "refused", "reason": str(error)}
     except PressError as error:
@@ -130,7 +139,9 @@ def summary(records: list[dict[str, Any]]) -> str:
     lines = [f"{states.count(state)} {state}" for state in STATES]
     lines.append(f"{sum(bool(record.get('wrong')) for record in records)} wrong")
     lines.append(f"{sum(record['seconds'] for record in records):.0f} s of processor time")
-    rest = [each for each in records if each["state"] != "reached" or each["wrong"]]
+    rest = [
+        each for each in records if each["state"] != "reached" or each["wrong"] or each.get("snap")
+    ]
     return "\n".join([", ".join(lines), *(json.dumps(each) for each in rest)])
 
 

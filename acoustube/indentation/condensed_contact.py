@@ -150,10 +150,15 @@ class CondensedContact:
         area = np.asarray(self.model.outer_area)
         return np.asarray(slope) * area, np.asarray(bend) * area
 
-    def _closing(self, moved: Array) -> Array:
-        """Return the change of the gaps by a motion of the nodes, (body, face, point)."""
-        points = np.einsum("qn,fni->fqi", self._shapes, moved[self.model.outer_faces])
-        return np.einsum("bfqi,fqi->bfq", self._normal, points)
+    def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
+        """Return the change of the gaps by a motion of the nodes, (body, face, point).
+
+        Zero for all faces but those given.
+        """
+        change = np.zeros(self._stiffness.shape)
+        points = self._shapes @ moved[self.model.outer_faces[at]]
+        change[:, at] = np.einsum("bfqi,fqi->bfq", self._normal[:, at], points)
+        return change
 
     def _excess(self, gap: Array, before: Array, closing: Array) -> Array:
         """Return the change of the points' forces beyond what the factorised tangent has of it."""
@@ -188,16 +193,16 @@ class CondensedContact:
         moved, scale = linear, np.abs(linear).max()
 
         def misfit(moved: Array) -> tuple[Array, Array, Array]:
-            closing = self._closing(self._of_zone(moved))
-            force = self._zone_forces(self._excess(gap, before, closing))
-            return moved - linear + self._compliance @ force[self._zone], force, closing
+            closing = self._closing(self._of_zone(moved), self._faces)
+            slope, bend = self._laws(gap + closing)
+            force = self._zone_forces(slope - before - self._stiffness * closing)
+            return moved - linear + self._compliance @ force[self._zone], force, bend
 
-        wrong, force, closing = misfit(moved)
+        wrong, force, bend = misfit(moved)
         for _ in range(ITERATIONS):
             if np.abs(wrong).max() <= PRECISION * scale:
                 return force
-            stiffness = self._zone_stiffness(self._laws(gap + closing)[1])
-            matrix = np.eye(len(moved)) + self._compliance @ stiffness
+            matrix = np.eye(len(moved)) + self._compliance @ self._zone_stiffness(bend)
             if not np.all(np.isfinite(matrix)):
                 return None
             try:
@@ -206,7 +211,7 @@ class CondensedContact:
                 return None
             for length in 0.5 ** np.arange(HALVINGS):
                 trial = moved + length * change
-                left, force, closing = misfit(trial)
+                left, force, bend = misfit(trial)
                 if np.linalg.norm(left) < np.linalg.norm(wrong):
                     break
             moved, wrong = trial, left

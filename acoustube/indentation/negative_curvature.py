@@ -9,7 +9,7 @@ fast as towards a minimum [2]_.
 References
 ----------
 .. [1] N. I. M. Gould, S. Lucidi, M. Roma, P. L. Toint, "Solving the trust-region subproblem using
-   the Lanczos method", SIAM J. Optim. 9, 504-525 (1999). doi:10.1137/S1052623497322735
+   the Lanczos method", SIAM J. Optim. 9, 504-525 (1999).
 .. [2] J. Nocedal, S. J. Wright, "Numerical Optimization", 2nd ed., Springer (2006), section 3.4.
 """
 
