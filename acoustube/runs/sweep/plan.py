@@ -84,14 +84,14 @@ class Plan:
         COUNT.check("count", self.count or 1)
         SEED.check("seed", self.seed)
         SAMPLER.check("sampler", self.sampler)
+        if len(self) > MOST_CASES:
+            raise ConfigError(f"the plan has {len(self):.3g} cases; use at most {MOST_CASES:.0e}")
         for name, values in self.over.items():
             section_of(name)
             _check_axis(name, values, random=self.count > 0)
         for case in self.cases:
             for name in case:
                 section_of(name)
-        if len(self) > MOST_CASES:
-            raise ConfigError(f"the plan has {len(self):.3g} cases; use at most {MOST_CASES:.0e}")
 
     def __len__(self) -> int:
         if self.cases:
