@@ -45,7 +45,7 @@ def sweep(tmp_path_factory):
 @pytest.fixture(scope="module")
 def dataset(sweep, tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset") / "small"
-    return run_dataset([sweep], folder, RECIPE, workers=1)
+    return run_dataset([sweep], folder, RECIPE, executor=ThreadPoolExecutor(1))
 
 
 def test_every_case_tube_and_session_has_its_cycles(dataset):
@@ -140,7 +140,7 @@ def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, 
             load_plan(None, OVER), "shares", executor=ThreadPoolExecutor(1),
             share=(number, count),
         )  # fmt: skip
-    assert main(["dataset", "shares", *words, "--workers", "1", "--out", "shared"]) == 0
+    run_dataset(["shares"], "shared", RECIPE, executor=ThreadPoolExecutor(1))
     expected = acoustube.open_dataset(dataset).load()
     for other in ("two", "shared"):
         xr.testing.assert_identical(acoustube.open_dataset(other).load(), expected)
@@ -148,7 +148,10 @@ def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, 
 
 def test_other_seeds_make_other_noise(sweep, dataset, tmp_path):
     other = run_dataset(
-        [sweep], tmp_path / "other", Recipe(n_cycles=3, n_tubes=2, n_sessions=2), workers=1
+        [sweep],
+        tmp_path / "other",
+        Recipe(n_cycles=3, n_tubes=2, n_sessions=2),
+        executor=ThreadPoolExecutor(1),
     )
     a, b = (acoustube.open_dataset(folder)["signal"].values for folder in (dataset, other))
     assert (a != b).any(axis=1).all()
@@ -178,13 +181,13 @@ def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
     sweep, dataset, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("acoustube.runs.sweep.dataset.CYCLES_PER_FILE", 24)  # two cases a file
-    folder = run_dataset([sweep], tmp_path / "parts", RECIPE, workers=1)
+    folder = run_dataset([sweep], tmp_path / "parts", RECIPE, executor=ThreadPoolExecutor(1))
     files = sorted(folder.glob("cycles-*.nc"))
     assert len(files) == 4
     files[1].unlink()
     files[2].write_bytes(files[2].read_bytes()[:3000])
     before = files[0].stat().st_mtime_ns
-    run_dataset([sweep], folder, RECIPE, workers=1)
+    run_dataset([sweep], folder, RECIPE, executor=ThreadPoolExecutor(1))
     assert files[0].stat().st_mtime_ns == before
     xr.testing.assert_identical(
         acoustube.open_dataset(folder).load(), acoustube.open_dataset(dataset).load()

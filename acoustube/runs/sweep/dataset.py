@@ -125,9 +125,9 @@ def run_dataset(
         If a case cannot be recorded.
     """
     started = time.perf_counter()
-    parts = _parts(sweep, recipe)
+    parts = _parts([Path(folder) for folder in sweep], recipe)
     _check_band(parts, recipe)
-    folder = _prepared(out, set(parts), recipe)
+    folder = _prepared(Path(out), set(parts), recipe)
     there = {name for name in parts if store.intact(folder / name) is not None}
     n_cases = sum(map(len, parts.values()))
     report.title("a dataset")
