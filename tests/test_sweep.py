@@ -57,6 +57,16 @@ def finished(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def in_a_thread(monkeypatch):
+    """Let the command compute in a thread where the test is not one of processes."""
+
+    def own(plan, out, **options):
+        return run_sweep(plan, out, **options | {"executor": ThreadPoolExecutor(1)})
+
+    monkeypatch.setattr("acoustube.runs.sweep.run.run_sweep", own)
+
+
 def assert_same(one, other):
     """The same cases with the same bits."""
     a, b = (acoustube.open_dataset(folder).load() for folder in (one, other))
@@ -123,7 +133,7 @@ def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("finished")
+@pytest.mark.usefixtures("finished", "in_a_thread")
 def test_pieces_are_computed_once_ever(tmp_path, capsys):
     """Other places, temperatures and a longer tube: only what is heard is new."""
     words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
@@ -327,6 +337,7 @@ def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_damaged_file_is_computed_again_and_kept(finished, tmp_path, capsys):
     folder = tmp_path / "damaged"
     assert small_sweep(folder)
@@ -343,6 +354,7 @@ def test_a_damaged_file_is_computed_again_and_kept(finished, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_a_thread")
 def test_a_changed_plan_is_told_and_keeps_what_is_there(finished, tmp_path, capsys):
     folder = tmp_path / "grown"
     assert small_sweep(folder, OVER | {"position_cm": ["15"]})
