@@ -64,9 +64,7 @@ def press(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory):
-    config = load_config(
-        indenter_mm=25, depth_mm=4, resolution=12, temperature_c=25
-    )  # as test_chain
+    config = load_config(indenter_mm=25, depth_mm=1.2, steps=2, resolution=8, frequency_khz=20)
     return run_simulation(config, tmp_path_factory.mktemp("pages") / "heard", QUIET)
 
 
