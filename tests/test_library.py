@@ -125,7 +125,7 @@ def test_folder_of_something_else_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_library_is_that_of_presses_to_its_depths(tmp_path):
-    """On a coarse mesh of a narrow tube: forces rise, and the second time nothing is computed."""
+    """On a coarse mesh of a narrow tube: forces rise, and a repeat computes nothing."""
     settings = tmp_path / "coarse.toml"
     settings.write_text('[indentation]\nmesh = "coarse"\n[waves]\nlosses = "off"\n')
     words = ["library", "--config", settings, "--indenter", 10, "--bore", 4, "--depth",
