@@ -129,10 +129,10 @@ def test_library_is_that_of_presses_to_its_depths(tmp_path):
     settings = tmp_path / "coarse.toml"
     settings.write_text('[indentation]\nmesh = "coarse"\n[waves]\nlosses = "off"\n')
     words = ["library", "--config", settings, "--indenter", 10, "--bore", 4, "--depth",
-             "0.4:1:0.2", "--tolerance", 0.1, "--workers", 1, "--out", tmp_path / "lib"]  # fmt: skip
+             "0.4:1:0.2", "--tolerance", 0.1, "--workers", 1, "--out", "lib"]  # fmt: skip
     done = run_here(*words)
     assert done.returncode == 0, done.stderr
-    library = files.open_library(tmp_path / "lib")
+    library = files.open_library("lib")
     (tool,) = library.tools
     assert tool.name == "10 mm rod"
     assert np.all(np.diff(tool.force) > 0)
