@@ -22,22 +22,22 @@ import numpy as np
 
 from acoustube.air import air_at
 from acoustube.base import cache
-from acoustube.indentation import DepthPath, restored
+from acoustube.indentation import DepthPath
 from acoustube.inversion import Priors
 from acoustube.inversion.design import Contacts
 from acoustube.inversion.design.prediction import electronics_of, predict
 from acoustube.lumen import pressed_part
 from acoustube.ranging import record
-from acoustube.runs import inversion, scattering_file, sound
+from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.design.goal import read_goal
 from acoustube.runs.design.run import PAPER_CARRIER
 from acoustube.runs.design.search import known_of
 from acoustube.runs.design.tubes import TubeSpec, band_of, plan_of, pressed_tubes, sounded
-from acoustube.runs.libraries.build import press_rows
 from acoustube.runs.libraries.files import open_library
-from acoustube.waves import PlacedScatterer
+from acoustube.runs.sweep.graph import BURST_CYCLES
+from acoustube.waves import PlacedScatterer, Pulse
 from acoustube.waves.network import at_sound_speed
 
 TUBE = 7
@@ -48,9 +48,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def matrix_at(plan, path, depth, band):
+def matrix_at(plan, path, depth, band, mesh):
     """Return the scattering of a press with losses, from the cache or computed."""
-    name = cache.key("scattering", {"benchmark": plan.name, "depth": depth, "band": list(band)})
+    parts = {"benchmark": plan.name, "depth": depth, "band": list(band), "mesh": mesh}
+    name = cache.key("scattering", parts)
     known = scattering_file.recall(name)
     if known is None:
         part = pressed_part(path.at([depth]))
@@ -68,6 +69,7 @@ def arguments():
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=5)
+    parser.add_argument("--mesh", choices=("usual", "coarse"), default="usual", help="of the truth")
     return parser.parse_args()
 
 
@@ -82,13 +84,8 @@ def prepared(given):
     spec = TubeSpec(config.tube.inner_diameter_mm, config.tube.wall_mm, pressed)
     plan = plan_of(design, spec, design.goal.tools_mm[0], band_of(design, [PAPER_CARRIER]))
     tubes = pressed_tubes(spec, design.goal.tools_mm[:1], [sounded(plan).result])
-    (arrays, _), _ = press_rows(plan)
-    path = DepthPath(
-        restored(
-            settings.tube, settings.indenter, arrays, support=settings.support,
-            layer=settings.layer, mesh=plan.settings.mesh,
-        )
-    )  # fmt: skip
+    wall = settings if given.mesh == "usual" else plan.settings
+    path = DepthPath(presses.press_to(wall, plan.pressed))
     return design, sensor, plan, path, tubes, config.tube.shore_a
 
 
@@ -121,11 +118,13 @@ def main():
     free = record([], device, n_cycles=200, seed=11, temperature=temperature, **tube)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)], 1)
     # All that the rangefinder receives, beyond the library's own band.
-    band = 0.25 * device.resonance, min(1.9 * device.resonance, 0.45 * device.sampling_rate)
+    cycles = min(device.drive.cycles, BURST_CYCLES)
+    band = sound.band_of(Pulse(frequency=device.resonance, cycles=round(cycles)))
     rows = []
     for i, (place, depth) in enumerate(zip(drawn.place, depths, strict=True)):
         air = temperature + np.random.default_rng(given.seed + i).uniform(-0.3, 0.3)
-        matrix = at_sound_speed(matrix_at(plan, path, depth, band), air_at(air).sound_speed)
+        speed = air_at(air).sound_speed
+        matrix = at_sound_speed(matrix_at(plan, path, depth, band, given.mesh), speed)
         data = record(
             [PlacedScatterer(matrix, place)], device, n_cycles=average, seed=1000 + i,
             temperature=air, **tube,

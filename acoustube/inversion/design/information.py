@@ -60,6 +60,8 @@ class Information(NamedTuple):
         Standard deviation of the logarithm of an unknown force.
     hardness : float
         Relative standard deviation of the wall's modulus.
+    model : float
+        Standard deviation in m of depths by errors of the forward model.
     range_grid : ndarray
         Places in m at which the lightest contact is looked for, (m,).
     range_power : ndarray
@@ -78,6 +80,7 @@ class Information(NamedTuple):
     told: Array
     force_prior: float
     hardness: float
+    model: float
     range_grid: Array
     range_power: Array
 
@@ -90,6 +93,7 @@ def information(
     temperature: float = 20.0,
     priors: Priors | None = None,
     hardness: float = 0.05,
+    model: float = 0.0,
 ) -> Information:
     """Return the information of contacts on a tube over frequency.
 
@@ -107,6 +111,8 @@ def information(
         Standard deviations of the nuisance parameters.
     hardness : float
         Relative standard deviation of the modulus.
+    model : float
+        Standard deviation in m of depths by errors of the forward model.
 
     Returns
     -------
@@ -143,7 +149,7 @@ def information(
         frequency=f, sound_speed=air.sound_speed, wavenumber=k.real,
         products=(turned[:, :, :, None] * columns[:, :, None]).real,
         echoes=turned * echo[:, None], power=np.abs(echo) ** 2 * left, place=place, scale=scale,
-        slope=slope, told=told, force_prior=contacts.force_prior, hardness=hardness,
+        slope=slope, told=told, force_prior=contacts.force_prior, hardness=hardness, model=model,
         range_grid=grid,
         range_power=np.min(light, axis=0) * np.exp(4 * k.imag * grid[:, None]),
     )  # fmt: skip

@@ -87,6 +87,8 @@ class Prediction(NamedTuple):
         Probabilities of an error of half wavelengths.
     noise : ndarray
         Relative deviation of the force by the Cramer-Rao bound alone.
+    model : ndarray
+        Relative deviation of the force by errors of the forward model alone.
     reach : ndarray
         Farthest place in m at which the lightest contact is detected, (...).
     resolution : ndarray
@@ -99,6 +101,7 @@ class Prediction(NamedTuple):
     found: Array
     wrong: Array
     noise: Array
+    model: Array
     reach: Array
     resolution: Array
 
@@ -260,7 +263,8 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     off = (each * missed[:, None] ** 2).sum(axis=0) / scale[0] ** 2
     turned = (each * shifts**2).sum(axis=0)
     place = jnp.minimum(covariance[:, 0, 0] + off, 1.0)
-    depth = jnp.minimum(covariance[:, 1, 1] + turned, 1.0)
+    mistaken = (known.model / scale[1]) ** 2
+    depth = jnp.minimum(covariance[:, 1, 1] + turned + mistaken, 1.0)
     place, depth = (found * one + 1 - found for one in (place, depth))
     noise = known.slope * scale[1] * jnp.sqrt(covariance[:, 1, 1])
     force = (known.slope * scale[1]) ** 2 * depth + known.hardness**2
@@ -272,7 +276,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     resolution = jnp.hypot(known.sound_speed / (2 * width), OWN_LENGTH)
     return (
         jnp.sqrt(place) * scale[0], jnp.sqrt(depth) * scale[1], jnp.sqrt(force), found,
-        each.sum(axis=0), noise, reach, resolution,
+        each.sum(axis=0), noise, known.slope * known.model, reach, resolution,
     )  # fmt: skip
 
 

@@ -158,22 +158,25 @@ def _modulus(design: DesignGoal, shore: float) -> float:
 def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
     """Return what the mean square error of the force is made of, as shares of it.
 
-    Causes are the wall's hardness, noise with unknown temperature, gain and phase, errors of half
-    wavelengths, and presses that are missed, in the ring-down, or beyond a closed lumen.
+    Causes are the wall's hardness, the forward model, noise with unknown temperature, gain and
+    phase, errors of half wavelengths, and presses that are missed, in the ring-down, or beyond a
+    closed lumen.
     """
     found, hardness = candidate.found, design.goal.hardness_percent / PERCENT
     square = found.force**2
     prior = float(np.log(design.goal.forces_n[1] / design.goal.forces_n[0]) ** 2 / 12)
-    seen = np.minimum(found.noise**2, prior)
     lost = np.maximum(square - prior * found.found, 0) * (found.found < 0.5)
     lost += np.where(square >= prior * (1 - 1e-6), square - lost, 0)
     rest = square - lost
-    parts = {
-        "hardness of the wall": np.minimum(hardness**2, rest),
-        "noise, temperature, gain and phase": np.minimum(seen, np.maximum(rest - hardness**2, 0)),
-        "missed, in the ring-down, or beyond a closed lumen": lost,
-    }
-    parts["errors of half wavelengths"] = np.maximum(square - sum(parts.values()), 0)
+    parts = {"missed, in the ring-down, or beyond a closed lumen": lost}
+    for name, own in (
+        ("hardness of the wall", np.full_like(square, hardness**2)),
+        ("errors of the forward model", found.model**2),
+        ("noise, temperature, gain and phase", found.noise**2),
+    ):
+        parts[name] = np.minimum(own, np.maximum(rest, 0))
+        rest = rest - parts[name]
+    parts["errors of half wavelengths"] = np.maximum(rest, 0)
     total = float(square.sum())
     return {name: float(np.sum(part)) / total for name, part in parts.items()}
 

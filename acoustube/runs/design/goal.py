@@ -93,6 +93,9 @@ class Goal(Section):
         Relative standard deviation of the wall's modulus, in per cent.
     temperature_c : float
         Of the air.
+    model_um : float
+        Standard deviation of depths by errors of the forward model; that between two meshes is
+        50 um.
     average : int
         Cycles whose mean is inverted.
     """
@@ -110,6 +113,7 @@ class Goal(Section):
     layer_mpa: float = setting(0.1, Number(0.005, 50, "MPa", "Young's modulus of that layer"))
     hardness_percent: float = setting(5.0, Number(0, 50, "%", "deviation of the wall's modulus"))
     temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
+    model_um: float = setting(50.0, Number(0, 1000, "um", "deviation of depths by the model"))
     average: int = setting(1, Number(1, 1000, "", "cycles whose mean is inverted", whole=True))
 
 

@@ -40,10 +40,7 @@ PAPER_CARRIER = 42.0
 
 
 ASSUMED = (
-    (
-        "Presses are on the coarse mesh; what the calibration leaves of clutter, and errors of the "
-        "model but for its stretch, are not contained."
-    ),
+    ("Presses are on the coarse mesh; what the calibration leaves of clutter is not contained."),
     (
         "Level, noise and ring-down of the electronics are those of the default rangefinder at "
         "every carrier."

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from acoustube.base.types import Array
-from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.base.units import CM, KHZ, MM, PERCENT, UM
 from acoustube.inversion.design import (
     Contacts,
     Electronics,
@@ -129,7 +129,7 @@ def known_of(
         )
     return information(
         tubes, contacts or contacts_of(design), modulus=modulus, temperature=goal.temperature_c,
-        hardness=goal.hardness_percent / PERCENT,
+        hardness=goal.hardness_percent / PERCENT, model=goal.model_um / UM,
     )  # fmt: skip
 
 
