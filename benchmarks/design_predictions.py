@@ -92,7 +92,7 @@ def prepared(given):
 def contacts(design, library, tubes, given):
     """Return contacts within the library and their depths in m."""
     rng, goal, tool = np.random.default_rng(given.seed), design.goal, library.tools[0]
-    places = rng.uniform(goal.nearest_m, goal.reach_m - 0.05, given.count)
+    places = rng.uniform(goal.nearest_m, goal.reach_m - 0.1, given.count)
     low = max(goal.forces_n[0], float(tool.force[0]))
     # Within the design's own presses, which are on another mesh.
     deepest = min(tool.depth[-1], 0.99 * tubes[0].depth[-1])
