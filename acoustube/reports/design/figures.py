@@ -40,7 +40,8 @@ def front_figure(
     for i, (name, one) in enumerate(named):
         x, y = one.objectives[0], PERCENT * one.objectives[1]
         axes.plot(x, y, "o", mfc="none", mec="#c1443c", ms=10)
-        axes.annotate(name, (x, y), xytext=(8, 8 + 12 * i), textcoords="offset points", fontsize=9)
+        axes.annotate(name, (x, y), xytext=(8, 8 + 12 * i), textcoords="offset points", fontsize=9,
+                      arrowprops={"arrowstyle": "-", "lw": 0.5})  # fmt: skip
     axes.axvline(reach, color="#777777", ls=":", lw=1, label="reach asked for")
     axes.set_yscale("log")
     for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
