@@ -3,8 +3,9 @@
 Reading order: `tools` (scattering of tools over depth) and `tables` (its interpolation),
 `network` (presses joined by straight tube), `baseband` and `clutter` (the rangefinder and its
 tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates), `hypotheses`
-(sets of presses) and `estimate` (their posterior). For streams: `motion` (the filter), `proposals`
-and `births`, `tracks` (one explanation of the cycles) and `tracking`.
+(sets of presses), `peeling` (presses in the order of time) and `estimate` (their posterior). For
+streams: `motion` (the filter), `proposals` and `births`, `tracks` (one explanation of the cycles)
+and `tracking`.
 """
 
 from acoustube.inversion.baseband import Baseband

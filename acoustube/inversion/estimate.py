@@ -16,8 +16,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.fit import split
-from acoustube.inversion.hypotheses import Builder, Hypothesis
+from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
@@ -176,17 +177,24 @@ class Inverter:
     def _chain(self, builder: Builder) -> list[Hypothesis]:
         """Return the best hypothesis found of each number of presses, up to one too many."""
         chain = [builder.untouched()]
-        beam = chain
+        beam, in_time = chain, peeled(builder, self.most)
         for number in range(1, self.most + 1):
-            found = [more for known in beam for more in builder.extended(known)]
-            if number == 1 and any(one.error > GOOD for one in found):
-                found += builder.first_of(chain[0])
+            found = [
+                builder.settled(one) for level in in_time[number - 1 : number] for one in level
+            ]
+            poor = all(one.error > GOOD for one in found)
+            if poor and (number > 1 or len(in_time) < 2):
+                found += [more for known in beam for more in builder.extended(known)]
             if not found:
                 break
-            found.sort(key=lambda one: one.deviance)
+            least = min(one.deviance for one in found)
+            if chain[-1].error <= GOOD and least > chain[-1].deviance + HOPELESS:
+                chain.append(min(found, key=lambda one: one.deviance))
+                break
+            found = _shifted(builder, found)
             best = found[0]
             likelier = best.deviance + FEWER < chain[-1].deviance
-            if number > 1 and (likelier or chain[-1].error > GOOD):
+            if number > 1 and best.error > GOOD:
                 best = _sought_again(builder, best)
                 likelier = best.deviance + FEWER < chain[-1].deviance
             chain.append(best)
@@ -330,13 +338,21 @@ def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
     return Estimate(float(mean[0]), spread, ends, weight, mean, deviation)
 
 
+def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
+    """Return hypotheses by deviance, the most likely ones with the maxima around them."""
+    found = sorted(found, key=lambda one: one.deviance)
+    best = [found[0], *_others(found[0], found)]
+    rest = [one for one in found if one not in best]
+    return sorted([*map(builder.shifted, best), *rest], key=lambda one: one.deviance)
+
+
 def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
     """Return a hypothesis whose presses were sought again one by one, among the others."""
     for i in range(len(known.tools)):
         found = [one for one in builder.replaced(known, i) if len(one.tools) == len(known.tools)]
         best = min(found, key=lambda one: one.deviance, default=known)
         if best.deviance < known.deviance:
-            known = best
+            known = builder.shifted(best)
     return known
 
 
@@ -349,7 +365,7 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
         if chain[number].deviance + FEWER < chain[number - 1].deviance:
             fewer = min(builder.pruned(chain[number]), key=lambda one: one.deviance)
             if fewer.deviance < chain[number - 1].deviance:
-                chain[number - 1] = fewer
+                chain[number - 1] = builder.shifted(fewer)
     return chain
 
 

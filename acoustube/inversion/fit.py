@@ -30,6 +30,9 @@ RINGING, RINGING_SHARE = 0.5e-3, 0.05
 CONVERGED = 0.02
 """Decrease of the cost in an iteration that ends the iterations."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
+PATIENCE, HOPELESS = 3, 1e3
+"""Iterations after which starting points are given up, and the excess of their cost over the least,
+halved with each iteration more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +153,18 @@ class Fits:
         order = np.argsort(self.cost)
         return Fits(self.parameters[order], self.cost[order], self.information[order])
 
+    def first(self, n: int) -> Fits:
+        """Return the first n of the fits."""
+        return Fits(self.parameters[:n], self.cost[:n], self.information[:n])
+
+    def and_those(self, others: Fits) -> Fits:
+        """Return the fits followed by others of as many presses."""
+        return Fits(
+            np.concatenate([self.parameters, others.parameters]),
+            np.concatenate([self.cost, others.cost]),
+            np.concatenate([self.information, others.information]),
+        )
+
 
 def split(parameters: Array) -> tuple[Array, Array, Array]:
     """Return places, depths (n, n_presses) and nuisances (n, 6) of parameters."""
@@ -173,6 +188,8 @@ def maximise(
 ) -> Fits:
     """Return the maxima of the likelihood next to starting points, by Levenberg and Marquardt.
 
+    Starting points that stay far worse than the best one are given up and left where they are.
+
     Parameters
     ----------
     model : ForwardModel
@@ -188,7 +205,9 @@ def maximise(
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
-    for _ in range(iterations):
+    for number in range(iterations):
+        if number >= PATIENCE:
+            active &= cost < cost.min() + HOPELESS / 2 ** (number - PATIENCE)
         i = np.flatnonzero(active)
         if not len(i):
             break

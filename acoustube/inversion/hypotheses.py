@@ -2,9 +2,9 @@
 
 A press more is proposed where the residual correlates with the echo of one, also through the
 presses before it and by their higher modes. The candidates are refined together with the presses
-known, then shifted by half wavelengths and by depths, since the likelihood has maxima there. The
-first press is also sought in the first part of the echo alone, in which those behind it do not
-sound yet (peeling by time).
+known, then shifted by half wavelengths and by depths, since the likelihood has maxima there. Where
+the presses known explain little, those more are sought with a smaller error of the model than is
+the most likely one: that would hide them.
 """
 
 from __future__ import annotations
@@ -42,12 +42,18 @@ JOINT = -3, -2, -1, 1, 2, 3
 """Half wavelengths by which all presses are shifted together."""
 POOR = 0.05
 """Relative error of the model from which several presses are sought together elsewhere."""
+JUDGED = 4
+"""Of these, maxima whose model error is estimated."""
 OUTLIER = 9.0
 """Squared whitened residual from which the size of a sample tells nothing of the temperature."""
 KEPT = 3
 """Candidates of a tool whose model error is estimated."""
-FIRST_PART = 1.2e-3
-"""Length in s of the first part of an echo."""
+SEARCHED = 0.02
+"""Largest error of the model with which presses are sought."""
+STARTS = 2, 10
+"""Iterations after which only some of the candidates are followed, and how many."""
+FOLLOWED = 2
+"""Tools, or orders of them along the tube, whose model error is estimated."""
 LOUD = 5.0
 """Level over the noise, of whitened samples smoothed, at which an echo begins."""
 DISTINCT = 0.3e-3, 0.02e-3
@@ -121,6 +127,12 @@ class Builder:
         fits = maximise(self.model, (), self.start[None], self.samples, self.quiet, 6)
         return self._judged((), fits, 0.0, self.quiet)
 
+    def silent(self) -> Hypothesis:
+        """Return the hypothesis of no press with the nuisances with which presses are sought."""
+        n = len(self.start)
+        fits = Fits(self.start[None], np.zeros(1), np.eye(n)[None])
+        return Hypothesis((), fits, 0.0, self.quiet, np.inf, np.inf)
+
     def _robust(self) -> Array:
         """Return the nuisances with which presses are sought.
 
@@ -142,50 +154,64 @@ class Builder:
         robust = 2 * np.minimum(np.abs(before) ** 2, OUTLIER).sum(axis=1)
         return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
-    def first_of(self, known: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses of one press, from the first part of the echo alone."""
-        rest = np.abs(known.whiten(self._residual(known)))
-        level = np.sqrt(np.convolve(rest**2, np.ones(4) / 4, "same"))
-        loud = np.flatnonzero(level > LOUD)
-        if not len(loud):
-            return []
-        step = self.model.base.time[1] - self.model.base.time[0]
-        end = int(loud[0] + FIRST_PART / step)
-        if end > len(rest) - 4:
-            return []
-        return self.extended(known, known.whiten.until(end))
+    @property
+    def time_step(self) -> float:
+        """Step of the samples in s."""
+        return float(self.model.base.time[1] - self.model.base.time[0])
 
-    def extended(
-        self, known: Hypothesis, whiten: Weights | None = None, near: float | None = None
-    ) -> list[Hypothesis]:
-        """Return hypotheses with one press more, one for each tool.
+    def searched(self, known: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with the weights by which presses more are sought."""
+        if 0 < known.error <= SEARCHED:
+            return known
+        error = min(known.error, SEARCHED) or SEARCHED
+        echo = self._echo(known.tools, known.best)[1] if known.tools else None
+        return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
+
+    def extended(self, known: Hypothesis, near: float | None = None) -> list[Hypothesis]:
+        """Return hypotheses with one press more.
 
         Parameters
         ----------
         known : Hypothesis
-        whiten : Weights, optional
-            By which candidates are found and refined; those of `known` by default.
         near : float, optional
             Place in m about which the press is sought.
         """
-        whiten = known.whiten if whiten is None else whiten
+        own = self.searched(known) if known.tools else known
+        sought = [known] if own is known else [known, own]
+        found = []
+        for one in sought:
+            fits = self.with_one_more(one, one.whiten, near)
+            if one is known and np.isfinite(known.deviance):
+                fits = [fit for fit in fits if self._promising(known, *fit)]
+            found += [self._fitted(*fit) for fit in fits[:FOLLOWED]]
+        return found
+
+    def with_one_more(
+        self, known: Hypothesis, whiten: Weights, near: float | None = None
+    ) -> list[tuple[tuple[int, ...], Fits]]:
+        """Return tools and fits with one press more, for each tool and order, the best first.
+
+        Parameters
+        ----------
+        known : Hypothesis
+        whiten : Weights
+            By which candidates are found and refined.
+        near : float, optional
+            Place in m about which the press is sought.
+        """
         if not known.tools:
             parameters = self.start[None]
             known = replace(known, fits=replace(known.fits, parameters=parameters))
         places, depths, nuisances = split(known.fits.parameters[:1])
         fronts = front_of(self.model, known.tools, places[0], depths[0], nuisances[0])
-        found = []
+        rest, found = self.residual_of(known), []
         for tool, templates in enumerate(self.templates):
             candidates = templates.search(
-                self._residual(known), whiten, fronts, near=near, temperature=nuisances[0, 0]
+                rest, whiten, fronts, near=near, temperature=nuisances[0, 0]
             )
-            if not len(candidates.gain):
-                continue
-            fits = self._added(known, tool, candidates.place, candidates.depth, whiten)
-            if whiten is known.whiten and np.isfinite(known.deviance):
-                fits = [fit for fit in fits if self._promising(known, *fit)]
-            found += [self._settled(*fit) for fit in fits]
-        return found
+            if len(candidates.gain):
+                found += self._added(known, tool, candidates.place, candidates.depth, whiten)
+        return sorted(found, key=lambda one: float(one[1].cost[0]))
 
     def _promising(self, known: Hypothesis, tools: tuple[int, ...], fits: Fits) -> bool:
         """Return whether fits with a press more may be likelier than without, once settled."""
@@ -221,14 +247,20 @@ class Builder:
                 np.repeat(nuisances, n, 0),
             )
             tools = (*known.tools[:i], tool, *known.tools[i:])
+            tried = maximise(self.model, tools, start, self.samples, whiten, STARTS[0])
+            start = tried.sorted().first(STARTS[1]).parameters
             fits = maximise(self.model, tools, start, self.samples, whiten, 7)
-            found.append((tools, _first(_distinct(fits, len(tools)), KEPT)))
+            found.append((tools, _distinct(fits, len(tools)).first(KEPT)))
         return found
 
-    def _settled(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
-        """Return the hypothesis of fits: their model's error, and the maxima around the best."""
+    def settled(self, known: Hypothesis) -> Hypothesis:
+        """Return the hypothesis fitted to the whole recording, with its model's error."""
+        return self._fitted(known.tools, known.fits)
+
+    def _fitted(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
+        """Return the hypothesis of the most likely of fits, with its model's error."""
         tried = [self._alone(tools, fits.parameters[i : i + 1]) for i in range(len(fits.cost))]
-        return self.shifted(min(tried, key=lambda one: one.deviance))
+        return min(tried, key=lambda one: one.deviance)
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
         """Return the hypothesis of one starting point (1, n_parameters), with its model's error."""
@@ -258,11 +290,11 @@ class Builder:
             # The error that explains a wrong place hides the right one.
             n = m * len(moves)
             together = _distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)
-            tried = [self._alone(known.tools, at[None]) for at in together.parameters]
+            tried = [self._alone(known.tools, at[None]) for at in together.parameters[:JUDGED]]
             better = min(tried, key=lambda one: one.deviance)
             if better.deviance < known.deviance - 1:
                 return self.shifted(better)
-        merged = _distinct(_together(known.fits, fits), m)
+        merged = _distinct(known.fits.and_those(fits), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
         if moved:
@@ -280,7 +312,7 @@ class Builder:
             kept = [i for i in range(len(known.tools)) if i != number]
             rest = joined(places[:, kept], depths[:, kept], nuisances)
             fits = Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None])
-            found.append(self._settled(tuple(known.tools[i] for i in kept), fits))
+            found.append(self._fitted(tuple(known.tools[i] for i in kept), fits))
         return found
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
@@ -298,7 +330,7 @@ class Builder:
         if not starts:
             return fits
         found = maximise(self.model, tools, np.concatenate(starts), self.samples, whiten, 8)
-        return _distinct(_together(fits, found), m)
+        return _distinct(fits.and_those(found), m)
 
     def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
         """Return the most likely error of the model for given parameters, and its weights."""
@@ -323,8 +355,13 @@ class Builder:
         value = self.model.baseband(tools, places, depths, nuisances)[0][0]
         return value, value - self.model.without_presses(nuisances)[0]
 
-    def _residual(self, known: Hypothesis) -> Complex:
-        return self.samples - self._echo(known.tools, known.best)[0]
+    def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:
+        """Return the baseband of parameters (n_parameters,), (n_time,)."""
+        return self._echo(tools, parameters)[0]
+
+    def residual_of(self, known: Hypothesis) -> Complex:
+        """Return the samples without what a hypothesis explains, (n_time,)."""
+        return self.samples - self.modelled(known.tools, known.best)
 
     def _judged(
         self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
@@ -335,18 +372,6 @@ class Builder:
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
         return Hypothesis(tools, fits, error, whiten, deviance, residual)
-
-
-def _first(fits: Fits, n: int) -> Fits:
-    return Fits(fits.parameters[:n], fits.cost[:n], fits.information[:n])
-
-
-def _together(a: Fits, b: Fits) -> Fits:
-    return Fits(
-        np.concatenate([a.parameters, b.parameters]),
-        np.concatenate([a.cost, b.cost]),
-        np.concatenate([a.information, b.information]),
-    )
 
 
 def _distinct(fits: Fits, n_presses: int) -> Fits:

@@ -10,9 +10,18 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import CLOSEST, Weights, weights
+from acoustube.inversion.fit import Weights, weights
 from acoustube.inversion.model import ForwardModel
-from acoustube.inversion.search import Candidates, Front
+from acoustube.inversion.search import (
+    APART,
+    Candidates,
+    Front,
+    apart,
+    candidates,
+    exclude,
+    precision_of,
+    separate,
+)
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
@@ -21,8 +30,6 @@ FINE_STEP, FINE_REACH = 0.5e-3, 9e-3
 """Step in m of the fine search over places, and its reach to both sides."""
 NODES = 0.15
 """Distance in m of the places at which the energies of echoes are computed."""
-APART = 0.03
-"""Distance in m of candidates that count as different places."""
 SMOOTHED = 0.4e-3
 """Time in s over which the noise is averaged: the length of an echo."""
 
@@ -51,7 +58,7 @@ class Proposals:
         waves = 2j * base.k[:, :1].conj()
         self.turns = np.exp(waves * self.places).astype(np.complex64)
         quiet = weights(model, noise, 0.0, None)
-        self.quiet = _precision(quiet)
+        self.quiet = precision_of(quiet)
         nodes = np.arange(base.nearest, base.length + NODES, NODES)
         spectra = found[:, None] * np.exp(waves * nodes).conj().T
         # Of both phases, which in samples below the Nyquist rate have different energies.
@@ -110,41 +117,30 @@ class Proposals:
         owner = np.searchsorted(ends[1:], self.places)
         if near is not None:
             owner[np.abs(self.places - near) > FINE_REACH] = -1
-            gain[:, owner < 0] = -np.inf
         for i, one in enumerate(filters):
             here = owner == i
             level = np.abs(one.astype(np.complex64) @ self.turns[:, here])
             energy[:, here] *= scales[i]
             gain[:, here] = 2 * (2 * level - energy[:, here])
-        for place in ends[1:]:
-            gain[:, np.abs(self.places - place) < CLOSEST] = -np.inf
+        exclude(gain, self.places, ends[1:], near, FINE_REACH)
         found: list[tuple[float, float, float]] = []
         for best in self._places(gain.max(axis=0), number, least):
             found += self._refined(filters[owner[best]], energy[:, best], best, fine, temperature)
-        found.sort(key=lambda one: -one[0])
-        table = np.array(found).reshape(-1, 3)
-        return Candidates(table[:, 0], table[:, 1], table[:, 2])
+        return candidates(found)
 
     def _places(self, gain: Array, number: int, least: float) -> list[int]:
         """Return the nearest place of a gain, and those of the highest gains, apart."""
-        left, found = gain.copy(), []
-        first = np.flatnonzero(gain > least)
-        if len(first):
-            near = np.abs(self.places - self.places[first[0]]) < APART
-            found.append(int(np.argmax(np.where(near, left, -np.inf))))
-            left[np.abs(self.places - self.places[found[0]]) < APART] = -np.inf
-        for _ in range(number):
-            best = int(np.argmax(left))
-            if not left[best] > 0:
-                break
-            found.append(best)
-            left[np.abs(self.places - self.places[best]) < APART] = -np.inf
-        return found
+        first = np.flatnonzero(gain > least)[:1]
+        near = [
+            int(np.argmax(np.where(np.abs(self.places - place) < APART, gain, -np.inf)))
+            for place in self.places[first]
+        ]
+        return apart(gain, self.places, number, *near)
 
     def _dimmed(self, whiten: Weights) -> Array:
         """Return the precision at the echoes of the places, relative to the untouched tube's."""
         base = self.model.base
-        ratio = _precision(whiten) / self.quiet
+        ratio = precision_of(whiten) / self.quiet
         width = max(1, round(SMOOTHED / (base.window[1] - base.window[0])))
         smooth = np.convolve(ratio, np.ones(width) / width, "same")
         return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
@@ -158,16 +154,4 @@ class Proposals:
         waves = base.k[:, :1] + temperature * base.k_by_temperature[:, :1]
         level = (filters @ np.exp(2j * waves.conj() * places)).real
         gain = 2 * (2 * level - energy[:, None])
-        found = []
-        for _ in range(count):
-            i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
-            if not gain[i, j] > 0:
-                break
-            found.append((float(gain[i, j]), float(places[j]), float(self.depths[i])))
-            gain[max(i - 2, 0) : i + 3, max(j - 3, 0) : j + 4] = -np.inf
-        return found
-
-
-def _precision(whiten: Weights) -> Array:
-    """Return the diagonal of the inverse of the covariance, (n_time,)."""
-    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))
+        return separate(gain, places, self.depths, count)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.types import Array
+from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.fit import CLOSEST, Weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.waves.scattering import Complex
@@ -16,10 +17,15 @@ from acoustube.waves.scattering import Complex
 COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
 """Steps in m over the places, coarse and fine, and the reach of the fine ones to both sides."""
 DEPTH_STEP = 0.125e-3
-NODES = 0.15
-"""Distance in m of the places at which the energy of templates is computed."""
+NODES, NODES_BEHIND = 0.05, 0.01
+"""Distances in m of the places at which the energy of templates is computed: before the first press
+known, and behind, where modes beat over 2 cm."""
 APART = 0.03
 """Distance in m of candidates that count as different places."""
+DISTINCT = 1.5e-3, 0.5e-3
+"""Differences of place and depth in m from which two maxima about a place are separate."""
+CHUNK = 40
+"""Nodes whose templates are computed at once."""
 
 
 class Front(NamedTuple):
@@ -73,7 +79,6 @@ class Templates:
         stretch = np.full(len(self.depths), model.stretch)
         self.reflection = table(self.depths, stretch).value[:, :, 0, :, 0, :]
         self.places = np.arange(base.nearest, base.length - 0.05, COARSE)
-        self.nodes = np.arange(base.nearest, base.length + NODES, NODES)
 
     def search(
         self,
@@ -81,8 +86,8 @@ class Templates:
         whiten: Weights,
         fronts: list[Front],
         *,
-        number: int = 4,
-        fine: int = 4,
+        number: int = 6,
+        fine: int = 6,
         near: float | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
@@ -109,43 +114,26 @@ class Templates:
         coarse = np.empty((len(self.depths), len(self.places)))
         zones = self._zones(fronts, waves)
         owner = self._owners(fronts, self.places)
+        precision = precision_of(whiten).astype(np.float32)
         for number_of_zone, zone in enumerate(zones):
             here = owner == number_of_zone
-            energy = self._energy(zone, whiten)
-            zone.energy = energy
             if here.any():
+                zone.set_energy(base, precision, self.places[here])
                 level = np.abs(zone.correlate(field, self.places[here]))
-                coarse[:, here] = 2 * (2 * level - _along(energy, self.nodes, self.places[here]))
-        for front in fronts:
-            coarse[:, np.abs(self.places - front.place) < CLOSEST] = -np.inf
-        if near is not None:
-            coarse[:, np.abs(self.places - near) > FINE_REACH] = -np.inf
-        found = []
-        for _ in range(number):
-            best = int(np.argmax(coarse.max(axis=0)))
-            if not coarse[:, best].max() > 0:
-                break
+                coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
+        exclude(coarse, self.places, [front.place for front in fronts], near, FINE_REACH)
+        found: list[tuple[float, float, float]] = []
+        for best in apart(coarse.max(axis=0), self.places, number):
             found += self._refined(zones[owner[best]], field, self.places[best], fine)
-            coarse[:, np.abs(self.places - self.places[best]) < APART] = -np.inf
-        found.sort(key=lambda one: -one[0])
-        table = np.array(found).reshape(-1, 3)
-        return Candidates(table[:, 0], table[:, 1], table[:, 2])
+        return candidates(found)
 
     def _refined(
         self, zone: _Zone, field: Complex, place: float, count: int
     ) -> list[tuple[float, float, float]]:
         """Return the highest separate maxima of the correlation with its phase, about a place."""
         places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
-        level = zone.correlate(field, places).real
-        gain = 2 * (2 * level - _along(zone.energy, self.nodes, places))
-        found = []
-        for _ in range(count):
-            i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
-            if not gain[i, j] > 0:
-                break
-            found.append((float(gain[i, j]), float(places[j]), float(self.depths[i])))
-            gain[max(i - 4, 0) : i + 5, max(j - 3, 0) : j + 4] = -np.inf
-        return found
+        gain = 2 * (2 * zone.correlate(field, places).real - zone.energy_at(places))
+        return separate(gain, places, self.depths, count)
 
     def _zones(self, fronts: list[Front], waves: Complex) -> list[_Zone]:
         base = self.model.base
@@ -164,21 +152,32 @@ class Templates:
     def _owners(fronts: list[Front], places: Array) -> NDArray[np.intp]:
         return np.searchsorted(np.array([front.place for front in fronts]), places)
 
-    def _energy(self, zone: _Zone, whiten: Weights) -> Array:
-        """Return the energies of whitened templates, (n_depths, n_nodes)."""
-        base = self.model.base
-        at = np.maximum(self.nodes, zone.origin)
-        spectra = zone.spectra(at)
-        samples = whiten(base.transformed(spectra))
-        return np.asarray(np.sum(np.abs(samples) ** 2, axis=-1))
-
 
 class _Zone:
     """Templates of one stretch of the tube: sums of spectra with wavenumbers, from an origin."""
 
     def __init__(self, parts: Sequence[tuple[Complex, Complex]], origin: float) -> None:
         self.parts, self.origin = parts, origin
-        self.energy: Array = np.zeros((0, 0))
+        self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
+
+    def set_energy(self, base: Baseband, precision: Array, places: Array) -> None:
+        """Compute the energies of templates at nodes about places, with weights over time."""
+        step = NODES_BEHIND if len(self.parts) > 1 else NODES
+        low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
+        self.nodes = np.arange(low, high, step)
+        energy = []
+        for some in np.array_split(self.nodes, 1 + len(self.nodes) // CHUNK):
+            spectra = self.spectra(np.maximum(some, self.origin)).astype(np.complex64)
+            samples = base.transformed(spectra)
+            energy.append((samples.real**2 + samples.imag**2) @ precision)
+        self.level = np.log(np.maximum(np.concatenate(energy, axis=1), 1e-30))
+
+    def energy_at(self, places: Array) -> Array:
+        """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
+        share = np.clip((places - self.nodes[0]) / (self.nodes[1] - self.nodes[0]), 0, None)
+        i = np.minimum(share.astype(int), len(self.nodes) - 2)
+        share = np.clip(share - i, 0, 1)
+        return np.asarray(np.exp((1 - share) * self.level[:, i] + share * self.level[:, i + 1]))
 
     def correlate(self, field: Complex, places: Array) -> Complex:
         """Return the products with a field, (n_depths, n_places)."""
@@ -198,13 +197,58 @@ class _Zone:
         return total
 
 
-def _along(energy: Array, nodes: Array, places: Array) -> Array:
-    """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
-    share = np.interp(places, nodes, np.arange(len(nodes)))
-    i = np.minimum(share.astype(int), len(nodes) - 2)
-    share = share - i
-    level = np.log(np.maximum(energy, 1e-300))
-    return np.asarray(np.exp((1 - share) * level[:, i] + share * level[:, i + 1]))
+def precision_of(whiten: Weights) -> Array:
+    """Return the diagonal of the inverse of the covariance, (n_time,)."""
+    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))
+
+
+def exclude(
+    gain: Array, places: Array, known: Sequence[float], near: float | None, reach: float
+) -> None:
+    """Set the gain (n_depths, n_places) to minus infinity next to presses and far from a place."""
+    for place in known:
+        gain[:, np.abs(places - place) < CLOSEST] = -np.inf
+    if near is not None:
+        gain[:, np.abs(places - near) > reach] = -np.inf
+
+
+def apart(gain: Array, places: Array, number: int, *first: int) -> list[int]:
+    """Return the first of places (n,) and those of the highest positive gains, all apart."""
+    left, found = gain.copy(), list(first)
+    for i in first:
+        left[np.abs(places - places[i]) < APART] = -np.inf
+    for _ in range(number):
+        best = int(np.argmax(left))
+        if not left[best] > 0:
+            break
+        found.append(best)
+        left[np.abs(places - places[best]) < APART] = -np.inf
+    return found
+
+
+def separate(
+    gain: Array, places: Array, depths: Array, count: int
+) -> list[tuple[float, float, float]]:
+    """Return gain, place and depth of the highest separate maxima of a gain (n_depths, n_places).
+
+    The gain is changed.
+    """
+    rows = round(DISTINCT[1] / (depths[1] - depths[0]))
+    columns = round(DISTINCT[0] / (places[1] - places[0]))
+    found = []
+    for _ in range(count):
+        i, j = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if not gain[i, j] > 0:
+            break
+        found.append((float(gain[i, j]), float(places[j]), float(depths[i])))
+        gain[max(i - rows, 0) : i + rows + 1, max(j - columns, 0) : j + columns + 1] = -np.inf
+    return found
+
+
+def candidates(found: list[tuple[float, float, float]]) -> Candidates:
+    """Return candidates of gains, places and depths, the best first."""
+    table = np.array(sorted(found, key=lambda one: -one[0])).reshape(-1, 3)
+    return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
 
 def front_of(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import spline_filter1d
 
 from acoustube.base.types import Array
+from acoustube.inversion.spline_sums import sums
 from acoustube.inversion.tools import Tool
 from acoustube.waves.scattering import Complex
 
@@ -101,19 +101,18 @@ class ToolTable:
             Whether nothing lies behind the press: all but the reflection at its front and the plane
             wave's transmission is zero then.
         """
-        value, slope = self._over_depth(np.asarray(depth, float), last)
-        place = (np.outer(1 + np.asarray(stretch), self.frequency) - self.start) / self.step
-        first = np.clip(np.floor(place).astype(int), 1, self.count - 3)
-        weights, slopes = _b_spline(place - first)
-        rows = np.arange(len(first))[:, None]
-        found, by_depth, by_place = np.zeros((3, *first.shape, value.shape[2]), complex)
-        for j in range(4):
-            at = value[rows, first + j - 1]
-            found += weights[j][..., None] * at
-            by_place += slopes[j][..., None] * at
-            by_depth += weights[j][..., None] * slope[rows, first + j - 1]
-        by_stretch = by_place * (self.frequency / self.step)[None, :, None]
-        return Matrices(*(self._spread(part, last) for part in (found, by_depth, by_stretch)))
+        given = np.asarray(depth, float)
+        nodes = self.tool.depth
+        i = np.clip(np.searchsorted(nodes, given, side="right") - 1, 0, len(nodes) - 2)
+        step = nodes[i + 1] - nodes[i]
+        hermite, rates = _hermite((given - nodes[i]) / step, step)
+        values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
+        place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
+        first = np.clip(np.floor(place).astype(np.int64), 1, self.count - 3)
+        weights, tilts = _b_spline(place - first)
+        parts = sums(values, slopes, i, hermite, rates, first - 1, weights, tilts)
+        by_stretch = parts[2] * (self.frequency / self.step)[None, :, None]
+        return Matrices(*(self._spread(part, last) for part in (parts[0], parts[1], by_stretch)))
 
     def _spread(self, part: Complex, last: bool) -> Complex:
         """Return the matrices of their coefficients (n, n_f, n_coefficients)."""
@@ -123,23 +122,6 @@ class ToolTable:
             full[..., self.seen] = part
             part = full
         return part.reshape(shape)
-
-    def _over_depth(self, depth: Array, last: bool) -> tuple[Complex, Complex]:
-        """Return the coefficients over frequency at depths and their slopes, (n, n_f, values)."""
-        values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
-        nodes = self.tool.depth
-        i = np.clip(np.searchsorted(nodes, depth, side="right") - 1, 0, len(nodes) - 2)
-        step = nodes[i + 1] - nodes[i]
-        x = (depth - nodes[i]) / step
-        y = 1 - x
-        ends = values[i], values[i + 1], slopes[i], slopes[i + 1]
-        value_of = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y), step * x * y**2, -step * x**2 * y
-        slope_of = -6 * x * y / step, 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)
-        value, slope = np.zeros((2, *ends[0].shape), complex)
-        for end, w, rate in zip(ends, value_of, slope_of, strict=True):
-            value += w[:, None, None] * end
-            slope += rate[:, None, None] * end
-        return value, slope
 
 
 def _refinement(given: Array, wanted: Array) -> Complex:
@@ -163,9 +145,20 @@ def _refinement(given: Array, wanted: Array) -> Complex:
     return np.asarray(np.linalg.solve(known.T, covariance(wanted, given).T).T)
 
 
-def _b_spline(u: NDArray[np.float64]) -> tuple[list[Array], list[Array]]:
-    """Return the four cubic B-splines that are not zero at u in 0 to 1, and their slopes."""
+def _hermite(x: Array, step: Array) -> tuple[Array, Array]:
+    """Return the weights (n, 4) of values and slopes at both ends of an interval, and their rates.
+
+    Of the value at x, from 0 to 1 in an interval of a length, and of its derivative by length.
+    """
+    y = 1 - x
+    value = [(1 + 2 * x) * y**2, x**2 * (1 + 2 * y), step * x * y**2, -step * x**2 * y]
+    rate = [-6 * x * y / step, 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)]
+    return np.stack(value, -1), np.stack(rate, -1)
+
+
+def _b_spline(u: Array) -> tuple[Array, Array]:
+    """Return the four cubic B-splines that are not zero at u in 0 to 1, and slopes, (..., 4)."""
     v = 1 - u
     values = [v**3 / 6, 2 / 3 - u**2 + u**3 / 2, 2 / 3 - v**2 + v**3 / 2, u**3 / 6]
     slopes = [-(v**2) / 2, -2 * u + 1.5 * u**2, 2 * v - 1.5 * v**2, u**2 / 2]
-    return values, slopes
+    return np.stack(values, -1), np.stack(slopes, -1)

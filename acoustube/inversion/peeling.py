@@ -1,0 +1,93 @@
+"""Presses found one after the other in the order of time.
+
+What has come back until a moment is caused by the presses up to half its way: the echo of a press
+is fitted in the first part of what is unexplained, in which those behind it do not sound yet,
+jointly with the presses before it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.hypotheses import Builder, Hypothesis
+
+PARTS = 0.7e-3, 1.2e-3
+"""Lengths in s of the first part of an echo that are tried."""
+LOUD, LEADING, AHEAD = 5.0, 0.1, 0.5e-3
+"""Level over the noise at which an echo begins, of whitened samples smoothed; its share of the
+highest level that follows within a time in s: the band's edges ring before an echo."""
+BEAM = 2
+"""Hypotheses of each number of presses that are followed."""
+ALIKE = 1e-3
+"""Distance in m up to which the places of two hypotheses are the same."""
+
+
+def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
+    """Return hypotheses of one press, of two and so on, fitted to the first part of a recording.
+
+    Parameters
+    ----------
+    builder : Builder
+    most : int
+        Largest number of presses.
+    """
+    beam = [builder.silent()]
+    found: list[list[Hypothesis]] = []
+    for _ in range(most):
+        beam = _distinct([more for known in beam for more in _with_next(builder, known)])[:BEAM]
+        if not beam:
+            break
+        found.append(beam)
+        beam = [builder.searched(known) for known in beam]
+    return found
+
+
+def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
+    """Return hypotheses with the next press in time, the residual that of the first part."""
+    rest = builder.residual_of(known)
+    start = leading_edge(np.abs(known.whiten(rest)), step := builder.time_step)
+    if start is None:
+        return []
+    found = []
+    for part in PARTS:
+        end = min(start + int(part / step), len(rest))
+        whiten = known.whiten.until(end)
+        for tools, fits in builder.with_one_more(known, whiten)[:1]:
+            left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
+            share = float(np.mean(np.abs(left[:end]) ** 2)) / builder.model.base.freedom
+            found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
+    return found
+
+
+def leading_edge(level: Array, step: float) -> int | None:
+    """Return the sample at which an echo begins in whitened samples, or None.
+
+    Parameters
+    ----------
+    level : ndarray
+        Absolute values, (n_time,).
+    step : float
+        In s.
+    """
+    smooth = np.sqrt(np.convolve(level**2, np.ones(4) / 4, "same"))
+    ahead = np.lib.stride_tricks.sliding_window_view(
+        np.pad(smooth, (0, max(int(AHEAD / step), 1))), max(int(AHEAD / step), 1) + 1
+    )
+    loud = np.flatnonzero((smooth > LOUD) & (smooth > LEADING * ahead.max(axis=1)))
+    return int(loud[0]) if len(loud) and loud[0] < len(level) - 8 else None
+
+
+def _distinct(found: list[Hypothesis]) -> list[Hypothesis]:
+    """Return the hypotheses whose places differ, that of the smallest residual first."""
+    kept: list[Hypothesis] = []
+    for one in sorted(found, key=lambda one: one.residual):
+        ends = 2 * len(one.tools)
+        same = any(
+            other.tools == one.tools
+            and np.all(np.abs((other.best - one.best)[:ends:2]) < ALIKE)
+            for other in kept
+        )  # fmt: skip
+        if not same:
+            kept.append(one)
+    return kept
