@@ -19,7 +19,6 @@ from acoustube.inversion.search import (
     apart,
     candidates,
     exclude,
-    precision_of,
     separate,
 )
 from acoustube.waves.scattering import Complex
@@ -58,7 +57,7 @@ class Proposals:
         waves = 2j * base.k[:, :1].conj()
         self.turns = np.exp(waves * self.places).astype(np.complex64)
         quiet = weights(model, noise, 0.0, None)
-        self.quiet = precision_of(quiet)
+        self.quiet = _precision(quiet)
         nodes = np.arange(base.nearest, base.length + NODES, NODES)
         spectra = found[:, None] * np.exp(waves * nodes).conj().T
         # Of both phases, which in samples below the Nyquist rate have different energies.
@@ -140,7 +139,7 @@ class Proposals:
     def _dimmed(self, whiten: Weights) -> Array:
         """Return the precision at the echoes of the places, relative to the untouched tube's."""
         base = self.model.base
-        ratio = precision_of(whiten) / self.quiet
+        ratio = _precision(whiten) / self.quiet
         width = max(1, round(SMOOTHED / (base.window[1] - base.window[0])))
         smooth = np.convolve(ratio, np.ones(width) / width, "same")
         return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
@@ -155,3 +154,8 @@ class Proposals:
         level = (filters @ np.exp(2j * waves.conj() * places)).real
         gain = 2 * (2 * level - energy[:, None])
         return separate(gain, places, self.depths, count)
+
+
+def _precision(whiten: Weights) -> Array:
+    """Return the diagonal of the inverse of the covariance, (n_time,)."""
+    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))

@@ -114,11 +114,11 @@ class Templates:
         coarse = np.empty((len(self.depths), len(self.places)))
         zones = self._zones(fronts, waves)
         owner = self._owners(fronts, self.places)
-        precision = precision_of(whiten).astype(np.float32)
+        matrix = whiten.matrix.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
             here = owner == number_of_zone
             if here.any():
-                zone.set_energy(base, precision, self.places[here])
+                zone.set_energy(base, matrix, self.places[here])
                 level = np.abs(zone.correlate(field, self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         exclude(coarse, self.places, [front.place for front in fronts], near, FINE_REACH)
@@ -160,16 +160,16 @@ class _Zone:
         self.parts, self.origin = parts, origin
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
-    def set_energy(self, base: Baseband, precision: Array, places: Array) -> None:
-        """Compute the energies of templates at nodes about places, with weights over time."""
+    def set_energy(self, base: Baseband, whiten: Complex, places: Array) -> None:
+        """Compute the energies of templates at nodes about places, whitened by a matrix."""
         step = NODES_BEHIND if len(self.parts) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
         energy = []
         for some in np.array_split(self.nodes, 1 + len(self.nodes) // CHUNK):
             spectra = self.spectra(np.maximum(some, self.origin)).astype(np.complex64)
-            samples = base.transformed(spectra)
-            energy.append((samples.real**2 + samples.imag**2) @ precision)
+            samples = base.transformed(spectra).astype(np.complex64) @ whiten
+            energy.append(np.sum(samples.real**2 + samples.imag**2, axis=-1))
         self.level = np.log(np.maximum(np.concatenate(energy, axis=1), 1e-30))
 
     def energy_at(self, places: Array) -> Array:
@@ -195,11 +195,6 @@ class _Zone:
             turn = np.exp(-1j * np.outer(places - self.origin, wave))
             total += shape[:, None] * turn
         return total
-
-
-def precision_of(whiten: Weights) -> Array:
-    """Return the diagonal of the inverse of the covariance, (n_time,)."""
-    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))
 
 
 def exclude(

@@ -44,11 +44,10 @@ def sums(
     n, n_f = first.shape
     count, q = values.shape[1:]
     found = np.zeros((3, n, n_f, q), np.complex128)
-    here = np.empty((2, count, q), np.complex64)
+    here = np.empty((2, count, q), np.complex128)
     for a in range(n):
         i = interval[a]
-        w = hermite[a].astype(np.float32)
-        r = rates[a].astype(np.float32)
+        w, r = hermite[a], rates[a]
         low, high = first[a].min(), first[a].max() + 4
         for f in range(low, high):
             for c in range(q):
