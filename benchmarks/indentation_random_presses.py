@@ -91,7 +91,7 @@ def wrong(press: Indentation) -> tuple[list[str], str]:
     lost, allowed = work - gained, WORK_TOLERANCE * max(energy) - WORK_TOLERANCE * energy[0]
     if abs(lost.sum()) > allowed:
         snaps = int(np.argmax(lost))
-        if lost[snaps] >= SNAP_SHARE * np.abs(lost).sum():
+        if snaps > 0 and lost[snaps] >= SNAP_SHARE * np.abs(lost).sum():
             return found, f"{MM * press.depth[snaps]:.3f} mm: {lost[snaps]:.3g} J"
         found.append(f"work {work.sum():.4g} J, energy {gained.sum():.4g} J")
     return found, ""
