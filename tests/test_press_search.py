@@ -1,5 +1,7 @@
 """Candidates for presses: the correlation behind a press, and the picking of maxima."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from test_inversion import MODES, RADIUS, tool
@@ -12,12 +14,18 @@ from acoustube.ranging import Rangefinder
 
 FIRST, SECOND = (0.4, 2.5e-3), (0.53, 4.1e-3)
 """Places and depths of two presses in m."""
+COUPLING = 6.0
+"""Factor by which plane and higher modes couple more than in other tests."""
 
 
 @pytest.fixture(scope="module")
 def model():
     base = Baseband(Rangefinder(), RADIUS, 1.0, 20.0, MODES)
-    return ForwardModel(Library((tool(0.5e-3),)), base)
+    one = tool(0.5e-3)
+    s = one.s.copy()
+    s[..., 0, :, 1:] *= COUPLING
+    s[..., 1:, :, 0] *= COUPLING
+    return ForwardModel(Library((dataclasses.replace(one, s=s),)), base)
 
 
 def baseband(model, *presses):
@@ -27,13 +35,13 @@ def baseband(model, *presses):
 
 def test_press_behind_another_is_the_best_candidate_and_gains_no_more_than_it_sounds(model):
     """The decrease of a squared residual cannot exceed it: energies of templates, which beat behind
-    a press, must be right. They are interpolated over 1 cm of beats of 2 cm."""
+    a press, must be right. With energies every 15 cm it is 1.05."""
     rest = baseband(model, FIRST, SECOND) - baseband(model, FIRST)
     whiten = weights(model, 1e-4 * np.abs(rest).max() ** 2, 0.0, None)
     fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(6))
     found = Templates(model, 0).search(rest, whiten, fronts)
     total = 2 * np.sum(np.abs(whiten(rest)) ** 2)
-    assert found.gain[0] < 1.1 * total
+    assert found.gain[0] < 1.02 * total
     assert found.gain[0] > 0.8 * total  # multiple reflections between the two are left out
     assert abs(found.place[0] - SECOND[0]) < 0.5e-3
     assert abs(found.depth[0] - SECOND[1]) < 0.2e-3
