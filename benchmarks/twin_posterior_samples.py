@@ -4,7 +4,9 @@ The posterior of a hidden sensor of `twin_hidden_sensors.py`, with the scatter o
 correction unknown, is sampled with the model as it is, not linearised. Gibbs: the scatters, given
 the parameters, are independent and drawn on their grids; the parameters, given the scatters, by
 Metropolis and Hastings' rule from proposals that leave the linearised posterior of those scatters
-invariant (autoregressive, of random width). Several chains start at draws of Laplace's posterior.
+invariant (autoregressive, of random width), and by jumps to independent draws of Laplace's
+posterior, scatters included, which only the model's curvature rejects. The chains start at the
+maximum.
 
 Usage: python benchmarks/twin_posterior_samples.py --sensor 3 --steps 4000
 """
@@ -13,6 +15,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import cached_property
+from itertools import product
 
 import numpy as np
 from twin_hidden_sensors import LENGTH, RATE, drawn, recorded
@@ -21,7 +25,15 @@ from acoustube.inversion.twin import fit_twin
 from acoustube.inversion.twin.estimate import _quantised_levels
 from acoustube.inversion.twin.fit import Point, normal_equations
 from acoustube.inversion.twin.model import CORRECTIONS, LOCAL, SHARED
-from acoustube.inversion.twin.posterior import COLOURS, LEVELS, PLACEMENTS, USUAL, posterior
+from acoustube.inversion.twin.posterior import (
+    COLOURS,
+    LEVELS,
+    PLACEMENTS,
+    USUAL,
+    _given,
+    posterior,
+    with_scatter,
+)
 
 SHOWN = (
     "log_radius", "temperature_offset", "temperature_gradient", "log_resonance", "log_quality",
@@ -83,6 +95,25 @@ class Target:
         left = self.twin.data.values - self.twin.model(*self.point(x)).value
         return float(np.sum(self.twin.data.weights * np.abs(left) ** 2))
 
+    @cached_property
+    def cases(self):
+        """Scatters of the grid, and their shares in Laplace's posterior."""
+        cases, score = list(product(PLACEMENTS, LEVELS, COLOURS)), []
+        for case in cases:
+            spread = np.hypot(case[1], self.extra)
+            own = with_scatter(self.twin.prior, case[0], spread, case[2])
+            value = _given(self.normal, own, self.twin.point)[0]
+            for one, (median, width) in zip(case, USUAL, strict=True):
+                value -= 0.5 * (np.log(one / median) / width) ** 2
+            score.append(value)
+        share = np.exp(np.array(score) - max(score))
+        return cases, share / share.sum()
+
+    def straight(self, x):
+        """Return the misfit of the linearised model."""
+        off = x - self.centre
+        return self.normal.misfit - 2 * self.right @ off + off @ self.hessian @ off
+
     def scatters(self, x, random):
         """Return scatters drawn given the parameters."""
         point, found = self.point(x), []
@@ -103,7 +134,8 @@ class Target:
 def chain(target, steps, random):
     """Return samples of the shared parameters, and the accepted share."""
     x, misfit, scatter = target.centre.copy(), target.misfit(target.centre), [1e-3, 0.02, 0.01]
-    samples, accepted = np.zeros((steps, target.p)), 0
+    cases, share = target.cases
+    samples, accepted, jumped = np.zeros((steps, target.p)), 0, 0
     for i in range(steps):
         scatter = target.scatters(x, random)
         mean, factor, scale = target.linearised(scatter)
@@ -120,8 +152,16 @@ def chain(target, steps, random):
         found = target.misfit(trial)
         if np.log(random.random()) < 0.5 * (excess(x, misfit) - excess(trial, found)):
             x, misfit, accepted = trial, found, accepted + 1
+        # A jump to another draw of Laplace's posterior: only the curvature decides.
+        mean, factor, scale = target.linearised(cases[random.choice(len(cases), p=share)])
+        trial = mean + scale * np.linalg.solve(factor.T, random.normal(size=len(x)))
+        found = target.misfit(trial)
+        curved = misfit - target.straight(x), found - target.straight(trial)
+        if np.log(random.random()) < 0.5 * (curved[0] - curved[1]):
+            x, misfit = trial, found
+            jumped += 1
         samples[i] = x[: target.p]
-    return samples[int(BURN_IN * steps) :], accepted / steps
+    return samples[int(BURN_IN * steps) :], (accepted / steps, jumped / steps)
 
 
 def effective(chains):
@@ -158,7 +198,8 @@ def main() -> None:
     samples = np.array([one for one, _ in found])
     print(
         f"sensor {given.sensor}: {samples.shape[0]} chains of {given.steps} steps, accepted "
-        f"{[f'{share:.2f}' for _, share in found]}, {time.process_time() - started:.0f} s"
+        f"{[f'{share[0]:.2f}, {share[1]:.2f}' for _, share in found]}, "
+        f"{time.process_time() - started:.0f} s"
     )
     for name in SHOWN:
         i = SHARED.index(name)
