@@ -23,7 +23,7 @@ import numpy as np
 from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.indentation import DepthPath
-from acoustube.inversion import Priors
+from acoustube.inversion import Library, Priors, Tool
 from acoustube.inversion.design import Contacts
 from acoustube.inversion.design.prediction import electronics_of, predict
 from acoustube.lumen import pressed_part
@@ -35,8 +35,10 @@ from acoustube.runs.design.goal import read_goal
 from acoustube.runs.design.run import PAPER_CARRIER
 from acoustube.runs.design.search import known_of
 from acoustube.runs.design.tubes import TubeSpec, band_of, plan_of, pressed_tubes, sounded
+from acoustube.runs.libraries.build import scattering_at
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.sweep.graph import BURST_CYCLES
+from acoustube.tube import shear_modulus_from_shore
 from acoustube.waves import PlacedScatterer, Pulse
 from acoustube.waves.network import at_sound_speed
 
@@ -65,7 +67,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the design")
     parser.add_argument("name", help="of the sensor")
-    parser.add_argument("tools", type=Path, help="folder of the library")
+    parser.add_argument("tools", type=Path, help="folder of the library, or own: of the design")
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=5)
@@ -89,6 +91,24 @@ def prepared(given):
     return design, sensor, plan, path, tubes, config.tube.shore_a
 
 
+def own_library(plan, carrier, modulus):
+    """Return the library of the design's own presses, about a carrier in Hz, of another modulus."""
+    path = DepthPath(presses.press_to(plan.settings, plan.pressed))
+    found = [(d, scattering_at(plan, d, pressed_part(path.at([d])))[0]) for d in plan.first]
+    found = [(d, one) for d, one in found if not isinstance(one, str)]
+    depth, first = np.array([d for d, _ in found]), found[0][1]
+    f = np.asarray(first.frequency, float)
+    kept = (f > 0.8 * carrier) & (f < 1.2 * carrier)
+    settings, n = plan.settings, len(depth)
+    return Library((Tool(
+        shape=settings.indenter.shape, diameter=settings.indenter.diameter, radius=settings.radius,
+        depth=depth, force=modulus * np.asarray(path.contact_force(depth), float),
+        force_error=np.zeros(n), frequency=f[kept], modes=first.modes,
+        s=np.array([one.s[kept] for _, one in found]), error=np.zeros(n),
+        interpolation_error=np.zeros(n - 1), sound_speed=settings.air.sound_speed,
+    ),))  # fmt: skip
+
+
 def contacts(design, library, tubes, given):
     """Return contacts within the library and their depths in m."""
     rng, goal, tool = np.random.default_rng(given.seed), design.goal, library.tools[0]
@@ -109,7 +129,10 @@ def main():
     """Record and invert, and print ratios of errors and predictions."""
     given = arguments()
     design, sensor, plan, path, tubes, shore = prepared(given)
-    library, average = open_library(given.tools), design.goal.average
+    average, carrier = design.goal.average, sensor.rangefinder.resonance
+    own = str(given.tools) == "own"
+    modulus = shear_modulus_from_shore(shore) / plan.settings.tube.shear_modulus
+    library = own_library(plan, carrier, modulus) if own else open_library(given.tools)
     drawn, depths = contacts(design, library, tubes, given)
     device, temperature = sensor.rangefinder, design.goal.temperature_c
     radius, length = library.radius, design.goal.reach_m

@@ -249,7 +249,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     weight = 2 * rate * step * level**2 * received
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE
-    nearest = 0.5 * known.sound_speed * free
+    nearest = 0.5 * known.sound_speed * free + OWN_LENGTH  # as of the inversion's baseband
     heard = jax.nn.sigmoid(4 * (known.place - nearest) / BLIND_ROLL)
     heard = heard * jnp.stack([1.0, jnp.where(ends > 1.5, 1.0, 0.0)])[:, None]
     power = (known.power @ weight) * heard
