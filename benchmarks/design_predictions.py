@@ -30,8 +30,8 @@ from acoustube.lumen import pressed_part
 from acoustube.ranging import record
 from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
+from acoustube.runs.config.goal import read_goal
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.design.goal import read_goal
 from acoustube.runs.design.run import PAPER_CARRIER
 from acoustube.runs.design.search import known_of
 from acoustube.runs.design.tubes import TubeSpec, band_of, plan_of, pressed_tubes, sounded

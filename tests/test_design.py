@@ -25,19 +25,19 @@ from acoustube.inversion.design import prediction as predicting
 from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, score, spectrum
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config import load_config
+from acoustube.runs.config.goal import DesignGoal, Goal, Variables, in_toml, read_goal
 from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
-from acoustube.runs.design.goal import DesignGoal, Goal, Variables, in_toml, read_goal
-from acoustube.runs.design.search import Search, front_of
+from acoustube.runs.design.search import Candidate, Search, front_of
 from acoustube.runs.design.tubes import Sounded, TubeSpec, band_of, plan_of
 from acoustube.runs.inversion import read_sensor
 from acoustube.runs.sweep.tasks import Done
 
 BAND = np.arange(8e3, 50e3, 100.0)
 COARSE = np.arange(8e3, 50e3, 300.0)
-ASKED = 2.0, 0.15, 0.01
+ASKED = 2.0, 0.15, 0.01, 0.25
 """Reach, separation and error of place in m of a goal."""
 
 
@@ -51,11 +51,11 @@ def analytic(frequency=BAND, **changes):
     return PressedTube(**values | changes)
 
 
-def contacts(place, force, length=2.5):
+def contacts(place, force, length=2.5, stiffness=1.0):
     place, force = np.atleast_1d(place), np.atleast_1d(force)
     return Contacts(
-        place=place, force=force, tool=np.zeros(len(place), int), lightest=4.0, strongest=90.0,
-        length=length,
+        place=place, force=force, tool=np.zeros(len(place), int), lightest=4.0 * stiffness,
+        strongest=90.0 * stiffness, length=length,
     )  # fmt: skip
 
 
@@ -83,12 +83,12 @@ def test_gradient_of_the_score_is_that_of_differences(known):
     """By carrier and cycles to 1e-3, with half-wave errors, missed contacts and penalties."""
     for carrier, cycles in ((42e3, 13.0), (17e3, 5.0)):
         start = electronics_of(Rangefinder())._replace(carrier=carrier, cycles=cycles)
-        value, slope = gradient(known, start, *ASKED)
-        assert value == pytest.approx(float(score(predict(known, start), *ASKED)), rel=1e-9)
+        value, slope = gradient(known, start, ASKED)
+        assert value == pytest.approx(float(score(predict(known, start), ASKED)), rel=1e-9)
         step = 1e-5
         for i, name in enumerate(("carrier", "cycles")):
             ends = [
-                gradient(known, start._replace(**{name: getattr(start, name) * np.exp(h)}), *ASKED)
+                gradient(known, start._replace(**{name: getattr(start, name) * np.exp(h)}), ASKED)
                 for h in (-step, step)
             ]
             difference = (ends[1][0] - ends[0][0]) / (2 * step)
@@ -159,8 +159,6 @@ def test_distance_of_half_waves_is_that_of_least_squares(known):
         # The conjugate columns times the echo and the attenuation, of which the root is left.
         left = alone.power[0, 0] / np.abs(echo) ** 2
         scaled = np.sqrt(weight / left) * columns
-        # Depth's scale is that of the contacts' own range.
-        scaled[1] *= known.scale[1] / alone.scale[1]
         for k in range(len(HALF_WAVES)):
             moved = np.exp(-2j * known.wavenumber * off[k]) - 1
             moved = np.sqrt(weight * left) * echo * moved
@@ -198,6 +196,63 @@ def test_many_electronics_are_predicted_as_each_alone(known):
             np.testing.assert_allclose(one[i], other, rtol=1e-9)
 
 
+def test_contact_alone_is_predicted_as_among_others(known):
+    """Also where it is faint, and the priors of place and depth count."""
+    for level in (1.0, 0.05):
+        usual = electronics_of(Rangefinder())
+        usual = usual._replace(level=level * usual.level)
+        every = predict(known, usual)
+        for i, (place, force) in enumerate(zip([0.4, 1.6], [20.0, 80.0], strict=True)):
+            alone = predict(information([analytic()], contacts(place, force)), usual)
+            for name in ("place", "depth", "force", "wrong"):
+                expected = getattr(every, name)[-i]
+                assert getattr(alone, name)[0] == pytest.approx(expected, rel=1e-6), name
+
+
+def test_missed_presses_make_the_error_of_what_is_missed():
+    """With the noise of half of them missed, the shares are as by hand and sum to one."""
+    tube = analytic()
+    known = information([tube], contacts(np.linspace(0.4, 1.6, 8), np.full(8, 20.0)))
+    usual = electronics_of(Rangefinder())
+    echo = np.sqrt(predicting.DETECTED**2 / (known.power[0] @ weight_of(known, usual)))
+    found = predict(known, usual._replace(level=usual.level * echo[4]))
+    assert found.found[4] == pytest.approx(0.5, abs=0.01)
+    prior, scale = np.log(90 / 4) ** 2 / 12, known.scale[1]
+    # Depth, in units of its prior: of detected contacts, of which the others' prior is taken.
+    heard = ((found.depth / scale) ** 2 - (1 - found.found)) / found.found
+    heard = (known.slope * scale) ** 2 * heard + 0.05**2
+    expected = found.found / (1 / heard + 1 / prior) + (1 - found.found) * prior
+    np.testing.assert_allclose(found.force**2, expected, rtol=1e-6)
+    goal = Goal(forces_n=(4.0, 90.0))
+    made = Candidate(tube=TubeSpec(7.9, 1.6, 35.0), rangefinder=Rangefinder(), ends=1, found=found,
+                     score=0.0)  # fmt: skip
+    shares = choosing.limits_of(DesignGoal(goal=goal), made)
+    assert sum(shares.values()) == pytest.approx(1)
+    missed = np.sum((1 - found.found) * prior) / np.sum(found.force**2)
+    assert shares["missed, in the ring-down, or beyond a closed lumen"] == pytest.approx(missed)
+
+
+@pytest.mark.parametrize("carrier", [42e3, 20e3])
+def test_ring_down_ends_where_the_inversion_begins(known, carrier):
+    rangefinder = Rangefinder(drive=Burst(frequency=carrier, cycles=8.0), resonance=carrier)
+    base = Baseband(rangefinder, RADIUS, 2.5, 20.0, ("00",))
+    found = predict(known, electronics_of(rangefinder))
+    assert found.nearest == pytest.approx(base.nearest, rel=1e-3)
+    assert predict(known, electronics_of(rangefinder, ends=2)).nearest == 0
+
+
+def test_resolution_is_that_of_the_bandwidth(known):
+    """c / 2B of a pulse with an even spectrum, of which the received power is a Gaussian's."""
+    usual = electronics_of(Rangefinder())
+    f = known.frequency
+    power = np.asarray(spectrum(f, usual.carrier, 13.0, 14.0))
+    power = power / (1 + np.exp(-4 * (predicting.BAND_EDGE - np.abs(f / usual.carrier - 1))
+                                / predicting.BAND_ROLL))  # fmt: skip
+    width = np.trapezoid(power, f) ** 2 / np.trapezoid(power**2, f)
+    expected = np.hypot(known.sound_speed / (2 * width), predicting.OWN_LENGTH)
+    assert predict(known, usual).resolution == pytest.approx(expected, rel=1e-3)
+
+
 def test_force_beyond_the_tubes_range_is_told_by_its_prior_alone():
     tube = analytic()
     found = predict(information([tube], contacts([0.5], [1.5 * tube.force[-1]])),
@@ -209,7 +264,7 @@ def test_hardness_scales_the_forces_and_needs_no_other_press():
     """A wall twice as stiff under twice the force is pressed to the same depth."""
     tube, forces = analytic(), np.array([12.0, 30.0])
     once = information([tube], contacts([0.5, 0.9], forces))
-    twice = information([tube], contacts([0.5, 0.9], 2 * forces), modulus=2.0)
+    twice = information([tube], contacts([0.5, 0.9], 2 * forces, stiffness=2.0), modulus=2.0)
     np.testing.assert_allclose(twice.products, once.products, rtol=1e-9)
     np.testing.assert_allclose(twice.slope, once.slope, rtol=1e-9)
 
@@ -250,12 +305,13 @@ def test_search_from_three_seeds_ends_within_five_per_cent():
 
 
 def test_front_keeps_what_no_other_is_better_than():
-    def made(*values):
+    def made(*values, place=0.02):
         found = type("Found", (), {})()
-        found.objectives = np.array([*values, 0.0])
+        found.objectives = np.array([*values, place])
         return found
 
     good = [made(2.0, 0.1, 0.1), made(3.0, 0.2, 0.1), made(1.0, 0.05, 0.3)]
+    good.append(made(1.9, 0.2, 0.2, place=0.01))
     worse = [made(1.9, 0.1, 0.1), made(2.0, 0.1, 0.2), made(0.5, 0.3, 0.4)]
     assert {id(one) for one in front_of([*worse, *good])} == {id(one) for one in good}
 
@@ -275,6 +331,16 @@ def test_front_keeps_what_no_other_is_better_than():
         ("[variables]\nouter_mm = 5", "smallest bore"),
         ("[variables]\nbits = [12, 40]", "bits = 40"),
         ("[variables]\nrate_khz = 20", "too low for a carrier"),
+        ("[goal]\ntools_mm = [25, 25]", "has a diameter twice"),
+        ("[goal]\nreach_m = 10\n[variables]\nrate_khz = 500", "over 20000 samples"),
+        ("[variables]\ncycles = 100", "over 5 ms at 10 kHz"),
+        (
+            "[variables]\nrate_khz = "
+            + str(list(range(150, 214)))
+            + "\nquality_factor = "
+            + str(list(range(1, 65))),
+            "makes 4096 rangefinders",
+        ),
         ("goal = 3", "must be a section"),
     ],
 )

@@ -29,6 +29,8 @@ from acoustube.runs.sweep.cycles import Recipe, _in_session, _reflectors
 from acoustube.runs.sweep.dataset import read_rangefinder
 from acoustube.runs.twin import _check_untouched, read_recordings
 from acoustube.runs.twin_calibration import is_twin, thermometer
+from acoustube.runs.twin_file import _material_parameters
+from acoustube.runs.twin_pressed import LABELS, presses_of
 from acoustube.runs.twin_sessions import recipe_settings
 from acoustube.waves.network import at_sound_speed
 
@@ -316,6 +318,54 @@ def test_depths_alone_do_not_tell_the_modulus():
     assert abs(found.young_modulus.value - 1.8e6) < 3 * found.young_modulus.deviation
 
 
+def test_presses_of_stated_depth_tell_the_ground_by_the_librarys_force():
+    """On ground of 0.3 mm/N, of presses without a force: the origin stays at zero."""
+    known = tool(young_modulus=1.5e6)
+    depths = np.linspace(2e-3, 6e-3, 5)
+    presses = [
+        Press(known, float(d), 1e-5, float(d + 3e-4 * known.force_at(d)), np.nan) for d in depths
+    ]
+    found = fit_material(presses)
+    assert found.yields
+    assert abs(found.compliance.value - 3e-4) < 2 * found.compliance.deviation
+    assert abs(found.zero.value) < 2 * found.zero.deviation
+
+
+def test_modulus_and_hardness_are_determined_together():
+    """Of a wall a third as stiff as the library's, whose deviation is a quarter."""
+    known = tool(young_modulus=1.5e6)
+    soft = fit_material([Press(known, np.nan, np.nan, 4e-3, float(0.35 * known.force_at(4e-3)))])
+    assert soft.young_modulus.deviation / soft.young_modulus.value < 0.4
+    rows = {one.name: one for one in _material_parameters(SimpleNamespace(material=soft))}
+    shares = [
+        rows[name].deviation / rows[name].prior
+        for name in ("young_modulus_mpa", "hardness_shore_a")
+    ]
+    assert shares[0] == pytest.approx(shares[1], rel=1e-6)
+
+
+def test_cycles_of_one_press_are_one(made, tmp_path):
+    """120 cycles with one label say of its force what 6 do."""
+    folder, _, _ = made
+    few = dict(np.load(folder / "pressed.npz"))
+    first = few["depth_mm"] == few["depth_mm"][0]
+    many = {
+        name: np.concatenate([value[first]] * (120 // first.sum())) if value.ndim else value
+        for name, value in few.items()
+    }
+    np.savez(tmp_path / "many.npz", **many)
+    for path, n, cycles in (
+        (folder / "pressed.npz", len(DEPTHS), 6),
+        (tmp_path / "many.npz", 1, 50),
+    ):
+        ((_, data),) = read_recordings([path], {}, None)
+        found = list(presses_of(data, [name for name in LABELS if name in data]))
+        assert len(found) == n
+        assert {part.sizes["cycle"] for part, _, _ in found} == {cycles}
+        assert found[0][1]["depth"] == pytest.approx(1e-3 * few["depth_mm"][0])
+        assert found[-1][2] == pytest.approx(1)
+
+
 def test_presses_without_a_library_are_refused(recorded, tmp_path):
     result = run_here("twin", recorded / "closed.npz", recorded / "free.npz", "--pressed",
                       recorded / "pressed.npz", "--out", tmp_path / "left.toml")  # fmt: skip
@@ -420,6 +470,21 @@ def test_sessions_tell_what_stays_and_what_wanders(sessions, made):
     # Reflectors 1 mm apart that move by 1e-4.
     assert settings["clutter_spread"] == pytest.approx(1e-8 / 1e-3, rel=0.1)
     assert settings["young_modulus"] == pytest.approx(1e6 * found["young_modulus_mpa"], rel=1e-6)
+
+
+def test_what_stays_is_drawn_without_a_spread(sessions, made, tmp_path):
+    """Gains that differ by a little more than their deviations, which chance explains."""
+    _, _, found = made
+    gains = found["gain_v"] * (1 + found["gain_v_sd"] / found["gain_v"] * np.array([0, 1.4, -1, 2]))
+    paths = [tmp_path / f"{k}.toml" for k in range(4)]
+    for path, gain in zip(paths, gains, strict=True):
+        new = {"gain_v": gain, "gain": gain}
+        path.write_text(with_values(sessions[2].read_text(), new))
+    settings, table = recipe_settings(paths)
+    (gain,) = (one for one in table if one.name == "gain_v")
+    assert not gain.wanders
+    assert gain.spread > 0
+    assert "gain" not in dict(settings["spread"])
 
 
 def test_sessions_are_drawn_from_what_wanders(sessions):

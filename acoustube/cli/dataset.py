@@ -57,13 +57,17 @@ def dataset(
         Folders that ``acoustube sweep`` wrote.
     rangefinder : list
         TOML file with the parameters of the rangefinder, or of a twin, whose clutter the first tube
-        has; that of the sleeve paper, at the case's carrier, if not given. Twins of several
-        sessions of one sensor: each session is drawn from what stays and what wanders.
+        has; that of the sleeve paper, at the case's carrier, if not given. Several twins' files,
+        of sessions of one sensor: each session is drawn about their means, with the deviations
+        between them.
     out : Path
         Folder to write, or to resume.
     """
     if not sweep:
-        raise ConfigError("dataset needs the folder of a sweep; name one or more")
+        raise ConfigError(
+            "dataset needs the folder of a sweep; name one or more, before --sensor, which takes "
+            "all files that follow it"
+        )
 
     from acoustube.runs.sweep.cycles import Recipe
     from acoustube.runs.sweep.dataset import run_dataset

@@ -55,7 +55,7 @@ def design(
     out : Path
         Folder to write, new or empty: the front, recommended sensors, and a page of both.
     """
-    from acoustube.runs.design.goal import read_goal
+    from acoustube.runs.config.goal import read_goal
 
     wanted = read_goal(goal)
     folder = check_out(out)

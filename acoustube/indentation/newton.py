@@ -47,7 +47,8 @@ REUSED_TOLERANCE = 0.1
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
-"""Steps tried from a saddle of the energy, both ways: their largest displacement, in bores."""
+"""Steps tried from a saddle of the energy, both ways: their largest displacement, in bores, or
+in heights of a body without one."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
 
 
@@ -201,7 +202,7 @@ def _factorised(
 def _descended(
     model: Model, state: State, tangent: _Tangent, bodies: tuple[Body, ...], *, saddle: bool
 ) -> State | None:
-    """Return a state of sufficiently lower energy by a step of a tangent, or None."""
+    """Return a state of lower energy by a step of a tangent, or None."""
 
     def moved(step: Array) -> State | None:
         on_nodes = np.zeros_like(state.displacement)
@@ -214,9 +215,16 @@ def _descended(
     if not saddle:
         lower = moved(curved.step)
         return moved(tangent.step(state)) if lower is None else lower
-    bore = np.ptp(model.mesh.points[np.unique(model.mesh.inner_faces), 1])
-    away = -np.sign(state.gradient @ curved.lowest) * curved.lowest
-    away *= bore / np.abs(away).max()
+    if curved.curvature >= 0:
+        # A symmetric state's gradient has nothing of the direction in which it buckles.
+        size = max(float(np.abs(state.gradient).max()), np.finfo(float).tiny)
+        start = size * np.random.default_rng(0).normal(size=len(state.gradient))
+        curved = curved_step(tangent.indefinite, tangent.solve, start)
+    inner = np.unique(model.mesh.inner_faces)
+    points = model.mesh.points[inner] if inner.size else model.mesh.points
+    height = np.ptp(points[:, 1])
+    away = np.where(state.gradient @ curved.lowest > 0, -1.0, 1.0) * curved.lowest
+    away *= height / np.abs(away).max()
     position = model.mesh.points + state.displacement
     for size in SADDLE_STEPS:
         for step in (size * away, -size * away):

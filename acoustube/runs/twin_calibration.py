@@ -13,7 +13,7 @@ import numpy as np
 from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
-from acoustube.base.units import CM, MM, US
+from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.runs.sensor_file import KIND, OF_OTHERS, twin_settings
 from acoustube.runs.sweep.dataset import rangefinder_in
@@ -101,8 +101,11 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
             temperature=AIR, untouched_temperature=AIR, sigmas=sigmas,
         )  # fmt: skip
         if found.false_alarms <= FALSE_ALARMS:
-            break
-    return found
+            return found
+    raise ConfigError(
+        f"{PERCENT * found.false_alarms:.0f} % of its untouched cycles show an echo at "
+        f"{SIGMAS[-1]:g} deviations; record the untouched tube again, without contact"
+    )
 
 
 def thermometer(path: Path) -> float:

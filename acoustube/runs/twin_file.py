@@ -134,11 +134,11 @@ def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
     shear = modulus.value / (2 * (1 + material.poisson_ratio))
     decade = 0.0235 * log(10)
     yield Parameter("young_modulus_mpa", MPA * modulus.value, MPA * modulus.deviation,
-                    MPA * material.prior_modulus, "Young's modulus of the wall")  # fmt: skip
+                    PRIOR_MODULUS * MPA * modulus.value, "Young's modulus of the wall")  # fmt: skip
     yield Parameter(
         "hardness_shore_a", shore_from_shear_modulus(shear),
         modulus.deviation / modulus.value / decade, PRIOR_MODULUS / decade,
-        "hardness that such a modulus is taken for",
+        "Shore A hardness of such a modulus",
     )  # fmt: skip
     yield Parameter(
         "ground_compliance_mm_per_n", MM * compliance.value, MM * compliance.deviation,

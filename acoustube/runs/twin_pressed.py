@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,11 +82,7 @@ def fitted_material(
                     f"the pressed cycles of {path} have no label depth or force; give one in the "
                     "file or in a sidecar"
                 )
-            for part, share in alike(data, labels, MOST_CYCLES):
-                label = {
-                    name: float(part[name].values[0]) if name in labels else np.nan
-                    for name in LABELS
-                }
+            for part, label, share in presses_of(data, labels):
                 tools = _tools(known, label["diameter"], path)
                 if tools not in inverters:
                     inverters[tools] = _inverter(found, known, tools, free)
@@ -96,6 +92,28 @@ def fitted_material(
                 show(path.name, share)
     material = fit_material([state.press for state in states])
     return material, tuple(states)
+
+
+def presses_of(
+    data: xr.Dataset, labels: Sequence[str]
+) -> Iterator[tuple[xr.Dataset, dict[str, float], float]]:
+    """Yield the first cycles of each press, its labels, and the share of cycles done.
+
+    A press is a run of cycles of equal labels: more of them say no more of what these state.
+
+    Parameters
+    ----------
+    data : Dataset
+    labels : sequence of str
+        Those of :data:`LABELS` that the cycles have; the others are nan.
+    """
+    for whole, share in alike(data, labels, data.sizes["cycle"]):
+        part = whole.isel(cycle=slice(0, MOST_CYCLES))
+        yield (
+            part,
+            {name: float(part[name].values[0]) if name in labels else np.nan for name in LABELS},
+            share,
+        )
 
 
 def _check_bore(found: FittedSensor, known: Library, path: Path, report: Reporter) -> None:
@@ -153,7 +171,11 @@ def _state(
         place = place if np.isfinite(place) else contact.distance.value
         if not reason:
             depth, deviation = contact.depth.value, contact.depth.deviation
-    press = Press(tool, depth, deviation, label["depth"], label["force"])
+    stated, force = label["depth"], label["force"]
+    if reason and not np.isfinite(label["diameter"]) and len(library.tools) > 1:
+        reason += ", and no label diameter says which tool pressed"
+        stated = force = np.nan
+    press = Press(tool, depth, deviation, stated, force)
     return PressedState(source=str(path), place=place, press=press, reason=reason)
 
 

@@ -42,8 +42,8 @@ class Across:
     mean, deviation : float
         Mean over sessions and its standard deviation.
     spread : float
-        Standard deviation between sessions beyond that of the fits; of the logarithm relative to
-        the mean.
+        Standard deviation between sessions beyond that of the fits, in the parameter's unit; of
+        those in :data:`LOGARITHMS` the deviation of the logarithm times the mean.
     wanders : bool
         Whether the sessions differ by more than their deviations.
     """
@@ -121,6 +121,10 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
     for path, document in zip(paths, documents, strict=True):
         if KIND not in document:
             raise ConfigError(f"{path} is not the file of a twin; several sensors are twins' files")
+        if ("humidity_percent" in document) != ("humidity_percent" in documents[0]):
+            raise ConfigError(
+                f"{path} and {paths[0]} were not both fitted with --humidity; fit all alike"
+            )
         other = rangefinder_in(document, path)
         for name in ("sampling_rate", "n_samples", "bits", "full_scale"):
             if getattr(other, name) != getattr(first, name):
@@ -170,13 +174,17 @@ def _drawn(
         own = COMPARED[one.name]
         if own == "temperature_bias":
             # The bias is that for dry air, whose offset differs in moist air.
-            moist = settings["rangefinder"].temperature_bias + float(first[one.name])
+            own_offset = first.get(one.name)
+            if not isinstance(own_offset, int | float) or not isfinite(own_offset):
+                raise ConfigError(f"{paths[0]} is a damaged file of a twin; make it again")
+            moist = settings["rangefinder"].temperature_bias + float(own_offset)
             means[own] = moist - one.mean
-            found["offset_deviation"] = float(np.hypot(one.spread, one.deviation))
+            between = one.spread if one.wanders else 0.0
+            found["offset_deviation"] = float(np.hypot(between, one.deviation))
         elif own is not None:
             means[own] = one.mean * kilo.get(one.name, 1.0)
             width = one.spread if own in PLAIN else one.spread / one.mean
-            if width > 0:
+            if one.wanders and width > 0:
                 spread.append((own, float(width)))
         elif one.name == "young_modulus_mpa":
             found["young_modulus"] = one.mean / MPA

@@ -125,10 +125,11 @@ def information(
                  for d in (-0.5, 0.5))  # fmt: skip
     by_heat = high - low
     warmer = -(air_at(temperature + 0.5).sound_speed - air_at(temperature - 0.5).sound_speed)
-    depth, slope, told, echo, by_depth = _presses(tubes, contacts, modulus)
+    slope, told, echo, by_depth = _presses(tubes, contacts, modulus)
     by_stretch = f * np.gradient(echo, f, axis=1)
-    span = np.ptp(depth) if np.ptp(depth) > 0 else depth[0]
-    scale = np.array([contacts.length, max(span, 1e-4)]) / np.sqrt(12)
+    ends = np.array([contacts.lightest, contacts.strongest]) / modulus
+    span = max(np.ptp([tube.depth_at(ends) for tube in tubes]), 1e-4)
+    scale = np.array([contacts.length, span]) / np.sqrt(12)
     place = np.stack([contacts.place, contacts.length - contacts.place])
     heated = -2j * by_heat * place[..., None] * echo + warmer / air.sound_speed * by_stretch
     same = np.ones((2, 1, 1))
@@ -157,17 +158,17 @@ def information(
 
 def _presses(
     tubes: Sequence[PressedTube], contacts: Contacts, modulus: float
-) -> tuple[Array, Array, Array, Complex, Complex]:
-    """Return depth, relative slope of force, whether told, reflection and its slope by depth."""
+) -> tuple[Array, Array, Complex, Complex]:
+    """Return relative slope of force, whether told, reflection and its slope by depth."""
     n = len(contacts.force)
-    depth, slope, told = np.zeros((3, n))
+    slope, told = np.zeros((2, n))
     echo, by_depth = np.zeros((2, n, len(tubes[0].frequency)), complex)
     for i, tube in enumerate(tubes):
         here = contacts.tool == i
         force = contacts.force[here] / modulus
-        depth[here] = tube.depth_at(force)
+        depth = tube.depth_at(force)
         slope[here] = 1 / (force * tube.compliance_at(force))
         told[here] = force <= tube.force[-1]
-        echo[here] = tube.reflection_at(depth[here])
-        by_depth[here] = tube.reflection_at(depth[here], 1)
-    return depth, slope, told, echo, by_depth
+        echo[here] = tube.reflection_at(depth)
+        by_depth[here] = tube.reflection_at(depth, 1)
+    return slope, told, echo, by_depth

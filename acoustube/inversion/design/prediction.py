@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -93,6 +94,8 @@ class Prediction(NamedTuple):
         Farthest place in m at which the lightest contact is detected, (...).
     resolution : ndarray
         Least distance in m of two presses whose echoes are apart, (...).
+    nearest : ndarray
+        Distance in m up to which presses are lost in the ring-down; 0 with two rangefinders, (...).
     """
 
     place: Array
@@ -104,6 +107,7 @@ class Prediction(NamedTuple):
     model: Array
     reach: Array
     resolution: Array
+    nearest: Array
 
     @property
     def objectives(self) -> Array:
@@ -164,20 +168,20 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
         return Prediction(*(np.asarray(one) for one in found))
 
 
-def score(found: Prediction, reach: float, separation: float, place: float) -> Array:
+def score(found: Prediction, asked: Sequence[float]) -> Array:
     """Return the logarithm of the rms error of force, with penalties for what a goal lacks.
 
     Parameters
     ----------
     found : Prediction
-    reach, separation, place : float
-        What is asked for, in m.
+    asked : sequence of float
+        Reach, distance of two presses, median deviation of place and nearest press, all in m.
     """
-    return np.asarray(_score(np, found, np.array([reach, separation, place])))
+    return np.asarray(_score(np, found, np.array(asked)))
 
 
 def gradient(
-    known: Information, electronics: Electronics, reach: float, separation: float, place: float
+    known: Information, electronics: Electronics, asked: Sequence[float]
 ) -> tuple[float, Array]:
     """Return the score and its gradient by the logarithms of carrier and cycles.
 
@@ -186,12 +190,12 @@ def gradient(
     known : Information
     electronics : Electronics
         Numbers.
-    reach, separation, place : float
+    asked : sequence of float
         As of :func:`score`.
     """
     with jax.enable_x64(True):
         given = jnp.array([float(one) for one in electronics])
-        goal = jnp.array([reach, separation, place])
+        goal = jnp.array(asked)
         value, slope = _scored(jnp.log(given[:2]), given, _tensors(known), goal)
         return float(value), np.asarray(slope)
 
@@ -207,10 +211,11 @@ def _tensors(known: Information) -> tuple[jax.Array, ...]:
 
 
 def _score(numbers, found, goal):  # type: ignore[no-untyped-def]
-    reach, separation, place = goal
+    reach, separation, place, nearest = goal
     missing = [
         numbers.log(reach / found.reach), numbers.log(found.resolution / separation),
         numbers.log(numbers.median(found.place, -1) / place),
+        numbers.log(numbers.maximum(found.nearest, 1e-3) / nearest),
     ]  # fmt: skip
     penalty = sum(2 * numbers.maximum(one, 0.0) for one in missing)
     force = numbers.log(numbers.mean(found.force**2, -1)) / 2
@@ -259,15 +264,15 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     each = ndtr(-jnp.sqrt(jnp.maximum(distance, 1e-9)) / 2)
     each = each / (1 + each.sum(axis=0))[None]
     scale = known.scale
-    # Of whatever is missed, only the prior is known.
     off = (each * missed[:, None] ** 2).sum(axis=0) / scale[0] ** 2
     turned = (each * shifts**2).sum(axis=0)
     place = jnp.minimum(covariance[:, 0, 0] + off, 1.0)
     mistaken = (known.model / scale[1]) ** 2
     depth = jnp.minimum(covariance[:, 1, 1] + turned + mistaken, 1.0)
-    place, depth = (found * one + 1 - found for one in (place, depth))
     noise = known.slope * scale[1] * jnp.sqrt(covariance[:, 1, 1])
-    force = (known.slope * scale[1]) ** 2 * depth + known.hardness**2
+    force = (known.slope * scale[1]) ** 2 * depth + known.hardness**2  # of detected contacts
+    # Of what is missed, only the prior is known.
+    place, depth = (found * one + 1 - found for one in (place, depth))
     prior = known.force_prior**2
     force = jnp.where(known.told > 0, found / (1 / force + 1 / prior) + (1 - found) * prior, prior)
     far = jnp.log(known.range_power @ weight + 1e-300) - 2 * jnp.log(DETECTED)
@@ -277,6 +282,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     return (
         jnp.sqrt(place) * scale[0], jnp.sqrt(depth) * scale[1], jnp.sqrt(force), found,
         each.sum(axis=0), noise, known.slope * known.model, reach, resolution,
+        jnp.where(ends > 1.5, 0.0, nearest),
     )  # fmt: skip
 
 

@@ -79,8 +79,6 @@ class Material:
         Reasons in words, by number of the press.
     yields : bool
         Whether the ground is softer than its deviation.
-    prior_modulus : float
-        Standard deviation a priori of the modulus in Pa.
     """
 
     young_modulus: Measured
@@ -91,7 +89,6 @@ class Material:
     expected: Array
     left_out: dict[int, str]
     yields: bool
-    prior_modulus: float
 
 
 def fit_material(presses: Sequence[Press]) -> Material:
@@ -125,7 +122,12 @@ def fit_material(presses: Sequence[Press]) -> Material:
     sure = np.hypot([one.depth_deviation for one in presses], ECHO_DEPTH)
     stated = np.array([one.stated_depth for one in presses], float)
     force = np.array([one.force for one in presses], float)
-    zero, compliance = _ground(told, sure, stated, force)
+    usual = [
+        one.tool.force_at(d) if np.isfinite(d) else 0.0
+        for one, d in zip(presses, told, strict=True)
+    ]
+    load = np.where(np.isfinite(force), force, usual)
+    zero, compliance = _ground(told, sure, stated, load)
     # Where the echo does not tell the depth, the label does, without what the ground takes.
     depth = np.where(np.isfinite(told), told, stated - zero.value)
     sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
@@ -140,16 +142,14 @@ def fit_material(presses: Sequence[Press]) -> Material:
         ),
         poisson_ratio=presses[0].tool.poisson_ratio, compliance=compliance, zero=zero,
         force_scatter=scatter, expected=factor * expected, left_out=left_out,
-        prior_modulus=PRIOR_MODULUS * modulus,
         yields=compliance.value > SIGNIFICANT * compliance.deviation,
     )  # fmt: skip
 
 
-def _ground(told: Array, sure: Array, stated: Array, force: Array) -> tuple[Measured, Measured]:
-    """Return the origin of the stated depths, and the ground's compliance."""
+def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measured, Measured]:
+    """Return the origin of the stated depths, and the ground's compliance under forces in N."""
     known = np.isfinite(told) & np.isfinite(stated)
-    load = np.where(np.isfinite(force), force, 0.0)[known]
-    design = np.stack([np.ones(known.sum()), load], axis=1)
+    design = np.stack([np.ones(known.sum()), load[known]], axis=1)
     mean, covariance, _ = _averaged(
         design, (stated - told)[known], sure[known] ** 2,
         np.array([PRIOR_ZERO, PRIOR_COMPLIANCE]), DEPTH_SCATTERS, USUAL_DEPTH,

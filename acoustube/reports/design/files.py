@@ -7,8 +7,8 @@ from pathlib import Path
 from acoustube.reports.design.figures import front_figure, map_figure
 from acoustube.reports.design.page import page_of
 from acoustube.reports.figures.run import picture
+from acoustube.runs.config.goal import in_toml
 from acoustube.runs.design.files import config_toml, front_csv, sensor_toml
-from acoustube.runs.design.goal import in_toml
 from acoustube.runs.design.run import Designed
 
 

@@ -10,15 +10,16 @@ import numpy as np
 
 from acoustube.air import air_at
 from acoustube.base.types import Array
-from acoustube.base.units import CM, MM, PERCENT
+from acoustube.base.units import PERCENT
 from acoustube.inversion.design import Contacts, PressedTube
 from acoustube.ranging import Rangefinder
-from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.search import (
     CONTACTS,
     Candidate,
     evaluated,
     known_of,
+    modulus_of,
     rangefinder_of,
 )
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
@@ -94,8 +95,8 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
     def lack(one: Candidate, skip: int) -> float:
         reach, force, resolution, place = one.objectives
         asked = (
-            goal.reach_m / reach, force / (WORSE * least), CM * resolution / goal.separation_cm,
-            MM * place / goal.place_mm,
+            goal.reach_m / reach, force / (WORSE * least), resolution / goal.separation,
+            place / goal.place_deviation, float(one.found.nearest) / goal.nearest_m,
         )  # fmt: skip
         return sum(max(np.log(max(x, 1e-9)), 0) for i, x in enumerate(asked) if i != skip)
 
@@ -143,16 +144,8 @@ def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candi
         one = evaluated(design, known, candidate).found
         found.append((one.force, one.place))
     errors = np.concatenate(found, axis=1).reshape(2, MAP_FORCES, MAP_PLACES)
-    depth = tubes[0].depth_at(force / _modulus(design, candidate.tube.shore))
+    depth = tubes[0].depth_at(force / modulus_of(design, candidate.tube.shore))
     return Map(place, force, depth, errors[0], errors[1])
-
-
-def _modulus(design: DesignGoal, shore: float) -> float:
-    from acoustube.tube import shear_modulus_from_shore
-
-    if design.goal.support != "table":
-        return 1.0
-    return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
 
 
 def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
@@ -162,11 +155,10 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
     phase, errors of half wavelengths, and presses that are missed, in the ring-down, or beyond a
     closed lumen.
     """
-    found, hardness = candidate.found, design.goal.hardness_percent / PERCENT
+    found, hardness = candidate.found, design.goal.hardness
     square = found.force**2
     prior = float(np.log(design.goal.forces_n[1] / design.goal.forces_n[0]) ** 2 / 12)
-    lost = np.maximum(square - prior * found.found, 0) * (found.found < 0.5)
-    lost += np.where(square >= prior * (1 - 1e-6), square - lost, 0)
+    lost = np.where(square >= prior * (1 - 1e-6), square, (1 - found.found) * prior)
     rest = square - lost
     parts = {"missed, in the ring-down, or beyond a closed lumen": lost}
     for name, own in (
@@ -206,8 +198,9 @@ def robustness_of(
         wanted = [other] if table else [other, stiff]
         made = compute(wanted)
         cases: list[tuple[str, Sequence[PressedTube] | str, float]] = []
-        cases.append((f"bore {sign * 5:+d} %", made[other], spec.shore))
-        cases.append((f"{sign * 5:+d} Shore A", tubes if table else made[stiff], shore))
+        cases.append((f"bore {sign * PERCENT * CHANGES['bore']:+g} %", made[other], spec.shore))
+        words = f"{sign * CHANGES['hardness']:+g} Shore A"
+        cases.append((words, tubes if table else made[stiff], shore))
         for name, parts, hardness in cases:
             if not isinstance(parts, str):
                 known = known_of(design, parts, hardness)
@@ -221,7 +214,8 @@ def robustness_of(
         )  # fmt: skip
         heated = [warmed(tube, warm.goal.temperature_c) for tube in tubes]
         known = known_of(warm, heated, spec.shore)
-        found[f"{sign * 10:+d} K"] = evaluated(warm, known, candidate).objectives
+        words = f"{sign * CHANGES['temperature']:+g} K"
+        found[words] = evaluated(warm, known, candidate).objectives
     return found
 
 

@@ -13,7 +13,7 @@ import tomlkit
 from acoustube.base.units import CM, KHZ
 from acoustube.ranging import Burst
 from acoustube.runs.config import configured, to_toml
-from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.search import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS
 

@@ -12,6 +12,7 @@ from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.units import KHZ
 from acoustube.inversion.design import PressedTube
+from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.choice import (
     PAPER,
     Recommended,
@@ -21,7 +22,6 @@ from acoustube.runs.design.choice import (
     recommended,
     robustness_of,
 )
-from acoustube.runs.design.goal import DesignGoal
 from acoustube.runs.design.search import Candidate, Search
 from acoustube.runs.design.tubes import (
     REFERENCE_SHORE_A,
@@ -57,9 +57,9 @@ class Designed(NamedTuple):
     design : DesignGoal
     seed : int
     front : list of Candidate
-        Candidates that no other is better than in reach, force and resolution.
+        Candidates that no other is better than in reach, force, resolution and place.
     sensors : list of Recommended
-        The recommended ones, and the sleeve paper's at the end.
+        The recommended ones, and at the end the sleeve paper's if it can be computed.
     tubes : int
         Number of tubes that were computed.
     failed : dict of TubeSpec to str
@@ -82,8 +82,8 @@ class Designed(NamedTuple):
         found = []
         if not any(one.meets(self.design) for one in self.front):
             found.append(
-                "No candidate meets the goal: the recommended sensors lack least of reach, "
-                "resolution and error of place."
+                "No candidate meets the goal; the recommended sensors miss it by least in reach, "
+                "resolution, place and nearest press."
             )
         if self.failed:
             found.append(
@@ -130,7 +130,7 @@ def run_design(
     Raises
     ------
     SimulationError
-        If no tube can be computed, or the sleeve paper's cannot.
+        If no tube can be computed.
     """
     count = count_of(workers)
     band = band_of(design, [PAPER_CARRIER])
@@ -178,8 +178,6 @@ def _searched(
             f"{reason}; widen bore_mm, wall_mm or outer_mm"
         )
     own = compute([PAPER])[PAPER]
-    if isinstance(own, str):
-        raise SimulationError(f"the sleeve paper's tube cannot be computed: {own}")
     sensors = []
     for name, words, one in recommended(design, search.kept):
         parts = search.tubes[_pressed_as(design, one.tube)]
@@ -188,12 +186,16 @@ def _searched(
             Recommended(name, words, one, error_map(design, parts, one),
                         limits_of(design, one), changed)
         )  # fmt: skip
-    paper = paper_sensor(design, own)
-    sensors.append(
-        Recommended("paper", "the sleeve paper's sensor", paper, error_map(design, own, paper),
-                    limits_of(design, paper), {})
-    )  # fmt: skip
-    return Designed(design, seed, search.kept, sensors, len(search.best), search.failed, best)
+    failed = dict(search.failed)
+    if isinstance(own, str):
+        failed[PAPER] = f"the sleeve paper's, which is left out: {own}"
+    else:
+        paper = paper_sensor(design, own)
+        sensors.append(
+            Recommended("paper", "the sleeve paper's sensor", paper, error_map(design, own, paper),
+                        limits_of(design, paper), {})
+        )  # fmt: skip
+    return Designed(design, seed, search.kept, sensors, len(search.best), failed, best)
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:

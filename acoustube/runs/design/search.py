@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from acoustube.base.types import Array
-from acoustube.base.units import CM, KHZ, MM, PERCENT, UM
+from acoustube.base.units import CM, KHZ, MM, PERCENT
 from acoustube.inversion.design import (
     Contacts,
     Electronics,
@@ -25,7 +25,7 @@ from acoustube.inversion.design import (
 )
 from acoustube.inversion.design.prediction import electronics_of, on_device, score
 from acoustube.ranging import Burst, Rangefinder
-from acoustube.runs.design.goal import DesignGoal
+from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 from acoustube.tube import shear_modulus_from_shore
 
@@ -37,8 +37,6 @@ WIDEST = 4
 """First step of the pattern search in those of the lattice; it is halved to 1."""
 CARRIERS, PULSES, HARDNESSES = 14, 5, 5
 """Values of carrier, cycles and (on a table) hardness that are tried for each tube."""
-MOST_SAMPLES = 20000
-"""Samples of a cycle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +65,11 @@ class Candidate:
         return np.append(self.found.objectives, np.median(self.found.place))
 
     def meets(self, design: DesignGoal) -> bool:
-        """Return whether reach, resolution and places are those that the goal asks for."""
+        """Return whether reach, resolution, place and nearest press are as the goal asks for."""
         goal, (reach, _, resolution, place) = design.goal, self.objectives
         return bool(
-            reach >= goal.reach_m and resolution <= goal.separation_cm / CM
-            and place <= goal.place_mm / MM
+            reach >= goal.reach_m and resolution <= goal.separation
+            and place <= goal.place_deviation and self.found.nearest <= goal.nearest_m
         )  # fmt: skip
 
     @property
@@ -108,6 +106,13 @@ def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
     )  # fmt: skip
 
 
+def modulus_of(design: DesignGoal, shore: float) -> float:
+    """Return the modulus of a hardness relative to that of the presses, of which 1 on an arm."""
+    if design.goal.support != "table":
+        return 1.0
+    return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
+
+
 def known_of(
     design: DesignGoal, tubes: Sequence[PressedTube], shore: float, contacts: Contacts | None = None
 ) -> Information:
@@ -122,14 +127,10 @@ def known_of(
     contacts : Contacts, optional
         Those of :func:`contacts_of` by default.
     """
-    goal, modulus = design.goal, 1.0
-    if goal.support == "table":
-        modulus = float(
-            shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A)
-        )
+    goal = design.goal
     return information(
-        tubes, contacts or contacts_of(design), modulus=modulus, temperature=goal.temperature_c,
-        hardness=goal.hardness_percent / PERCENT, model=goal.model_um / UM,
+        tubes, contacts or contacts_of(design), modulus=modulus_of(design, shore),
+        temperature=goal.temperature_c, hardness=goal.hardness, model=goal.model,
     )  # fmt: skip
 
 
@@ -137,11 +138,11 @@ def rangefinder_of(
     design: DesignGoal, carrier: float, cycles: float, quality: float, rate: float, bits: int
 ) -> Rangefinder:
     """Return the default rangefinder with another transducer, pulse and converter, in SI units."""
-    samples = int(rate * (2 * design.goal.reach_m / 340 + 4e-3))
+    samples = design.goal.samples_at(rate)
     return Rangefinder(
         drive=Burst(frequency=float(carrier), cycles=float(cycles)), resonance=float(carrier),
         quality_factor=float(quality), sampling_rate=float(rate), bits=int(bits),
-        n_samples=min(max(samples, 512), MOST_SAMPLES),
+        n_samples=max(samples, 512),
     )  # fmt: skip
 
 
@@ -161,7 +162,7 @@ class Search:
     best : dict of TubeSpec to Candidate
         The best of each tube.
     kept : list of Candidate
-        Those that no other one is better than in reach, force and resolution.
+        Those that no other one is better than in reach, force, resolution and place.
     failed : dict of TubeSpec to str
         Tubes that cannot be computed, and why.
     """
@@ -213,12 +214,12 @@ class Search:
         return found
 
     def _fits(self, spec: TubeSpec) -> bool:
-        return spec.bore + 2 * spec.wall <= self.design.variables.outer_mm * (1 + 1e-9)
+        return spec.bore + 2 * spec.wall <= self.design.variables.outer_mm + 1e-9
 
     def _first(self) -> list[TubeSpec]:
         """Return the first tubes: a third of all, spread evenly."""
         values = list(self.axes().values())
-        draws = qmc.Sobol(3, seed=self.seed).random(64)
+        draws = qmc.Sobol(3, seed=self.seed).random_base2(max(8 * self.most - 1, 63).bit_length())
         places = [
             TubeSpec(*(float(v[min(int(u * len(v)), len(v) - 1)])
                        for u, v in zip(row, values, strict=True)))
@@ -278,16 +279,16 @@ def candidates_of(
 def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candidate]:
     """Return the candidates of a tube and a grid of electronics."""
     free = design.variables
-    carriers = np.geomspace(*free.carrier_khz, CARRIERS if np.ptp(free.carrier_khz) else 1) / KHZ
+    carriers = np.geomspace(*free.carrier, CARRIERS if np.ptp(free.carrier) else 1)
     cycles = np.geomspace(*free.cycles, PULSES if np.ptp(free.cycles) else 1)
     cycles = np.unique(np.round(2 * cycles) / 2)  # whole half periods
     choices = [
         (rangefinder_of(design, *given), ends)
         for *given, ends in itertools.product(
-            carriers, cycles, free.quality_factor, np.array(free.rate_khz) / KHZ, free.bits,
+            carriers, cycles, free.quality_factor, free.rates, free.bits,
             free.ends,
         )
-        if 2.3 * given[0] <= given[3] * (1 + 1e-9)
+        if LEAST_RATE * given[0] <= given[3] * (1 + 1e-9)
     ]  # fmt: skip
     if not choices:
         return []
@@ -295,8 +296,7 @@ def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candid
         *np.array([electronics_of(r, ends, design.goal.average) for r, ends in choices]).T
     )
     found = predict(known, each)
-    goal = design.goal
-    scores = score(found, goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM)
+    scores = score(found, design.goal.asked)
     return [
         Candidate(
             tube=spec, rangefinder=r, ends=ends, score=float(scores[i]),
@@ -313,15 +313,14 @@ def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidat
     """
     free, goal, r = design.variables, design.goal, best.rangefinder
     assert isinstance(r.drive, Burst)
-    asked = goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM
     start = electronics_of(r, best.ends, goal.average)
 
     def objective(logs: Array) -> tuple[float, Array]:
         carrier, cycles = np.exp(logs)
-        return gradient(known, start._replace(carrier=carrier, cycles=cycles), *asked)
+        return gradient(known, start._replace(carrier=carrier, cycles=cycles), goal.asked)
 
-    highest = min(free.carrier_khz[1] / KHZ, r.sampling_rate / 2.3)
-    bounds = [np.log([free.carrier_khz[0] / KHZ, highest]), np.log(free.cycles)]
+    highest = min(free.carrier[1], r.sampling_rate / LEAST_RATE)
+    bounds = [np.log([free.carrier[0], highest]), np.log(free.cycles)]
     first = np.log([r.drive.frequency, r.drive.cycles])
     end = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
                    options={"maxiter": 12})  # fmt: skip
@@ -338,13 +337,13 @@ def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> C
     """Return a candidate with what is expected of it on given contacts."""
     goal = design.goal
     found = predict(known, electronics_of(candidate.rangefinder, candidate.ends, goal.average))
-    value = score(found, goal.reach_m, goal.separation_cm / CM, goal.place_mm / MM)
+    value = score(found, goal.asked)
     return replace(candidate, found=found, score=float(value))
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates that no other is better than in reach, force and resolution."""
-    values = np.round(np.array([one.objectives[:3] for one in candidates]) * (-1, 1, 1), 5)
+    """Return the candidates that no other is better than in reach, force, resolution and place."""
+    values = np.round(np.array([one.objectives for one in candidates]) * (-1, 1, 1, 1), 5)
     kept: list[int] = []
     # Rising in the first objective: only what came before can be better.
     for i in np.lexsort(values.T[::-1]):

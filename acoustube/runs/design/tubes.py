@@ -16,9 +16,9 @@ from acoustube.inversion.design import PressedTube
 from acoustube.inversion.design.echoes import FEWEST
 from acoustube.lumen import pressed_part
 from acoustube.runs.config import configured
+from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.costs import press_seconds, spectral_seconds
-from acoustube.runs.design.goal import DesignGoal
 from acoustube.runs.libraries.build import press_rows, scattering_at
 from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.sweep.progress import Board
@@ -98,10 +98,10 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
     last = DEEPEST * spec.bore
     if on_arm:
         ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
-        last += INTO_LAYER * goal.layer_mm
+        last += INTO_LAYER * MM * goal.layer_thickness
     settings = configured(
         {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=spec.shore, length_cm=100.0,
-        indenter_mm=tool, depth_mm=min(DEEPEST * spec.bore, 0.9 * spec.bore), mesh="coarse",
+        indenter_mm=tool, depth_mm=0.9 * spec.bore, mesh="coarse",
         method="spectral", resolution=64, frequency_khz=20.0,
         temperature_c=goal.temperature_c, **ground,
     )  # fmt: skip

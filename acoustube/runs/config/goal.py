@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,17 @@ from typing import Any
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Choice, Number, Section, nearest, setting
+from acoustube.base.units import CM, KHZ, MM, PERCENT, UM
 
 MOST_VALUES = 64
+MOST_RANGEFINDERS = 1000
+"""Combinations of quality factor, rate, bits and ends that are tried."""
+MOST_SAMPLES = 20000
+"""Samples of a cycle."""
+LONGEST_PULSE = 5e-3
+"""Longest drive in s: the spectra of longer ones are finer than the frequencies of a design."""
+LEAST_RATE = 2.3
+"""Lowest sampling rate, in carriers."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ class Goal(Section):
     separation_cm : float
         Distance in cm of two presses that are to be told apart.
     place_mm : float
-        Median standard deviation of places in mm that will do.
+        Largest acceptable median standard deviation of place, in mm.
     support : str
         ``table``: the tube is held on rigid ground; ``arm``: it rests on a soft layer.
     layer_mm, layer_mpa : float
@@ -107,14 +117,48 @@ class Goal(Section):
     )
     tools_mm: tuple[float, ...] = _numbers((25.0,), Number(5, 80, "mm", "diameters of the rods"))
     separation_cm: float = setting(15.0, Number(3, 200, "cm", "distance of two presses"))
-    place_mm: float = setting(10.0, Number(0.1, 500, "mm", "deviation of places that will do"))
+    place_mm: float = setting(10.0, Number(0.1, 500, "mm", "largest median deviation of place"))
     support: str = setting("table", Choice(("table", "arm"), "what the tube lies on"))
     layer_mm: float = setting(20.0, Number(1, 100, "mm", "thickness of the arm's soft layer"))
     layer_mpa: float = setting(0.1, Number(0.005, 50, "MPa", "Young's modulus of that layer"))
     hardness_percent: float = setting(5.0, Number(0, 50, "%", "deviation of the wall's modulus"))
     temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
-    model_um: float = setting(50.0, Number(0, 1000, "um", "deviation of depths by the model"))
+    model_um: float = setting(50.0, Number(0, 1000, "um", "deviation of depth by the model"))
     average: int = setting(1, Number(1, 1000, "", "cycles whose mean is inverted", whole=True))
+
+    @property
+    def separation(self) -> float:
+        """Distance of two presses in m."""
+        return self.separation_cm / CM
+
+    @property
+    def place_deviation(self) -> float:
+        """Largest acceptable median standard deviation of place, in m."""
+        return self.place_mm / MM
+
+    @property
+    def hardness(self) -> float:
+        """Relative standard deviation of the wall's modulus."""
+        return self.hardness_percent / PERCENT
+
+    @property
+    def model(self) -> float:
+        """Standard deviation of depth from errors of the forward model, in m."""
+        return self.model_um / UM
+
+    @property
+    def layer_thickness(self) -> float:
+        """Thickness of the arm's layer in m."""
+        return self.layer_mm / MM
+
+    @property
+    def asked(self) -> tuple[float, float, float, float]:
+        """Reach, distance of two presses, deviation of place and nearest press, all in m."""
+        return self.reach_m, self.separation, self.place_deviation, self.nearest_m
+
+    def samples_at(self, rate: float) -> int:
+        """Return the samples at a rate in Hz of a cycle that holds echoes from the tube's end."""
+        return int(rate * (2 * self.reach_m / 340 + 4e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +187,16 @@ class Variables(Section):
         (12,), Number(8, 16, "", "resolutions of the converter", whole=True)
     )
     ends: tuple[int, ...] = _numbers((1,), Number(1, 2, "", "rangefinders", whole=True))
+
+    @property
+    def carrier(self) -> tuple[float, float]:
+        """Lowest and highest carrier in Hz."""
+        return self.carrier_khz[0] / KHZ, self.carrier_khz[1] / KHZ
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """Sampling rates in Hz."""
+        return tuple(one / KHZ for one in self.rate_khz)
 
 
 SECTIONS: dict[str, type[Any]] = {"goal": Goal, "variables": Variables}
@@ -180,10 +234,40 @@ class DesignGoal:
                 f"is less than the smallest bore and twice the thinnest wall, {least:g} mm",
                 setting="outer_mm", value=free.outer_mm, advice="raise it or lower bore_mm",
             )  # fmt: skip
-        if 2.3 * free.carrier_khz[0] > max(free.rate_khz):
+        if LEAST_RATE * free.carrier_khz[0] > max(free.rate_khz):
             raise ConfigError(
                 f"is too low for a carrier of {free.carrier_khz[0]:g} kHz", setting="rate_khz",
-                value=max(free.rate_khz), advice=f"use {2.3 * free.carrier_khz[0]:g} or more",
+                value=max(free.rate_khz),
+                advice=f"use {LEAST_RATE * free.carrier_khz[0]:g} or more",
+            )  # fmt: skip
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        """Check what a search would take too long for, or a cycle too many samples."""
+        goal, free = self.goal, self.variables
+        if len(set(goal.tools_mm)) < len(goal.tools_mm):
+            raise ConfigError(
+                "has a diameter twice", setting="tools_mm", value=list(goal.tools_mm),
+                advice="give each once",
+            )  # fmt: skip
+        if goal.samples_at(max(free.rates)) > MOST_SAMPLES:
+            raise ConfigError(
+                f"makes cycles of over {MOST_SAMPLES} samples", setting="rate_khz",
+                value=max(free.rate_khz), advice="lower it or reach_m",
+            )  # fmt: skip
+        if free.cycles[1] / free.carrier[0] > LONGEST_PULSE:
+            raise ConfigError(
+                f"last over {1e3 * LONGEST_PULSE:g} ms at {free.carrier_khz[0]:g} kHz",
+                setting="cycles", value=free.cycles[1], advice="lower it or raise carrier_khz",
+            )  # fmt: skip
+        lists = {"quality_factor": free.quality_factor, "rate_khz": free.rate_khz,
+                 "bits": free.bits, "ends": free.ends}  # fmt: skip
+        count = math.prod(map(len, lists.values()))
+        if count > MOST_RANGEFINDERS:
+            longest = max(lists, key=lambda name: len(lists[name]))
+            raise ConfigError(
+                f"makes {count} rangefinders with the other lists", setting=longest,
+                value=list(lists[longest])[:4], advice=f"use at most {MOST_RANGEFINDERS}",
             )  # fmt: skip
 
 
