@@ -43,7 +43,7 @@ def design(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> None:
-    """Search for tube, transducer and pulse of a sensor that tells what a goal asks for.
+    """Search for tube, transducer and pulse of a sensor that meets a goal.
 
     Presses and sound of each tube are kept in the cache: the same command again goes on where it
     was interrupted.

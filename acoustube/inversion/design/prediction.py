@@ -31,7 +31,7 @@ HALF_WAVES = (-3, -2, -1, 1, 2, 3)
 """Half wavelengths that an estimate may be off."""
 DETECTED = 6.0
 """Amplitude of an echo behind its matched filter, in standard deviations of the noise, from which
-half of the echoes are taken for a press: a false one in a thousand metres of tube."""
+half of the echoes are taken for a press; noise alone exceeds it in exp(-18) of its samples."""
 BAND_EDGE, BAND_ROLL = 0.875 * HALF_WIDTH, 0.012
 """Middle of the ends of the inversion's band from its carrier, in carriers, and their width."""
 BLIND_ROLL = 0.02

@@ -126,7 +126,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
         one.tool.force_at(d) if np.isfinite(d) else 0.0
         for one, d in zip(presses, told, strict=True)
     ]
-    load = np.where(np.isfinite(force), force, usual)
+    load = np.where(np.isfinite(force), force, np.array(usual, float))
     zero, compliance = _ground(told, sure, stated, load)
     # Where the echo does not tell the depth, the label does, without what the ground takes.
     depth = np.where(np.isfinite(told), told, stated - zero.value)

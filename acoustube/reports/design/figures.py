@@ -54,7 +54,7 @@ def front_figure(
 
 
 def map_figure(found: Map, title: str) -> Figure:
-    """Draw the expected errors of force and place over place and depth.
+    """Draw the expected errors of force and place over place and force.
 
     Parameters
     ----------

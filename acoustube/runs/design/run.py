@@ -64,8 +64,6 @@ class Designed(NamedTuple):
         Number of tubes that were computed.
     failed : dict of TubeSpec to str
         Those that could not be, and why.
-    best : Candidate
-        That of the best score.
     """
 
     design: DesignGoal
@@ -74,7 +72,6 @@ class Designed(NamedTuple):
     sensors: list[Recommended]
     tubes: int
     failed: dict[TubeSpec, str]
-    best: Candidate
 
     @property
     def notes(self) -> list[str]:
@@ -170,8 +167,7 @@ def _searched(
         return {spec: made[spec] for spec in specs}
 
     search = Search(design, compute, seed, most)
-    best = search.run()
-    if best is None:
+    if search.run() is None:
         spec, reason = next(iter(search.failed.items()))
         raise SimulationError(
             f"none of {len(search.failed)} tubes can be computed, the first ({spec.words}): "
@@ -195,7 +191,7 @@ def _searched(
             Recommended("paper", "the sleeve paper's sensor", paper, error_map(design, own, paper),
                         limits_of(design, paper), {})
         )  # fmt: skip
-    return Designed(design, seed, search.kept, sensors, len(search.best), failed, best)
+    return Designed(design, seed, search.kept, sensors, len(search.best), failed)
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
