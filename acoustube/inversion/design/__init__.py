@@ -1,12 +1,12 @@
 """Expected accuracy of a sensor before it is built, for choosing tube, transducer and pulse.
 
 Reading order: `echoes` (what a tube's presses reflect, and the contacts that are drawn),
-`information` (Fisher information of a contact over frequency) and `prediction` (standard
+`fisher` (information of a contact over frequency) and `prediction` (standard
 deviations, half-wave errors, reach and resolution for one pulse, differentiable).
 """
 
 from acoustube.inversion.design.echoes import Contacts, PressedTube
-from acoustube.inversion.design.information import Information, information
+from acoustube.inversion.design.fisher import Information, information
 from acoustube.inversion.design.prediction import Electronics, Prediction, gradient, predict
 
 __all__ = [

@@ -24,7 +24,7 @@ from jax.scipy.special import ndtr
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import AFTER_CLIPPING, DITHER, FADE, HALF_WIDTH
-from acoustube.inversion.design.information import Information
+from acoustube.inversion.design.fisher import Information
 from acoustube.ranging import Burst, Rangefinder
 
 HALF_WAVES = (-3, -2, -1, 1, 2, 3)
