@@ -219,6 +219,13 @@ def test_normalising_before_or_after_the_low_pass_is_the_same():
     np.testing.assert_allclose(after, before, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.parametrize("name", ["start", "stop"])
+def test_windows_of_another_number_are_refused(name):
+    time = np.arange(100) * 1e-5
+    with pytest.raises(ValueError, match=rf"{name} has shape \(5,\)"):
+        signals.find_echoes(time, np.ones((3, 100)), **{name: np.linspace(0, 1e-3, 5)})
+
+
 def test_wrong_signals_are_refused_with_the_reason():
     time = clock()
     good = sent_and_returned(time)

@@ -105,8 +105,8 @@ def find_echoes(
     _check_time(time, envelope)
     cycles = envelope.reshape(-1, time.size)
     shape = envelope.shape[:-1]
-    first = np.searchsorted(time, np.broadcast_to(start, shape), side="left").ravel()
-    last = np.searchsorted(time, np.broadcast_to(stop, shape), side="right").ravel()
+    first = np.searchsorted(time, _for_each("start", start, shape), side="left").ravel()
+    last = np.searchsorted(time, _for_each("stop", stop, shape), side="right").ravel()
     found = [
         _peaks(time, cycle, slice(a, b), prominence)
         for cycle, a, b in zip(cycles, first, last, strict=True)
@@ -116,6 +116,16 @@ def find_echoes(
     for row, rows in enumerate(found):
         padded[:, row, : rows.shape[1]] = rows
     return Echoes(*padded.reshape(3, *shape, most))
+
+
+def _for_each(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a limit of the window for each envelope."""
+    try:
+        return np.broadcast_to(np.asarray(value, float), shape)
+    except ValueError as error:
+        raise ValueError(
+            f"{name} has shape {np.shape(value)}; give a number or one for each envelope, {shape}"
+        ) from error
 
 
 def _check_time(time: Array, envelope: Array) -> None:
