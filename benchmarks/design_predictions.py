@@ -27,12 +27,11 @@ from acoustube.inversion import Library, Priors, Tool
 from acoustube.inversion.design import Contacts
 from acoustube.inversion.design.prediction import electronics_of, predict
 from acoustube.lumen import pressed_part
-from acoustube.ranging import record
+from acoustube.ranging import Rangefinder, record
 from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.config.goal import read_goal
 from acoustube.runs.config.si import settings_in_si
-from acoustube.runs.design.run import PAPER_CARRIER
 from acoustube.runs.design.search import known_of
 from acoustube.runs.design.tubes import TubeSpec, band_of, plan_of, pressed_tubes, sounded
 from acoustube.runs.libraries.build import scattering_at
@@ -84,7 +83,8 @@ def prepared(given):
     config = load_config(given.folder / f"{given.name}.config.toml")
     pressed = 35.0 if design.goal.support == "table" else config.tube.shore_a
     spec = TubeSpec(config.tube.inner_diameter_mm, config.tube.wall_mm, pressed)
-    plan = plan_of(design, spec, design.goal.tools_mm[0], band_of(design, [PAPER_CARRIER]))
+    band = band_of(design, [Rangefinder().resonance])
+    plan = plan_of(design, spec, design.goal.tools_mm[0], band)
     tubes = pressed_tubes(spec, design.goal.tools_mm[:1], [sounded(plan).result])
     wall = settings if given.mesh == "usual" else plan.settings
     path = DepthPath(presses.press_to(wall, plan.pressed))

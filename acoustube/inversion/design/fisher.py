@@ -29,7 +29,7 @@ FARTHEST, REACHES = 12.0, 48
 
 
 class Information(NamedTuple):
-    """What is known of contacts on a tube apart from the electronics.
+    """Fisher information of contacts on a tube over frequency, per received spectral power.
 
     Columns are place, depth, temperature, stretch, gain and phase, each in units of its prior
     standard deviation, for the rangefinder at the face and for one at the far end.

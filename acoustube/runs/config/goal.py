@@ -1,4 +1,4 @@
-"""Goals of a design: what a sensor must tell, and what it may be made of, from TOML files."""
+"""Goals of a design: requirements and design variables of a sensor, from TOML files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Choice, Number, Section, nearest, setting
-from acoustube.base.units import CM, KHZ, MM, PERCENT, UM
+from acoustube.base.units import CM, KHZ, MM, MS, PERCENT, UM
 
 MOST_VALUES = 64
 MOST_RANGEFINDERS = 1000
@@ -79,7 +79,7 @@ def _numbers(default: tuple[float, ...], each: Number, *, span: bool = False) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Goal(Section):
-    """What a sensor must tell.
+    """Required measuring range, resolution and accuracy of a sensor.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Goal(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class Variables(Section):
-    """Ranges of what the sensor may be made of; a single number fixes a variable."""
+    """Ranges of the design variables; a single number fixes one."""
 
     bore_mm: tuple[float, float] = _numbers((5.0, 12.0), Number(2, 25, "mm", "bore"), span=True)
     wall_mm: tuple[float, float] = _numbers(
@@ -204,7 +204,7 @@ SECTIONS: dict[str, type[Any]] = {"goal": Goal, "variables": Variables}
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGoal:
-    """A goal and the variables of its sensor.
+    """Requirements of a sensor and ranges of its design variables.
 
     Raises
     ------
@@ -257,7 +257,7 @@ class DesignGoal:
             )  # fmt: skip
         if free.cycles[1] / free.carrier[0] > LONGEST_PULSE:
             raise ConfigError(
-                f"last over {1e3 * LONGEST_PULSE:g} ms at {free.carrier_khz[0]:g} kHz",
+                f"last over {MS * LONGEST_PULSE:g} ms at {free.carrier_khz[0]:g} kHz",
                 setting="cycles", value=free.cycles[1], advice="lower it or raise carrier_khz",
             )  # fmt: skip
         lists = {"quality_factor": free.quality_factor, "rate_khz": free.rate_khz,

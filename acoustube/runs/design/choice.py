@@ -12,11 +12,12 @@ from acoustube.air import air_at
 from acoustube.base.types import Array
 from acoustube.base.units import PERCENT
 from acoustube.inversion.design import Contacts, PressedTube
-from acoustube.ranging import Rangefinder
+from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.search import (
     CONTACTS,
     Candidate,
+    contacts_of,
     evaluated,
     known_of,
     modulus_of,
@@ -120,7 +121,8 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
 def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
     """Return the sleeve paper's sensor with what is expected of it for a goal."""
     usual = Rangefinder()
-    made = rangefinder_of(design, usual.resonance, 13.0, usual.quality_factor,
+    assert isinstance(usual.drive, Burst)
+    made = rangefinder_of(design, usual.resonance, usual.drive.cycles, usual.quality_factor,
                           usual.sampling_rate, usual.bits)  # fmt: skip
     start = Candidate(tube=PAPER, rangefinder=made, ends=1, found=None, score=0.0)  # type: ignore[arg-type]
     return evaluated(design, known_of(design, tubes, PAPER.shore), start)
@@ -157,7 +159,7 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
     """
     found, hardness = candidate.found, design.goal.hardness
     square = found.force**2
-    prior = float(np.log(design.goal.forces_n[1] / design.goal.forces_n[0]) ** 2 / 12)
+    prior = contacts_of(design).force_prior ** 2
     lost = np.where(square >= prior * (1 - 1e-6), square, (1 - found.found) * prior)
     rest = square - lost
     parts = {"missed, in the ring-down, or beyond a closed lumen": lost}

@@ -12,6 +12,7 @@ from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.units import KHZ
 from acoustube.inversion.design import PressedTube
+from acoustube.ranging import Rangefinder
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.choice import (
     PAPER,
@@ -34,10 +35,6 @@ from acoustube.runs.design.tubes import (
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import Workers, count_of, worker_pool
-
-PAPER_CARRIER = 42.0
-"""Carrier of the sleeve paper's sensor in kHz, which is compared in any case."""
-
 
 ASSUMED = (
     ("Presses are on the coarse mesh; what the calibration leaves of clutter is not contained."),
@@ -75,7 +72,7 @@ class Designed(NamedTuple):
 
     @property
     def notes(self) -> list[str]:
-        """What to know of the results."""
+        """Warnings, and assumptions of the predictions."""
         found = []
         if not any(one.meets(self.design) for one in self.front):
             found.append(
@@ -100,7 +97,7 @@ def run_design(
     *,
     seed: int = 0,
     tubes: int = 40,
-    robust: bool = True,
+    robust: bool = False,
     report: Reporter = SILENT,
     workers: int | None = None,
 ) -> Designed:
@@ -130,7 +127,7 @@ def run_design(
         If no tube can be computed.
     """
     count = count_of(workers)
-    band = band_of(design, [PAPER_CARRIER])
+    band = band_of(design, [Rangefinder().resonance])
     tools = design.goal.tools_mm
     middle = TubeSpec(design.variables.bore_mm[1], design.variables.wall_mm[0], REFERENCE_SHORE_A)
     each = sum(tube_seconds(plan_of(design, middle, tool, band)) for tool in tools)

@@ -10,7 +10,7 @@ import numpy as np
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
-from acoustube.base.units import KHZ, MM
+from acoustube.base.units import MM
 from acoustube.indentation import DepthPath, restored
 from acoustube.inversion.design import PressedTube
 from acoustube.inversion.design.echoes import FEWEST
@@ -85,10 +85,9 @@ class Sounded(NamedTuple):
 
 
 def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
-    """Return the band in Hz that all carriers of a design need, and further ones in kHz."""
-    carriers = [*design.variables.carrier_khz, *extra]
-    low, high = MARGIN[0] * min(carriers) / KHZ, MARGIN[1] * max(carriers) / KHZ
-    return round(low, -2), round(high, -2)
+    """Return the band in Hz that all carriers of a design and further ones in Hz need."""
+    carriers = [*design.variables.carrier, *extra]
+    return round(MARGIN[0] * min(carriers), -2), round(MARGIN[1] * max(carriers), -2)
 
 
 def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> BandPlan:
