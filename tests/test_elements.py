@@ -19,7 +19,7 @@ from solids import (
     nodal_forces,
 )
 
-from acoustube.indentation import element, linear_solver
+from acoustube.indentation import element, linear_solver, newton
 from acoustube.indentation.assembly import evaluate, stiffness
 from acoustube.indentation.mesh import MeshSize, sweep
 from acoustube.indentation.newton import minimise
@@ -604,6 +604,23 @@ def test_unstable_equilibrium_is_left_for_the_stable_one():
     energies = [evaluate(model, found.displacement, ()).energy for found in (swayed, bent)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-6)
     assert energies[0] < 0.9 * straight.energy
+
+
+def test_saddle_without_any_residual_is_left_too(monkeypatch):
+    """The straight column with a gradient of exactly zero, which has no direction to begin with."""
+
+    def exact(*given):
+        state = evaluate(*given)
+        return state._replace(gradient=0 * state.gradient) if state.norm <= 1e-9 else state
+
+    short, start = compressed_column(1, 0.0)
+    widening = minimise(short, start, (), 1e-12).displacement[:, 1].max()
+    model, start = compressed_column(10, widening)
+    monkeypatch.setattr(newton, "evaluate", exact)
+    assert not exact(model, start, ()).gradient.any()
+    swayed = minimise(model, start, (), 1e-9)
+    assert swayed.converged
+    assert np.abs(swayed.displacement[:, 0]).max() > 0.5
 
 
 # Order of convergence

@@ -103,7 +103,7 @@ class CondensedContact:
                 if forces is None:
                     return linear
                 step = linear - self.factor(forces)
-            excess = self._excess(gap, before, self._closing(self._on_nodes(step)))
+            excess, _ = self._excess(gap, before, self._closing(self._on_nodes(step)))
             size = np.abs(excess).max(axis=(0, 2))
             size[self._faces] = 0.0
             new = np.flatnonzero(size > NEGLIGIBLE * state.norm)
@@ -160,9 +160,10 @@ class CondensedContact:
         change[:, at] = np.einsum("bfqi,fqi->bfq", self._normal[:, at], points)
         return change
 
-    def _excess(self, gap: Array, before: Array, closing: Array) -> Array:
-        """Return the change of the points' forces beyond what the factorised tangent has of it."""
-        return self._laws(gap + closing)[0] - before - self._stiffness * closing
+    def _excess(self, gap: Array, before: Array, closing: Array) -> tuple[Array, Array]:
+        """Return the change in N of the points' forces beyond its linear part, and stiffnesses."""
+        force, stiffness = self._laws(gap + closing)
+        return force - before - self._stiffness * closing, stiffness
 
     def _extended(self, faces: Index) -> bool:
         """Add the unknowns of faces to the zone; return False if it becomes too large."""
@@ -194,15 +195,15 @@ class CondensedContact:
 
         def misfit(moved: Array) -> tuple[Array, Array, Array]:
             closing = self._closing(self._of_zone(moved), self._faces)
-            slope, bend = self._laws(gap + closing)
-            force = self._zone_forces(slope - before - self._stiffness * closing)
-            return moved - linear + self._compliance @ force[self._zone], force, bend
+            excess, stiffness = self._excess(gap, before, closing)
+            force = self._zone_forces(excess)
+            return moved - linear + self._compliance @ force[self._zone], force, stiffness
 
-        wrong, force, bend = misfit(moved)
+        wrong, force, stiffness = misfit(moved)
         for _ in range(ITERATIONS):
             if np.abs(wrong).max() <= PRECISION * scale:
                 return force
-            matrix = np.eye(len(moved)) + self._compliance @ self._zone_stiffness(bend)
+            matrix = np.eye(len(moved)) + self._compliance @ self._zone_stiffness(stiffness)
             if not np.all(np.isfinite(matrix)):
                 return None
             try:
@@ -211,7 +212,7 @@ class CondensedContact:
                 return None
             for length in 0.5 ** np.arange(HALVINGS):
                 trial = moved + length * change
-                left, force, bend = misfit(trial)
+                left, force, stiffness = misfit(trial)
                 if np.linalg.norm(left) < np.linalg.norm(wrong):
                     break
             moved, wrong = trial, left

@@ -129,8 +129,8 @@ def minimise(
             break
         lower = _descended(model, state, tangent, bodies, saddle=near and not tangent.stable)
         if lower is None and own:
-            at_saddle = BUCKLING if near else "the line search found no decrease of the energy"
-            reason = "" if near and tangent.stable else at_saddle
+            failed = BUCKLING if near else "the line search found no decrease of the energy"
+            reason = "" if near and tangent.stable else failed
             break
         if lower is None or not tangent.stable or not _worth(tangent, state, lower, tolerance):
             tangent = None
@@ -211,15 +211,25 @@ def _descended(
 
     if tangent.indefinite is None:
         return moved(tangent.step(state))
-    curved = curved_step(tangent.indefinite, tangent.solve, state.gradient)
-    if not saddle:
-        lower = moved(curved.step)
-        return moved(tangent.step(state)) if lower is None else lower
-    if curved.curvature >= 0:
+    if saddle:
+        return _below_saddle(model, state, tangent.indefinite, tangent.solve, bodies)
+    lower = moved(curved_step(tangent.indefinite, tangent.solve, state.gradient).step)
+    return moved(tangent.step(state)) if lower is None else lower
+
+
+def _below_saddle(
+    model: Model,
+    state: State,
+    indefinite: sparse.csc_array,
+    convex: linear_solver.Solve,
+    bodies: tuple[Body, ...],
+) -> State | None:
+    """Return a state of lower energy than a saddle's, along its least curvature, or None."""
+    curved = curved_step(indefinite, convex, state.gradient) if state.gradient.any() else None
+    if curved is None or curved.curvature >= 0:
         # A symmetric state's gradient has nothing of the direction in which it buckles.
-        size = max(float(np.abs(state.gradient).max()), np.finfo(float).tiny)
-        start = size * np.random.default_rng(0).normal(size=len(state.gradient))
-        curved = curved_step(tangent.indefinite, tangent.solve, start)
+        start = np.random.default_rng(0).normal(size=len(state.gradient))
+        curved = curved_step(indefinite, convex, start)
     inner = np.unique(model.mesh.inner_faces)
     points = model.mesh.points[inner] if inner.size else model.mesh.points
     height = np.ptp(points[:, 1])

@@ -30,7 +30,7 @@ RINGING, RINGING_SHARE = 0.5e-3, 0.05
 CONVERGED = 0.02
 """Decrease of the cost in an iteration that ends the iterations."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
-PATIENCE, HOPELESS = 3, 1e3
+PATIENCE, FAR_WORSE = 3, 1e3
 """Iterations after which starting points are given up, and the excess of their cost over the least,
 halved with each iteration more."""
 
@@ -207,7 +207,7 @@ def maximise(
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
     for number in range(iterations):
         if number >= PATIENCE:
-            active &= cost < cost.min() + HOPELESS / 2 ** (number - PATIENCE)
+            active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
         i = np.flatnonzero(active)
         if not len(i):
             break

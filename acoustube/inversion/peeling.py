@@ -10,13 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.hypotheses import Builder, Hypothesis
+from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
 
 PARTS = 0.7e-3, 1.2e-3
 """Lengths in s of the first part of an echo that are tried."""
-LOUD, LEADING, AHEAD = 5.0, 0.1, 0.5e-3
-"""Level over the noise at which an echo begins, of whitened samples smoothed; its share of the
-highest level that follows within a time in s: the band's edges ring before an echo."""
+LEADING = 0.1
+"""Level at which an echo begins, over the highest that follows: the band's edges ring before it."""
+AHEAD = 0.5e-3
+"""Time in s within which it follows."""
 BEAM = 2
 """Hypotheses of each number of presses that are followed."""
 ALIKE = 1e-3

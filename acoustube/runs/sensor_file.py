@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import isfinite
+import json
+from collections.abc import Iterable, Mapping
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
+
+import tomlkit
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import MPA
+from acoustube.ranging import Rangefinder
 
 KIND = "twin"
 """Name of the table that only files of twins have."""
@@ -60,14 +64,54 @@ def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float
     ConfigError
         If they are not positive numbers.
     """
-    told = document.get("determined", [])
-    if KIND not in document or not isinstance(told, list) or MODULUS not in told:
+    if KIND not in document or MODULUS not in determined(document):
         return None
     found = [document.get(name) for name in (MODULUS, f"{MODULUS}_sd")]
-    good = [one / MPA for one in found if isinstance(one, int | float) and 0 < one < 1e6]
-    if len(good) < len(found):
-        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
-    return good[0], good[1]
+    modulus, deviation = finite_numbers(found, path, least=1e-6, most=1e6)
+    return modulus / MPA, deviation / MPA
+
+
+def determined(document: Mapping[str, Any]) -> list[Any]:
+    """Return the names of the parameters that the recordings of a twin determine."""
+    found = document.get("determined")
+    return found if isinstance(found, list) else []
+
+
+def finite_numbers(
+    values: Iterable[Any], path: Path, *, least: float = -inf, most: float = inf
+) -> list[float]:
+    """Return values of a twin's file as numbers.
+
+    Parameters
+    ----------
+    values : iterable
+    path : Path
+        For messages.
+    least, most : float
+        Range.
+
+    Raises
+    ------
+    ConfigError
+        If one is not a finite number, or out of range.
+    """
+    found = list(values)
+    for one in found:
+        if not isinstance(one, int | float) or not isfinite(one) or not least <= one <= most:
+            raise ConfigError(f"{path} is a damaged file of a twin; make it again")
+    return [float(one) for one in found]
+
+
+def add_rangefinder(table: Any, rangefinder: Rangefinder) -> None:
+    """Add the parameters of a rangefinder, its drive in a table of its own, to a TOML table."""
+    words = json.loads(rangefinder.to_json())
+    drive = words.pop("drive")
+    for name, value in words.items():
+        table.add(name, value)
+    inner = tomlkit.table()
+    for name, value in drive.items():
+        inner.add(name, value)
+    table.add("drive", inner)
 
 
 def twin_settings(path: Path) -> dict[str, Any]:
@@ -88,8 +132,7 @@ def twin_settings(path: Path) -> dict[str, Any]:
         return {}
     clutter = document.get("clutter", {})
     given = clutter.get("reflection", []) if isinstance(clutter, dict) else None
-    deviation = document.get("temperature_offset_c_sd", 0.0)
+    told = document.get("temperature_offset_c_sd", 0.0)
     reflectors = given if isinstance(given, list) else [None]
-    if not all(isinstance(one, int | float) and isfinite(one) for one in (deviation, *reflectors)):
-        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
-    return {"offset_deviation": min(deviation, 100.0), "reflectors": tuple(map(float, reflectors))}
+    deviation, *reflection = finite_numbers((told, *reflectors), path)
+    return {"offset_deviation": min(deviation, 100.0), "reflectors": tuple(reflection)}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Rangefinder, blockage, record
-from acoustube.runs.sensor_file import KIND, OF_OTHERS, twin_settings
+from acoustube.runs.sensor_file import KIND, OF_OTHERS, finite_numbers, twin_settings
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration
 
@@ -65,11 +64,9 @@ def twin_calibration(path: Path) -> Calibration:
     """
     document = read_document(path)
     own = replace(rangefinder_in(document, path), temperature_bias=0.0, temperature_noise=0.0)
-    numbers = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
-    good = [float(one) for one in numbers if isinstance(one, int | float) and isfinite(one)]
-    if len(good) < len(numbers):
-        raise ConfigError(f"{path} is a damaged file of a twin; make it again")
-    bore, length, trigger = good[0] / MM, good[1] / CM, good[2] / US
+    told = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
+    diameter, along, start = finite_numbers(told, path)
+    bore, length, trigger = diameter / MM, along / CM, start / US
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
         "reflectors": np.array(twin_settings(path)["reflectors"]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from math import exp, isfinite, log
 from pathlib import Path
@@ -19,7 +18,7 @@ from acoustube.inversion.twin.estimate import PRIORS, radius
 from acoustube.inversion.twin.material import PRIOR_COMPLIANCE, PRIOR_MODULUS, PRIOR_ZERO, Material
 from acoustube.inversion.twin.model import NOMINAL_FREQUENCY, NOMINAL_RADIUS, SHARED
 from acoustube.ranging import Burst, Rangefinder
-from acoustube.runs.sensor_file import KIND
+from acoustube.runs.sensor_file import KIND, add_rangefinder
 from acoustube.runs.twin import FittedSensor
 from acoustube.tube import shore_from_shear_modulus
 
@@ -191,7 +190,9 @@ def in_toml(found: FittedSensor) -> str:
     document.add("determined", _words(one.name for one in known if one.determined))
     document.add("undetermined", _words(one.name for one in known if not one.determined))
     document.add(KIND, _origin(found))
-    document.add("rangefinder", _rangefinder(rangefinder_of(found)))
+    table = tomlkit.table()
+    add_rangefinder(table, rangefinder_of(found))
+    document.add("rangefinder", table)
     document.add("priors", _priors(found))
     document.add("closures", _closures(found))
     if found.material is not None:
@@ -229,19 +230,6 @@ def _origin(found: FittedSensor) -> Any:
     table.add("explained", tomlkit.item(_short(float(found.twin.explained.mean()))).comment(
         "share of the closures' energy"
     ))  # fmt: skip
-    return table
-
-
-def _rangefinder(rangefinder: Rangefinder) -> Any:
-    words = json.loads(rangefinder.to_json())
-    drive = words.pop("drive")
-    table = tomlkit.table()
-    for name, value in words.items():
-        table.add(name, value)
-    inner = tomlkit.table()
-    for name, value in drive.items():
-        inner.add(name, value)
-    table.add("drive", inner)
     return table
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,13 @@ from acoustube.base.foreign.documents import read_document
 from acoustube.base.types import Array
 from acoustube.base.units import MPA
 from acoustube.ranging.analogue import MEASURED_SPACING
-from acoustube.runs.sensor_file import KIND, twin_settings, young_modulus
+from acoustube.runs.sensor_file import (
+    KIND,
+    determined,
+    finite_numbers,
+    twin_settings,
+    young_modulus,
+)
 from acoustube.runs.sweep.cycles import PLAIN
 from acoustube.runs.sweep.dataset import rangefinder_in
 
@@ -146,16 +151,11 @@ def _known(
     """Return values and deviations of a parameter in the sessions that determine it."""
     found = []
     for document, path in zip(documents, paths, strict=True):
-        told = document.get("determined")
-        if not isinstance(told, list) or name not in told:
-            continue
-        pair: list[Any] = [document.get(name), document.get(f"{name}_sd")]
-        if not all(isinstance(one, int | float) and isfinite(one) for one in pair) or (
-            name in LOGARITHMS and not pair[0] > 0
-        ):
-            raise ConfigError(f"{path} is a damaged file of a twin; make it again")
-        found.append(pair)
-    values = np.array(found, float)
+        if name in determined(document):
+            least = 1e-12 if name in LOGARITHMS else -np.inf
+            value = finite_numbers([document.get(name)], path, least=least)
+            found.append(value + finite_numbers([document.get(f"{name}_sd")], path))
+    values = np.array(found)
     return (values[:, 0], values[:, 1]) if len(found) > 1 else None
 
 
@@ -174,10 +174,8 @@ def _drawn(
         own = COMPARED[one.name]
         if own == "temperature_bias":
             # The bias is that for dry air, whose offset differs in moist air.
-            own_offset = first.get(one.name)
-            if not isinstance(own_offset, int | float) or not isfinite(own_offset):
-                raise ConfigError(f"{paths[0]} is a damaged file of a twin; make it again")
-            moist = settings["rangefinder"].temperature_bias + float(own_offset)
+            (own_offset,) = finite_numbers([first.get(one.name)], paths[0])
+            moist = settings["rangefinder"].temperature_bias + own_offset
             means[own] = moist - one.mean
             between = one.spread if one.wanders else 0.0
             found["offset_deviation"] = float(np.hypot(between, one.deviation))

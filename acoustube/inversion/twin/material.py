@@ -71,8 +71,6 @@ class Material:
         Of the ground in m/N.
     zero : Measured
         Stated depth in m at first contact.
-    force_scatter : float
-        Most likely relative scatter of the stated forces.
     expected : ndarray
         Forces in N that wall and depths give, nan without a depth, (n,).
     left_out : dict
@@ -85,7 +83,6 @@ class Material:
     poisson_ratio: float
     compliance: Measured
     zero: Measured
-    force_scatter: float
     expected: Array
     left_out: dict[int, str]
     yields: bool
@@ -134,14 +131,14 @@ def fit_material(presses: Sequence[Press]) -> Material:
     depth = np.where(np.isfinite(told), depth, depth - sunk)
     loose = np.hypot(zero.deviation, np.nan_to_num(force) * compliance.deviation)
     sure = np.where(np.isfinite(told), sure, np.hypot(loose, USUAL_DEPTH))
-    scale, scatter, expected, left_out = _stiffness(presses, depth, sure, force)
+    scale, expected, left_out = _stiffness(presses, depth, sure, force)
     factor = float(np.exp(scale.value))
     return Material(
         young_modulus=Measured(
             value=modulus * factor, deviation=modulus * factor * scale.deviation
         ),
         poisson_ratio=presses[0].tool.poisson_ratio, compliance=compliance, zero=zero,
-        force_scatter=scatter, expected=factor * expected, left_out=left_out,
+        expected=factor * expected, left_out=left_out,
         yields=compliance.value > SIGNIFICANT * compliance.deviation,
     )  # fmt: skip
 
@@ -150,7 +147,7 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
     """Return the origin of the stated depths, and the ground's compliance under forces in N."""
     known = np.isfinite(told) & np.isfinite(stated)
     design = np.stack([np.ones(known.sum()), load[known]], axis=1)
-    mean, covariance, _ = _averaged(
+    mean, covariance = _averaged(
         design, (stated - told)[known], sure[known] ** 2,
         np.array([PRIOR_ZERO, PRIOR_COMPLIANCE]), DEPTH_SCATTERS, USUAL_DEPTH,
     )  # fmt: skip
@@ -163,7 +160,7 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
 
 def _stiffness(
     presses: Sequence[Press], depth: Array, sure: Array, force: Array
-) -> tuple[Measured, float, Array, dict[int, str]]:
+) -> tuple[Measured, Array, dict[int, str]]:
     """Return the logarithm of the modulus over the library's, and the library's forces."""
     known, left_out = np.zeros(len(presses), bool), {}
     log_force, slope, expected = np.zeros((3, len(presses)))
@@ -191,7 +188,7 @@ def _stiffness(
         for k in np.flatnonzero(known & (off > limit)):
             left_out[int(k)] = "its force is not that of its depth by all others; check the label"
             known[k] = False
-    mean, covariance, scatter = _averaged(
+    mean, covariance = _averaged(
         np.ones((int(known.sum()), 1)), log_force[known], (slope * sure)[known] ** 2,
         np.array([PRIOR_MODULUS]), FORCE_SCATTERS, USUAL_FORCE,
     )  # fmt: skip
@@ -201,12 +198,12 @@ def _stiffness(
         common = float(np.hypot(LIBRARY_FORCE, np.min((slope * sure)[known])))
     deviation = float(np.hypot(np.sqrt(covariance[0, 0]), common))
     scale = Measured(value=float(mean[0]), deviation=min(deviation, PRIOR_MODULUS))
-    return scale, scatter, expected, left_out
+    return scale, expected, left_out
 
 
 def _averaged(
     design: Array, target: Array, variance: Array, prior: Array, scatters: Array, usual: float
-) -> tuple[Array, Array, float]:
+) -> tuple[Array, Array]:
     """Return mean and covariance of linear parameters, averaged over the scatter of the data.
 
     Parameters
@@ -221,8 +218,6 @@ def _averaged(
     Returns
     -------
     mean, covariance : ndarray
-    scatter : float
-        The most likely one.
     """
     weight, means, covariances = [], [], []
     for scatter in scatters:
@@ -241,4 +236,4 @@ def _averaged(
     mean = share @ np.array(means)
     spread = np.array(means) - mean
     covariance = np.einsum("i,ipq->pq", share, covariances) + (share * spread.T) @ spread
-    return mean, covariance, float(scatters[int(np.argmax(weight))])
+    return mean, covariance

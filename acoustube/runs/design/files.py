@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from acoustube.ranging import Burst
 from acoustube.runs.config import configured, to_toml
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.search import Candidate
-from acoustube.runs.sensor_file import OF_OTHERS
+from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
 
 
 def front_csv(front: Sequence[Candidate]) -> str:
@@ -30,19 +29,12 @@ def front_csv(front: Sequence[Candidate]) -> str:
 
 def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
     """Return a candidate's rangefinder as a file for ``--sensor``."""
-    words: dict[str, Any] = json.loads(candidate.rangefinder.to_json())
-    drive = words.pop("drive")
     document = tomlkit.document()
     document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
     if candidate.ends == 2:
         document.add(tomlkit.comment("The sensor has a second one of its kind at the far end."))
     document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
-    for name, value in words.items():
-        document.add(name, value)
-    table = tomlkit.table()
-    for name, value in drive.items():
-        table.add(name, value)
-    document.add("drive", table)
+    add_rangefinder(document, candidate.rangefinder)
     return tomlkit.dumps(document)
 
 
