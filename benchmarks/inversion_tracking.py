@@ -16,13 +16,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from placed_press import placed_press
 
 from acoustube.inversion import ContactTracker, ForwardModel, baseband_of, measured_clutter
 from acoustube.ranging import Rangefinder, digitise, response
 from acoustube.runs.libraries.files import open_library
-from acoustube.waves import PlacedScatterer, Scattering
-from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.modes.grid_modes import mode_numbers
 
 LENGTH, TUBE, AIR, RATE, NEAR = 2.0, 7, 20.1, 20, 0.05
 UNTOUCHED = 100
@@ -54,31 +52,15 @@ class Tube:
 
     def __init__(self, tool, board):
         self.tool, self.board = tool, board
-        numbers = [mode_numbers(name) for name in tool.modes]
-        self.cut_ons = np.array(
-            [cut_on_frequency(*one, tool.radius, tool.sound_speed) for one in numbers]
-        )
         if board:
             self.own = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8)
             self.fine = Rangefinder(sampling_rate=240e3, n_samples=6000)
         else:
             self.own = self.fine = Rangefinder()
 
-    def placed(self, place, depth):
-        """Return a press."""
-        s, m = self.tool.matrix(depth), len(self.tool.modes)
-        found = Scattering(
-            frequency=self.tool.frequency, modes=self.tool.modes, s=s,
-            propagates=np.ones((len(s), m), bool), cut_ons=self.cut_ons,
-            settled=np.ones(s.shape, bool), sound_speed=self.tool.sound_speed,
-            extent=(-0.01, 0.01), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0,
-            time_step=np.nan,
-        )  # fmt: skip
-        return PlacedScatterer(found, place)
-
     def cycle(self, pressed, number):
         """Return the counts of a cycle."""
-        placed = [self.placed(place, depth) for place, depth, _ in pressed]
+        placed = [placed_press(self.tool, place, depth) for place, depth, _ in pressed]
         _, voltage = response(placed, self.fine, length=LENGTH, temperature=AIR, tube_seed=TUBE)
         voltage = voltage[::3].copy() if self.board else voltage
         return digitise(voltage, self.own, np.array([number]), 5)[0]

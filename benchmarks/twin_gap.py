@@ -13,7 +13,6 @@ Usage: python benchmarks/twin_gap.py LIBRARY out.csv --count 10
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 import time
 from dataclasses import replace
@@ -21,6 +20,8 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from placed_press import placed_press
+from resumed_table import completed
 from scipy.interpolate import CubicSpline
 from twin_hidden_sensors import FINE, LENGTH, RATE, SAMPLES, Bench, drawn
 
@@ -35,10 +36,6 @@ from acoustube.runs.twin import fitted_sensor
 from acoustube.runs.twin_file import in_toml
 from acoustube.runs.twin_pressed import fitted_material
 from acoustube.runs.twin_sessions import recipe_settings
-from acoustube.waves import PlacedScatterer, Scattering
-from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.network import at_sound_speed
 
 TARGETS = {"distance": ("true_distance", 100.0), "depth": ("depth", 1e3), "force": ("force", 1.0)}
 COLUMNS = (
@@ -153,19 +150,10 @@ def table_of(cycles, temperature, places, depths, forces, own=None):
 def simulated(rangefinder: Rangefinder, tool: Tool, air: float, random, reflectors=None):
     """Return cycles of random presses of a rangefinder, temperatures, and labels."""
     places, depths = drawn_presses(TRAINING, random)
-    cut_ons = np.array([
-        cut_on_frequency(*mode_numbers(name), tool.radius, tool.sound_speed) for name in tool.modes
-    ])  # fmt: skip
     cycles, temperatures = [], []
     for i, (place, depth) in enumerate(zip(places, depths, strict=True)):
-        s, here = tool.matrix(float(depth)), air + random.uniform(-1, 1)
-        found = Scattering(
-            frequency=tool.frequency, modes=tool.modes, s=s,
-            propagates=np.ones((len(s), len(tool.modes)), bool), cut_ons=cut_ons,
-            settled=np.ones(s.shape, bool), sound_speed=tool.sound_speed, extent=(-0.01, 0.01),
-            spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0, time_step=np.nan,
-        )  # fmt: skip
-        press = PlacedScatterer(at_sound_speed(found, air_at(here).sound_speed), float(place))
+        here = air + random.uniform(-1, 1)
+        press = placed_press(tool, float(place), float(depth), air_at(here).sound_speed)
         one = record([press], rangefinder, radius=tool.radius, length=LENGTH, temperature=here,
                      seed=i, session_seed=1, tube_seed=i, reflectors=reflectors)  # fmt: skip
         cycles.append(one["signal"].values[0])
@@ -236,21 +224,9 @@ def main() -> None:
     parser.add_argument("table", type=Path)
     parser.add_argument("--count", type=int, default=10)
     given = parser.parse_args()
-    tool, rows = open_library(given.folder).tools[0], []
-    if given.table.exists():
-        with given.table.open(encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    there = {int(row["number"]) for row in rows}
-    with given.table.open("a", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if not there:
-            writer.writeheader()
-        for number in range(given.count):
-            if number not in there:
-                writer.writerows(rows_of(number, tool, given.folder))
-                file.flush()
-    with given.table.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    tool = open_library(given.folder).tools[0]
+    cases = [(number, tool, given.folder) for number in range(given.count)]
+    rows = completed(given.table, COLUMNS, ["number"], cases, rows_of)
     for target in TARGETS:
         these = [row for row in rows if row["target"] == target]
         mean = [np.mean([float(row[k]) for row in these]) for k in ("default", "twin", "itself")]

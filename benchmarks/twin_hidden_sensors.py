@@ -13,12 +13,12 @@ Usage: python benchmarks/twin_hidden_sensors.py out.csv --count 40
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from resumed_table import completed
 from scipy.signal import firwin, lfilter
 
 from acoustube.air import air_at
@@ -231,21 +231,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
     given = parser.parse_args()
-    rows = []
-    if given.table.exists():
-        with given.table.open(encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    there = {int(row["number"]) for row in rows}
-    with given.table.open("a", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if not there:
-            writer.writeheader()
-        for number in range(given.first, given.first + given.count):
-            if number not in there:
-                writer.writerow(row_of(number))
-                file.flush()
-    with given.table.open(encoding="utf-8") as file:
-        summary(list(csv.DictReader(file)))
+    cases = [(number,) for number in range(given.first, given.first + given.count)]
+    summary(completed(given.table, COLUMNS, ["number"], cases, row_of))
 
 
 if __name__ == "__main__":

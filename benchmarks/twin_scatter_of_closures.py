@@ -13,22 +13,20 @@ Usage: python benchmarks/twin_scatter_of_closures.py LIBRARY out.csv
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from placed_press import placed_press
+from resumed_table import completed
 
 from acoustube import signals
 from acoustube.air import air_at
 from acoustube.inversion import Tool
 from acoustube.ranging import Rangefinder, blockage, record
 from acoustube.runs.libraries.files import open_library
-from acoustube.waves import PlacedScatterer, Scattering
-from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.network import at_sound_speed
+from acoustube.waves import PlacedScatterer
 
 COLUMNS = (
     "effect", "size", "unit", "closures", "line_mm", "whole_line_mm", "found", "median_cm",
@@ -90,10 +88,6 @@ class Recorder:
     def __init__(self, bench: Bench, tool: Tool) -> None:
         self.bench, self.tool, self.number = bench, tool, 0
         self.random = np.random.default_rng(22)
-        numbers = [mode_numbers(name) for name in tool.modes]
-        self.cut_ons = np.array(
-            [cut_on_frequency(*one, tool.radius, tool.sound_speed) for one in numbers]
-        )
 
     def cycles(self, kind, place, depth, n):
         """Return cycles of a closure, a press or the open tube at a stated place."""
@@ -107,25 +101,13 @@ class Recorder:
             leak = 10 ** (-abs(self.random.normal(0, b.leak)) / 20)
             presses = [weakened(blockage(SIDES, true), leak)]
         elif kind == "press":
-            presses = [self.placed(true, depth, air)]
+            presses = [placed_press(self.tool, true, depth, air_at(air).sound_speed)]
         own = replace(b.own, lead=b.own.lead + late)
         found = record(
             presses, own, length=LENGTH, temperature=air, n_cycles=n, seed=self.number,
             session_seed=1, tube_seed=TUBE,
         )  # fmt: skip
         return found["signal"].values
-
-    def placed(self, place, depth, air):
-        """Return a press of the rod in air of a temperature in degC."""
-        s, m = self.tool.matrix(depth), len(self.tool.modes)
-        found = Scattering(
-            frequency=self.tool.frequency, modes=self.tool.modes, s=s,
-            propagates=np.ones((len(s), m), bool), cut_ons=self.cut_ons,
-            settled=np.ones(s.shape, bool), sound_speed=self.tool.sound_speed,
-            extent=(-0.01, 0.01), spacing=(np.nan,) * 3, shape=(0, 0, 0), steps=0,
-            time_step=np.nan,
-        )  # fmt: skip
-        return PlacedScatterer(at_sound_speed(found, air_at(air).sound_speed), place)
 
 
 def weakened(closed, level):
@@ -186,19 +168,8 @@ def main() -> None:
     parser.add_argument("table", type=Path)
     given = parser.parse_args()
     tool = open_library(given.folder).tools[0]
-    rows = []
-    if given.table.exists():
-        with given.table.open(encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    there = {(row["effect"], row["size"]) for row in rows}
-    with given.table.open("a", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if not there:
-            writer.writeheader()
-        for effect, size, unit, bench in CASES:
-            if (effect, str(size)) not in there:
-                writer.writerow(row_of(effect, size, unit, bench, tool))
-                file.flush()
+    cases = [(*case, tool) for case in CASES]
+    completed(given.table, COLUMNS, ["effect", "size"], cases, row_of)
     print(given.table.read_text(encoding="utf-8"))
 
 
