@@ -3,9 +3,10 @@
 Draws the tube (bore 3 to 20 mm, wall 0.5 to 4 mm, hardness 10 to 70 Shore A), the indenter (rod,
 punch or sphere, 4 to 60 mm, half of them off the axis, half of the rods turned), the ground and the
 depth (up to 95 % of the bore), and presses a mesh of one or two layers of 12 by 10 elements:
-``OMP_NUM_THREADS=1 python benchmarks/indentation_random_presses.py FILE [COUNT]``. FILE gets a line
-of JSON for each press; a second run presses those that FILE lacks, and prints what all show. A
-press depends on its number alone, and is given up after two minutes of processor time.
+``OMP_NUM_THREADS=1 python benchmarks/indentation_random_presses.py FILE``. FILE gets a line of JSON
+for each press; a second run presses those that FILE lacks, and prints what all show. ``--help``
+lists the options. A press depends on its number alone, and is given up after two minutes of
+processor time.
 
 Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
 and volume ratios above zero, and the work of the force against the change of the whole potential
@@ -16,9 +17,9 @@ never gained.
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -86,13 +87,13 @@ def wrong(press: Indentation) -> tuple[list[str], str]:
         found.append("gap")
     if press.smallest_volume_ratio.min() <= 0:
         found.append("J")
-    force = PchipInterpolator(press.depth, press.contact_force).antiderivative()
-    work, gained = np.diff(force(press.depth)), np.diff(energy)
+    work_to = PchipInterpolator(press.depth, press.contact_force).antiderivative()
+    work, gained = np.diff(work_to(press.depth)), np.diff(energy)
     lost, allowed = work - gained, WORK_TOLERANCE * max(energy) - WORK_TOLERANCE * energy[0]
     if abs(lost.sum()) > allowed:
-        snaps = int(np.argmax(lost))
-        if snaps > 0 and lost[snaps] >= SNAP_SHARE * np.abs(lost).sum():
-            return found, f"{MM * press.depth[snaps]:.3f} mm: {lost[snaps]:.3g} J"
+        worst = int(np.argmax(lost))
+        if worst > 0 and lost[worst] >= SNAP_SHARE * np.abs(lost).sum():
+            return found, f"{MM * press.depth[worst]:.3f} mm: {lost[worst]:.3g} J"
         found.append(f"work {work.sum():.4g} J, energy {gained.sum():.4g} J")
     return found, ""
 
@@ -146,11 +147,17 @@ def summary(records: list[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    path, count = Path(sys.argv[1]), int((*sys.argv[2:], 200)[0])
-    known = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("file", type=Path, help="gets a line of JSON for each press")
+    parser.add_argument("--first", type=int, default=0, help="number of the first press")
+    parser.add_argument("--last", type=int, default=199, help="number of the last press")
+    asked = parser.parse_args()
+    old = asked.file.read_text().splitlines() if asked.file.exists() else []
+    known = [json.loads(line) for line in old]
     signal.signal(signal.SIGPROF, _give_up)
-    for number in sorted(set(range(count)) - {each["number"] for each in known}):
+    missing = set(range(asked.first, asked.last + 1)) - {each["number"] for each in known}
+    for number in sorted(missing):
         known.append(pressed(number))
-        with path.open("a") as file:
+        with asked.file.open("a") as file:
             file.write(json.dumps(known[-1]) + "\n")
     print(summary(known))
