@@ -2,8 +2,9 @@
 
 Recordings of the default rangefinder on the default tube: 25 mm rod, random places and depths,
 air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched cycles. Their scattering
-is computed at depths of its own, off the library's, by the spectral solver or by the time-domain
-method. Every recording is a row of a CSV file; rows that are there are not computed again.
+is computed at depths of its own, off the library's, by the spectral solver, by it from a wall on
+another mesh, or by the time-domain method. Every recording is a row of a CSV file; rows that are
+there are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """
@@ -83,7 +84,7 @@ def cases(how, count, n_presses, seed):
     """Yield number, places and depths in m of recordings."""
     rng = np.random.default_rng(seed)
     forms = np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7)
-    if how != "spectral":
+    if how.startswith("march"):
         forms = forms[:9] if how.endswith("16") else forms[[0, 1, 5, 8]]
     for number in range(count):
         if n_presses == 1:
@@ -182,7 +183,7 @@ def arguments():
     parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--truth", default="spectral", help="spectral, or march-16 and so on")
+    parser.add_argument("--truth", default="spectral", help="spectral, mesh-coarse, march-16 ...")
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
     parser.add_argument("--changed", default="", choices=CHANGES, help="sensor, not as told")
@@ -197,9 +198,13 @@ def main():
     if given.summary:
         summary(given.out)
         return
-    (plan,) = tool_plans({"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}, 0.005)
+    kind, _, mesh = given.truth.partition("-")
+    mesh, how = (mesh, "spectral") if kind == "mesh" else ("usual", given.truth)
+    pressed = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"], "mesh": [mesh]}
+    (plan,) = tool_plans(pressed, 0.005)
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
-    sensor = inversion.Sensor(priors=Priors(thermometer=0.0))
+    exact = {"place": 0.0, "depth": 0.0} if kind == "spectral" else {}
+    sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact))
     usual, changed = Rangefinder(), CHANGES[given.changed]
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in changed.items()})
     free = record([], device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0)
@@ -214,7 +219,7 @@ def main():
         if name in there or time.process_time() - began > given.seconds:
             continue
         air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
-        matrices = [truth_matrix(plan, path, depth, given.truth) for depth in depths]
+        matrices = [truth_matrix(plan, path, depth, how) for depth in depths]
         placed = [
             PlacedScatterer(at_sound_speed(matrix, air_at(air).sound_speed), place)
             for matrix, place in zip(matrices, places, strict=True)

@@ -18,6 +18,7 @@ from acoustube.base.types import Array
 from acoustube.inversion.fit import split
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
@@ -210,7 +211,7 @@ class Inverter:
         odds = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         odds /= odds.sum()
         best = chain[int(np.argmax(odds))]
-        posterior = Posterior(best)
+        posterior = Posterior(best, discrepancy(self.model, best, builder.samples, builder.noise))
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]
@@ -270,17 +271,19 @@ class Posterior:
     Parameters
     ----------
     hypothesis : Hypothesis
+    off : Discrepancy
+        Of the model.
     """
 
-    def __init__(self, hypothesis: Hypothesis) -> None:
+    def __init__(self, hypothesis: Hypothesis, off: Discrepancy) -> None:
         fits = hypothesis.fits
         inflation = max(1.0, hypothesis.residual)
         n = fits.parameters.shape[1]
         covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
         self.mean = fits.parameters
         self.variance = inflation * np.maximum(np.einsum("nii->ni", covariance), 0.0)
-        level = fits.cost + np.linalg.slogdet(fits.information)[1]
-        self.weight = np.exp(-0.5 * (level - level.min()) / inflation)
+        self.variance[:, : off.deviation.shape[1]] += off.deviation**2
+        self.weight = np.exp(-0.5 * (off.level - off.level.min()) / inflation)
         self.weight /= self.weight.sum()
 
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:

@@ -274,6 +274,36 @@ def _limited(step: Array) -> Array:
     return found
 
 
+def restricted_deviance(
+    model: ForwardModel, parameters: Array, residual: Complex, jacobian: Complex, whiten: Weights
+) -> Array:
+    """Return minus twice the log likelihood of weights, parameters marginalised, (n,).
+
+    By a linear model about each of some sets of parameters, and but for a constant.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    parameters : ndarray
+        (n, n_parameters).
+    residual : ndarray
+        Samples less the model's, (n, n_time).
+    jacobian : ndarray
+        Derivatives of the model, (n, n_parameters, n_time).
+    whiten : Weights
+    """
+    precision = np.zeros(parameters.shape[1])
+    precision[-len(NUISANCES) :] = 1 / model.priors.deviations**2
+    rest, slopes = whiten(residual), whiten(jacobian)
+    information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + np.diag(precision)
+    gradient = precision * parameters - 2 * (slopes.conj() @ rest[..., None])[..., 0].real
+    step = np.linalg.solve(information, gradient[..., None])[..., 0]
+    least = 2 * np.sum(np.abs(rest) ** 2, axis=1) + parameters**2 @ precision
+    least -= np.sum(gradient * step, axis=1)
+    curvature = np.linalg.slogdet(information)[1]
+    return np.asarray(least + 2 * whiten.log_determinant + curvature)
+
+
 def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: Weights) -> Array:
     """Return minus twice the logarithm of the evidence of each fit, but for a constant, (n,).
 

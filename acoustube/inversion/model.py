@@ -42,6 +42,10 @@ class Priors:
     thermometer : float
         Of the error in K that the thermometer has in all recordings, also in those of the untouched
         tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
+    place, depth : float
+        Of the differences in m between a press and the library's press that sounds alike: errors
+        of mesh and solver that no recording shows; no parameters either. Defaults 0.08 mm and
+        0.05 mm, those of two meshes; 0 if there are none.
     """
 
     temperature: float = 0.3
@@ -51,11 +55,14 @@ class Priors:
     quality_factor: float = 0.03
     stretch: float = 2e-3
     thermometer: float = 0.1
+    place: float = 0.08e-3
+    depth: float = 0.05e-3
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
-        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"))
+        offset = Number(0, 1.0, "m")
+        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset)
 
     @property
     def deviations(self) -> Array:

@@ -182,6 +182,8 @@ class ContactTracker:
         weight /= weight.sum()
         variance = np.einsum("nii->ni", best.covariance)[:, : best.parameters]
         variance = variance + self._lasting(found)
+        priors, m = model.priors, len(best.tools)
+        variance[:, : 2 * m] += np.tile([priors.place**2, priors.depth**2], m)
 
         def told(parameter: int, error: float = 0.0) -> Estimate:
             deviation = np.sqrt(variance[:, parameter] + error**2)

@@ -1,0 +1,85 @@
+"""Error of the forward model as it is found in a recording, and what it adds to places and depths.
+
+The error of the model sits in the shape of the echo: a wall on another mesh or a lumen on another
+grid scatters much as the library's at another depth. That part of the error lies along the
+derivative of the echo, where no residual shows it, whereas noise of as much power would mostly be
+perpendicular to it.
+
+References
+----------
+* Discrepancy of a model, of which data tell only a part: Kennedy, M. C. and O'Hagan, A. (2001).
+  Journal of the Royal Statistical Society B 63, 425-464. doi:10.1111/1467-9868.00294
+* Variance by the likelihood of the residuals alone: Patterson, H. D. and Thompson, R. (1971).
+  Biometrika 58, 545-554. doi:10.1093/biomet/58.3.545
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.fit import restricted_deviance, split, weights
+from acoustube.inversion.hypotheses import ERRORS, Hypothesis
+from acoustube.inversion.model import ForwardModel
+from acoustube.waves.scattering import Complex
+
+
+class Discrepancy(NamedTuple):
+    """What the error of the model does to the posterior about each maximum.
+
+    Attributes
+    ----------
+    level : ndarray
+        Minus twice the logarithms of the maxima's weights, but for a constant, (n,).
+    deviation : ndarray
+        Standard deviation of place and depth of each press in turn in m, (n, 2 n_presses).
+    """
+
+    level: Array
+    deviation: Array
+
+
+def discrepancy(
+    model: ForwardModel, known: Hypothesis, samples: Complex, noise: float
+) -> Discrepancy:
+    """Return the discrepancy of the model about each maximum of a hypothesis.
+
+    The relative errors of :data:`acoustube.inversion.hypotheses.ERRORS` are equally likely a
+    priori. Parameters are marginalised, since a fit absorbs a part of the error; then the error
+    itself. Its root mean square times the echo of a press is taken to lie along the derivative by
+    place and by depth, besides the offsets of the priors.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    known : Hypothesis
+    samples : ndarray
+        Baseband of the cycles, (n_time,).
+    noise : float
+        Variance of a sample.
+    """
+    places, depths, nuisances = split(known.fits.parameters)
+    value, jacobian = model.baseband(known.tools, places, depths, nuisances)
+    echo = value[0] - model.without_presses(nuisances[:1])[0]
+    deviance = np.array([
+        restricted_deviance(
+            model, known.fits.parameters, samples - value, jacobian,
+            weights(model, noise, error, echo),
+        )
+        for error in ERRORS
+    ])  # fmt: skip
+    likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
+    error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
+    level = deviance.min(axis=0) - 2 * np.log(likelihood.sum(axis=0))
+    m = len(known.tools)
+    slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
+    deviation = np.empty_like(slope)
+    for i in reversed(range(m)):
+        before = model.baseband(known.tools[:i], places[:, :i], depths[:, :i], nuisances)[0]
+        own = np.linalg.norm(known.whiten(value - before), axis=1)
+        deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
+        value = before
+    offsets = np.tile([model.priors.place, model.priors.depth], m)
+    return Discrepancy(level, np.hypot(deviation, offsets))
