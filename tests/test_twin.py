@@ -186,7 +186,7 @@ def test_step_is_that_of_the_whole_system(band):
     point = Point(true_parameters(), np.zeros((3, len(LOCAL))))
     random = np.random.default_rng(0)
     values = model(*point).value * np.exp(0.1 * random.normal(size=(3, 1)))
-    data = Data(values, (np.abs(values) > 1).astype(int), np.ones((3, 2)))
+    data = Data(values, (np.abs(values) > 1).astype(int), np.ones((3, 2)), np.zeros((3, 2)))
     prior = Prior(np.zeros(len(SHARED)), np.full(len(SHARED), 0.3), np.full((3, 3), 0.2))
     normal = normal_equations(model, data, point)
     step, local = solve(normal, prior, point, 0.0)
@@ -648,3 +648,31 @@ def test_twin_that_gives_no_calibration_is_refused(made, tmp_path, new, part):
     (tmp_path / "wrong.toml").write_text(with_values((folder / "left.toml").read_text(), new))
     with pytest.raises(ConfigError, match=part):
         chosen(str(tmp_path / "wrong.toml"), None)
+
+
+@pytest.mark.slow
+def test_cycles_of_8_bits_below_the_carrier_tell_the_sensor():
+    """EchoTube's: every third sample at 240 kHz. Three deviations; the far closure is left out."""
+    fine = replace(SENSOR, sampling_rate=240e3, n_samples=4800, gain=3.0)
+    board = replace(fine, sampling_rate=80e3, n_samples=1600, bits=8, noise=1e-3)
+
+    def cycles(volts, seed):
+        random = np.random.default_rng(seed)
+        each = [volts[::3] * (1 + random.normal(0, 0.01)) for _ in range(6)]
+        return np.concatenate([digitise(v, board, np.array([k]), seed) for k, v in enumerate(each)])
+
+    places = np.array([0.35, 0.5, 0.65, 0.8, 0.95, 1.1, 2.4])
+    closed = [
+        Group(cycles(voltage([blockage(SIDES, p + e)], fine), k), REPORTED, float(p), f"{k}")
+        for k, (p, e) in enumerate(zip(places, MISPLACED, strict=False))
+    ]
+    free = Group(cycles(voltage([], fine), 99), REPORTED, source="free")
+    found = fit_twin(closed, free, 80e3, length=LENGTH)
+    assert "raise the gain" in found.left_out[6]
+    for name, true, sharpest in (
+        ("log_radius", np.log(RADIUS / NOMINAL_RADIUS), 0.05),
+        ("log_resonance", np.log(43.1 / 42), 2e-3), ("log_quality", np.log(19.0), 0.05),
+        ("temperature_offset", AIR - REPORTED, 2.0),
+    ):  # fmt: skip
+        assert abs(found.value(name) - true) < 3 * found.deviation(name), name
+        assert found.deviation(name) < sharpest, name

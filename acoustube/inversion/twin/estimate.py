@@ -14,26 +14,27 @@ from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.inversion.twin.fit import Data, Normal, Point, Prior, best_start, maximise
 from acoustube.inversion.twin.model import (
-    LOCAL,
     NOMINAL_FREQUENCY,
     NOMINAL_RADIUS,
     SHARED,
     EchoModel,
 )
+from acoustube.inversion.twin.noise import score_of, with_variances
 from acoustube.inversion.twin.posterior import Posterior, posterior, with_scatter
 from acoustube.inversion.twin.recorded import LEAST_CLIPPED, Band, Group, Means, band_of, mean_of
 from acoustube.waves.scattering import Complex
 
 PRIORS = {
     "log_radius": (0.0, 0.2), "temperature_offset": (0.0, 4.0), "temperature_gradient": (0.0, 1.0),
-    "log_loss": (0.0, 0.005), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
+    "log_loss": (0.0, 0.003), "log_resonance": (0.0, 0.2), "log_quality": (log(14.0), 1.0),
     "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
     "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
 """Mean and standard deviation of each parameter of :data:`SHARED`; of logarithms about a bore of
 7.9 mm, a perfectly smooth wall and the carrier that is received. The loss factor's deviation is
-that by the air's viscosity, known to 0.5 %, and by theories of the losses, 0.2 % apart; a tenth
-more or less absorbed by the air, as its humidity decides, is 1 %."""
+that by the air's viscosity, known to 0.5 %, of whose root the losses are a multiple, and by
+theories of the losses, 0.2 % apart. It holds at the humidity that is assumed: a tenth more or less
+absorbed by the air is 1 % of the losses."""
 MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
 """Standard deviations of what the model leaves out, however many closures there are: clutter that
 neighbouring closures share, and the thermometer's steps."""
@@ -203,7 +204,8 @@ def _fitted(
             break
         left_out |= {used[i]: reason for i, reason in wrong.items()}
         used = [i for i in used if i not in left_out]
-    found = posterior(normal, mine, point, _quantised_levels(closed, data, part))
+    levels = _quantised_levels(closed, data, part)
+    found = posterior(normal, mine, point, levels, score_of(own, data, point))
     floor = np.array([MODEL_ERRORS.get(name, 0.0) for name in SHARED])
     found = found._replace(covariance=found.covariance + np.diag(floor**2))
     return Twin(band, own, data, point, found, mine, used, left_out, means, free)
@@ -223,7 +225,7 @@ def _refined(
         show("fitting the echoes", 0.5 + 0.5 * i / ROUNDS)
         if i > 0:
             prior = with_scatter(prior, 2e-3, 0.05, 0.01)
-        data = replace(data, variances=_variances(model, data, point, floors))
+        data = with_variances(model, data, prior, point, floors)
         point, normal, _ = maximise(model, data, prior, point)
     assert normal is not None
     return data, point, normal
@@ -250,40 +252,7 @@ def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
     sizes = [_sums(np.abs(values) ** 2, segments == k) for k in (1, 2)]
     counts = [np.maximum((segments == k).sum(axis=1), 1) for k in (1, 2)]
     variances = np.stack([1e-3 * s / c + floors for s, c in zip(sizes, counts, strict=True)], 1)
-    return Data(values, segments, variances)
-
-
-def _variances(model: EchoModel, data: Data, point: Point, floors: Array) -> Array:
-    """Return the variances of the residuals, as large as they are where the echoes have power.
-
-    Notes
-    -----
-    Residuals of clutter have the colour of the echo, and tell in fewer degrees of freedom than
-    they have samples: their variance is that of their spectrum weighted by the echo's power, times
-    its bandwidth's share of degrees of freedom that the fit does not take.
-    """
-    echoes = model(*point).value
-    found = np.empty_like(data.variances)
-    n = len(echoes)
-    for k in (1, 2):
-        inside = data.segments == k
-        count = np.maximum(inside.sum(axis=1), 1)
-        left = np.where(inside, data.values - echoes, 0)
-        power = np.abs(np.fft.fft(np.where(inside, echoes, 0), axis=1)) ** 2
-        density = np.abs(np.fft.fft(left, axis=1)) ** 2
-        total = np.maximum(power.sum(axis=1), 1e-300)
-        coloured = (density * power).sum(axis=1) / total / count
-        plain = (np.abs(left) ** 2).sum(axis=1) / count
-        width = total**2 / (power.shape[1] * np.maximum((power**2).sum(axis=1), 1e-300))
-        freedom = np.maximum(2 * count * width, 4.0)
-        taken = len(LOCAL) + len(SHARED) / n if k == 1 else 0.0
-        spare = freedom / np.maximum(freedom - taken, 0.3 * freedom)
-        # Each alone is uncertain: averaged with the others', relative to the echoes.
-        strength = np.maximum((np.abs(echoes) ** 2 * inside).sum(axis=1) / count, 1e-300)
-        own = np.maximum(coloured * spare, plain)
-        usual = np.median(own / strength) * strength
-        found[:, k - 1] = np.maximum(np.maximum(np.sqrt(own * usual), own / 2), floors)
-    return found
+    return Data(values, segments, variances, np.zeros_like(variances))
 
 
 def _rounding(closed: Sequence[Group], band: Band) -> Array:

@@ -57,11 +57,14 @@ class Data:
         Of each sample: 1 about the echo, 2 about its repetition, 0 elsewhere; (n, n_t).
     variances : ndarray
         Of both segments, in counts squared, (n, 2).
+    clutter : ndarray
+        Part of the echo's power density that the noise has, (n, 2).
     """
 
     values: Complex
     segments: NDArray[np.int64]
     variances: Array
+    clutter: Array
 
     @property
     def weights(self) -> Array:
@@ -287,7 +290,7 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
     few = np.argsort(-energy)[:SEARCH_CLOSURES]
     own = replace(model, places=model.places[few], temperatures=model.temperatures[few])
     first = replace(data, segments=np.where(data.segments == 1, 1, 0))
-    seen = Data(data.values[few], first.segments[few], data.variances[few])
+    seen = Data(data.values[few], first.segments[few], data.variances[few], data.clutter[few])
     mine = replace(prior, local=prior.local[few])
     maxima: dict[float, tuple[float, Point]] = {}
 

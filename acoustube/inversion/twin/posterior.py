@@ -17,6 +17,7 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.inversion.twin.fit import Normal, Point, Prior
 from acoustube.inversion.twin.model import CORRECTIONS, LOCAL
+from acoustube.inversion.twin.noise import Score
 
 PLACEMENTS = np.geomspace(0.02e-3, 10e-3, 13)
 LEVELS = np.geomspace(3e-4, 0.3, 13)
@@ -60,7 +61,9 @@ def with_scatter(prior: Prior, placement: float, level: Array | float, colour: f
     return replace(prior, deviation=deviation, local=local)
 
 
-def posterior(normal: Normal, prior: Prior, point: Point, extra_level: Array) -> Posterior:
+def posterior(
+    normal: Normal, prior: Prior, point: Point, extra_level: Array, score: Score | None = None
+) -> Posterior:
     """Return the posterior, averaged over the unknown scatter of the closures.
 
     Parameters
@@ -72,12 +75,15 @@ def posterior(normal: Normal, prior: Prior, point: Point, extra_level: Array) ->
         The maximum.
     extra_level : ndarray
         Known standard deviations of the logarithms of the closures' levels, (n,), by rounding.
+    score : Score, optional
+        Covariance of the score where the noise is not white; by default that of the weights.
 
     Notes
     -----
     The model is linearised at the maximum. With the scatter given, the posterior is normal and its
     evidence a closed form; the average over a grid has the mean and the covariance of the mixture,
-    and widens with few closures as Student's distribution does.
+    and widens with few closures as Student's distribution does. With a score of its own noise the
+    covariance of the shared parameters is White's: that of the estimate under this noise.
     """
     cases = list(product(PLACEMENTS, LEVELS, COLOURS))
     n, p = len(point.local), len(point.shared)
@@ -86,7 +92,9 @@ def posterior(normal: Normal, prior: Prior, point: Point, extra_level: Array) ->
     for i, scatter in enumerate(cases):
         spread = np.sqrt(scatter[1] ** 2 + extra_level**2)
         own = with_scatter(prior, scatter[0], spread, scatter[2])
-        weights[i], means[i], covariance, places[i], place_variances[i] = _given(normal, own, point)
+        weights[i], means[i], covariance, places[i], place_variances[i] = _given(
+            normal, own, point, score
+        )
         covariances.append(covariance)
         for value, (median, width) in zip(scatter, USUAL, strict=True):
             weights[i] -= 0.5 * (np.log(value / median) / width) ** 2
@@ -103,7 +111,9 @@ def posterior(normal: Normal, prior: Prior, point: Point, extra_level: Array) ->
     )  # fmt: skip
 
 
-def _given(normal: Normal, prior: Prior, point: Point) -> tuple[float, Array, Array, Array, Array]:
+def _given(
+    normal: Normal, prior: Prior, point: Point, score: Score | None = None
+) -> tuple[float, Array, Array, Array, Array]:
     """Return the log evidence, and mean and covariance with the scatter given."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
@@ -127,6 +137,12 @@ def _given(normal: Normal, prior: Prior, point: Point) -> tuple[float, Array, Ar
     determinant += np.linalg.slogdet(c)[1].sum()
     log_evidence = -0.5 * (value + determinant + 2 * np.log(prior.deviation).sum())
     log_evidence -= np.log(prior.local).sum()
+    if score is not None:
+        own = score.local + local_precision[:, :, None] * np.eye(len(LOCAL))
+        crossed = np.einsum("npl,nql->pq", passed, score.mixed, optimize=True)
+        spread = np.diag(precision) + score.shared.sum(axis=0) - crossed - crossed.T
+        spread += np.einsum("npl,nlm,nqm->pq", passed, own, passed, optimize=True)
+        covariance = covariance @ spread @ covariance
     # The place's variance: by its own data, and through the shared parameters.
     through = passed[:, :, 0]
     variance = inverse[:, 0, 0] + np.einsum("np,pq,nq->n", through, covariance, through)

@@ -1,0 +1,145 @@
+"""Noise of recorded echoes: clutter, which has their colour, and white noise of the means.
+
+References
+----------
+* Covariance of estimates whose weights are not those of the noise: White, H. (1982). Maximum
+  likelihood estimation of misspecified models. Econometrica 50, 1-25. doi:10.2307/1912526
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acoustube.base.types import Array
+from acoustube.inversion.twin.fit import Data, Normal, Point, Prior, normal_equations
+from acoustube.inversion.twin.model import LOCAL, SHARED, EchoModel
+from acoustube.waves.scattering import Complex
+
+LEAST_LEFT = 0.1
+"""Smallest share of the residuals' power that a fit is taken to leave."""
+
+
+class Score(NamedTuple):
+    """Covariance of the gradient of half the weighted squares, by closure.
+
+    Attributes
+    ----------
+    shared, mixed, local : ndarray
+        (n, n_shared, n_shared), (n, n_shared, n_local) and (n, n_local, n_local).
+    """
+
+    shared: Array
+    mixed: Array
+    local: Array
+
+
+def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, floors: Array) -> Data:
+    """Return data with the variances of their noise, by the residuals of a fit.
+
+    Parameters
+    ----------
+    model : EchoModel
+    data : Data
+        With the variances that the fit had.
+    prior : Prior
+    point : Point
+        Maximum with these.
+    floors : ndarray
+        Variance of the white noise, (n,).
+
+    Notes
+    -----
+    The noise's density is ``a P + b``, with the echo's power P and the white noise b. The residuals
+    ``(I - H) n`` of a linear least squares fit with the hat matrix H have the power
+    ``tr[P (I - H) (a P + b) (I - H)^T]`` weighted by P, from which a follows; what the noise of the
+    other closures adds by the shared parameters is left out. The variance is the mean density
+    weighted by P, not less than the residuals' variance.
+    """
+    echoes = model(*point)
+    covariance = _joint_covariance(normal_equations(model, data, point), prior)
+    variances, clutter = np.empty_like(data.variances), np.empty_like(data.variances)
+    for k in (0, 1):
+        inside = data.segments == k + 1
+        count = np.maximum(inside.sum(axis=1), 1)
+        slopes = _spectra(np.concatenate([echoes.by_shared, echoes.by_local], axis=1), inside)
+        power = np.abs(_spectra(echoes.value[:, None], inside)[:, 0]) ** 2
+        left = np.abs(_spectra((data.values - echoes.value)[:, None], inside)[:, 0]) ** 2
+        weight = 2 / data.variances[:, k]
+        by_power = _gram(slopes, slopes * power[:, None])
+        # Of the part of the noise inside the segment.
+        lags = np.fft.ifft(np.abs(np.fft.fft(inside)) ** 2) / inside.shape[1]
+        remaining = []
+        for density in (power, np.ones_like(power)):
+            whole = (power * np.fft.fft(np.fft.ifft(density) * lags).real).sum(axis=1)
+            coloured = slopes * density[:, None]
+            cut = _spectra(np.fft.ifft(coloured, axis=-1, norm="ortho"), inside)
+            taken = weight * _traces(covariance, _gram(slopes, cut * power[:, None]))
+            estimates = covariance @ _gram(slopes, coloured)
+            again = weight**2 / 2 * _traces(estimates, covariance @ by_power)
+            remaining.append(np.maximum(whole - taken + again, LEAST_LEFT * whole))
+        a = np.maximum((power * left).sum(axis=1) - floors * remaining[1], 0)
+        a /= np.maximum(remaining[0], 1e-300)
+        # Each alone is uncertain: averaged with the others'.
+        a = np.maximum(np.sqrt(a * np.median(a)), a / 2)
+        mean = (power**2).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
+        plain = left.sum(axis=1) / count
+        variances[:, k] = np.maximum(a * mean + floors, plain)
+        clutter[:, k] = a
+    return replace(data, variances=variances, clutter=clutter)
+
+
+def score_of(model: EchoModel, data: Data, point: Point) -> Score:
+    """Return the covariance of the score with the density of the noise.
+
+    Notes
+    -----
+    The weights of least squares take the noise as white. Clutter is as weak as the echo where the
+    echo is: parameters that tell from the flanks of its spectrum are better determined than by
+    white noise of its mean density.
+    """
+    echoes = model(*point)
+    total = np.zeros((len(model.places), len(SHARED) + len(LOCAL), len(SHARED) + len(LOCAL)))
+    for k in (0, 1):
+        inside = data.segments == k + 1
+        power = np.abs(_spectra(echoes.value[:, None], inside)[:, 0]) ** 2
+        mean = (power**2).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
+        variance = data.variances[:, k]
+        density = variance[:, None] + data.clutter[:, k, None] * (power - mean[:, None])
+        slopes = _spectra(np.concatenate([echoes.by_shared, echoes.by_local], axis=1), inside)
+        total += 2 / variance[:, None, None] ** 2 * _gram(slopes, slopes * density[:, None])
+    p = len(SHARED)
+    return Score(total[:, :p, :p], total[:, :p, p:], total[:, p:, p:])
+
+
+def _joint_covariance(normal: Normal, prior: Prior) -> Array:
+    """Return the covariances of the shared parameters and of those of each closure, (n, m, m)."""
+    local = normal.local + (prior.local**-2.0)[:, :, None] * np.eye(len(LOCAL))
+    inverse = np.linalg.inv(local)
+    passed = normal.mixed @ inverse
+    schur = normal.shared + np.diag(prior.deviation**-2.0)
+    schur = schur - np.einsum("npl,nql->pq", passed, normal.mixed)
+    scale = 1 / np.sqrt(np.diag(schur))
+    shared = np.linalg.inv(schur * scale[:, None] * scale) * scale[:, None] * scale
+    mixed = -shared @ passed
+    own = inverse - passed.swapaxes(1, 2) @ mixed
+    every = np.broadcast_to(shared, (len(own), *shared.shape))
+    return np.block([[every, mixed], [mixed.swapaxes(1, 2), own]])
+
+
+def _spectra(values: Complex, inside: NDArray[np.bool_]) -> Complex:
+    """Return unitary transforms (n, m, n_t) of the values inside a segment (n, n_t)."""
+    return np.asarray(np.fft.fft(np.where(inside[:, None], values, 0), axis=-1, norm="ortho"))
+
+
+def _gram(first: Complex, second: Complex) -> Array:
+    """Return the real parts of the products (n, m, m) of two stacks of spectra (n, m, n_t)."""
+    return np.asarray((first @ second.conj().swapaxes(1, 2)).real)
+
+
+def _traces(first: Array, second: Array) -> Array:
+    """Return the traces of the products of two stacks of matrices, (n,)."""
+    return np.asarray(np.einsum("npq,nqp->n", first, second))
