@@ -92,7 +92,7 @@ def test_forces_beyond_the_path_are_refused(on_a_floor):
 def test_force_that_falls_is_refused(on_a_floor):
     force = on_a_floor.press_force.copy()
     force[-2] *= 0.8
-    with pytest.raises(SimulationError, match="the depth is not unique"):
+    with pytest.raises(SimulationError, match="depth is not a unique function of force"):
         by_force(dataclasses.replace(on_a_floor, press_force=force), 0.5)
 
 

@@ -165,7 +165,7 @@ def test_impossible_helices_are_refused(changes, setting, value):
     ("changes", "words"),
     [
         ({"loops": 12}, ["a tube of", "up to 250 cm", "9.4 loops or fewer"]),
-        ({"loops": 9, "n_tubes": 4}, ["6.9 mm apart", "11.1 mm thick", "fewer"]),
+        ({"loops": 9, "n_tubes": 4}, ["6.9 mm apart", "11.1 mm outer diameter", "fewer"]),
         ({"loops": 9, "pitch": 0.03}, ["loops or a pitch"]),
         ({"pitch": -0.03}, ["pitch = -3 cm"]),
     ],

@@ -27,7 +27,7 @@ class Effort(Checked):
     seed : int
         Random seed of the first tubes.
     robust : bool
-        Also the recommended sensors with other bore, hardness and temperature.
+        Also compute how errors change with bore, hardness and temperature.
     """
 
     tubes: Annotated[int, WHOLE, Number(1, 2000, "", "tubes", whole=True)] = 40
@@ -51,7 +51,7 @@ def design(
     Parameters
     ----------
     goal : Path
-        TOML file with what the sensor must tell ([goal]) and may be made of ([variables]).
+        TOML file with the requirements ([goal]) and the design variables ([variables]).
     out : Path
         Folder to write, new or empty: the front, recommended sensors, and a page of both.
     """

@@ -41,9 +41,9 @@ class Inverted(Checked):
     Attributes
     ----------
     sensor : Path
-        TOML file of the sensor, as of invert.
+        TOML file of the sensor, as for `invert`.
     untouched : Path
-        Recordings of the tube without contact, as of invert.
+        Recordings of the tube without contact, as for `invert`.
     group : int
         Cycles with equal labels that are inverted together.
     """

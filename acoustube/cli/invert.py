@@ -50,7 +50,7 @@ def invert(
     Parameters
     ----------
     files : Path
-        Recordings as of process: counts of the converter, whose records begin with the drive.
+        Recordings in the formats of `process`, in ADC counts; the first sample starts the drive.
     library : Path
         Folder that the command library wrote.
     sensor : Path

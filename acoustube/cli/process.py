@@ -46,8 +46,8 @@ def process(
     files : Path
         NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF files, or folders of these.
     sensor : Path
-        TOML file of a twin, or of a rangefinder: temperatures are corrected by the error of its
-        thermometer; a twin gives gain, send time and prominence too, unless --calibration is given.
+        TOML file of a rangefinder or a twin: the error of its thermometer is subtracted; a twin
+        gives gain, send time and prominence too, unless --calibration is given.
     out : Path
         Table to write (CSV), which must be new; standard output if not given.
     figure : Path

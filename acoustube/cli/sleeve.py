@@ -43,7 +43,7 @@ class Arm:
         Length of the sleeve, and girths of the arm at the end near the sensors and at the other, in
         cm, in place of markers.
     axis : str
-        Axis of the arm: fitted midway between opposite columns, or the z of the markers.
+        Axis of the arm: a line fitted midway between opposite columns, or the z of the markers.
     unit : str
         Unit of the markers, in place of the file's own; mm if the file states none.
     columns : tuple of str
@@ -108,7 +108,7 @@ class Sensing(Checked):
     deviation : float
         Standard deviation of a distance, in cm.
     within : float
-        Half width of the skin that counts as covered by a tube, in mm.
+        Half width in mm of the strip of skin that a tube covers.
     step : float
         Distance between two rows of the table, in cm.
     """

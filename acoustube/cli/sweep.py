@@ -54,7 +54,7 @@ class Choice(Checked):
     Attributes
     ----------
     vary : list
-        Other settings, as wall_mm=1.2:2:0.2 or support=held,free.
+        Other settings, such as wall_mm=1.2:2:0.2 or support=held,free.
     random : int
         Number of random cases; settings may then be given as a range low:high.
     sampler : str

@@ -60,7 +60,7 @@ class Others:
         Recordings of presses of known tool, with the label ``force`` or ``depth``, files or
         folders: they tell the wall's modulus and whether the ground yields.
     tools : Path
-        Library of the tools that press: a folder that ``acoustube library`` wrote.
+        Library of the indenters used: a folder that ``acoustube library`` wrote.
     """
 
     untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None

@@ -27,7 +27,8 @@ At the pressures of a 7 mm press (under 0.5 MPa) the wall penetrates the rod by 
 CONTACT_SMOOTHING = 3e-4
 """Half width of the smoothed contact onset, in wall thicknesses (0.5 um).
 
-The tube is 0.47 N/mm stiff at first: 4 um more on either side are 3 % of the force at 0.25 mm."""
+The tube's initial stiffness is 0.47 N/mm: with an onset wider by 4 um at the indenter and at the
+ground the force at 0.25 mm would differ by 3 %."""
 
 
 class Body(NamedTuple):

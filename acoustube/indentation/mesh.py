@@ -116,7 +116,7 @@ class Mesh:
 
     @property
     def face(self) -> Reference:
-        """Kind of the elements' faces."""
+        """Reference element of the faces."""
         return FACE[self.reference]
 
     @property

@@ -33,17 +33,17 @@ MAX_HALVINGS = 8
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the predicted decrease of the energy that a step must reach (Armijo's constant)."""
 RESIDUAL_DECREASE = 0.5
-"""Ratio of the residuals after and before a step below which it is taken whatever the energy."""
+"""Ratio of the residuals after and before a step below which it is accepted whatever the energy."""
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
-"""The same where the contact is solved exactly, so that further steps are cheap beside a factor."""
+"""The same with condensed contact, where a further step is cheap beside a factorisation."""
 LEAST_CONDENSED_WORK = 2e9
-"""Unknowns times squared bandwidth from which on the contact is solved exactly.
+"""Unknowns times squared bandwidth from which on the contact is condensed and solved exactly.
 
 Below, as on 2 x 12 x 10 elements of a quarter, a factorisation is cheaper than what is saved."""
 REUSED_TOLERANCE = 0.1
-"""Part of the tolerance that the residual must reach by a step with a factor used before."""
+"""Fraction of the tolerance that the residual must reach by a step with a reused factor."""
 DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)

@@ -30,7 +30,7 @@ from acoustube.indentation.mesh import Mesh
 STIFFNESS = 6.0
 """Stiffness of the penalty, in shear moduli.
 
-A sixth of it changes the force by 0.02 % up to 7 mm, 0.2 % at 7.5 mm and 0.9 % at 8 mm, where the
+A sixth of it changes the force by 0.02 % at 7 mm, 0.2 % at 7.5 mm and 0.9 % at 8 mm, where the
 lumen of the default tube is closed; without the penalty the folds crease."""
 ANGULAR_POWER = 8
 """Power of the sine of the angle from the bottom line that weights the penalty to the sides."""

@@ -67,7 +67,7 @@ def new_deviations(motion: Motion) -> Array:
 
 
 def uniform(model: ForwardModel, tool: int) -> float:
-    """Return the logarithm of the volume of a contact's prior over that of :data:`START`."""
+    """Return the logarithm of the ratio of a contact's prior area, distance x depth, to START's."""
     base = model.base
     low, high = model.tables[tool].range
     volume = (base.length - base.nearest) * (high - low)
@@ -80,7 +80,7 @@ def half_wavelength(model: ForwardModel) -> float:
 
 
 def rank_of(fewer: Branches, more: Branches) -> int:
-    """Return the number of the contact that is new."""
+    """Return the index, along the tube, of the added contact."""
     old = fewer.mean[0, : 2 * len(fewer.tools) : 2]
     new = more.mean[0, : 2 * len(more.tools) : 2]
     return int(np.argmin([np.abs(np.delete(new, i) - old).sum() for i in range(len(new))]))

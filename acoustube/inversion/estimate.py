@@ -70,7 +70,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Contact:
-    """A press that a recording tells of.
+    """A press found in a recording.
 
     Attributes
     ----------
@@ -287,7 +287,7 @@ class Posterior:
         self.weight /= self.weight.sum()
 
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
-        """Return the marginal distribution of a parameter, with an independent error besides."""
+        """Return the marginal distribution of a parameter with an independent error added."""
         deviation = np.sqrt(self.variance[:, parameter] + error**2)
         return mixture(self.weight, self.mean[:, parameter], deviation)
 
@@ -297,7 +297,7 @@ class Posterior:
         function: Callable[[Array, int], Array],
         error: Callable[[Array], Array],
     ) -> Estimate:
-        """Return the distribution of a rising function of a parameter, with an error of its own.
+        """Return the distribution of an increasing function of a parameter, its own error added.
 
         Parameters
         ----------

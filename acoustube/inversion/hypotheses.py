@@ -41,11 +41,11 @@ SHIFTS = (
 JOINT = -3, -2, -1, 1, 2, 3
 """Half wavelengths by which all presses are shifted together."""
 POOR = 0.05
-"""Relative error of the model from which several presses are sought together elsewhere."""
+"""Relative model error above which all presses are shifted together to find a better maximum."""
 JUDGED = 4
 """Of these, maxima whose model error is estimated."""
 OUTLIER = 9.0
-"""Squared whitened residual from which the size of a sample tells nothing of the temperature."""
+"""Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
 """Candidates of a tool whose model error is estimated."""
 SEARCHED = 0.02
@@ -64,7 +64,8 @@ HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
 UNLIKELY, FARTHER = 8.0, 4
-"""Excess of the cost up to which a maximum may have maxima beyond it, and how many are tried."""
+"""Largest difference of a maximum's cost from the least for which places farther along the tube
+are tried too, and number of half wavelengths tried."""
 
 
 @dataclass(frozen=True, eq=False)

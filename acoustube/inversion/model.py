@@ -43,7 +43,7 @@ class Priors:
         Of the error in K that the thermometer has in all recordings, also in those of the untouched
         tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
     place, depth : float
-        Of the differences in m between a press and the library's press that sounds alike: errors
+        Of the offsets in m between a press and the library's press of the same echo: errors
         of mesh and solver that no recording shows; no parameters either. Defaults 0.08 mm and
         0.05 mm, those of two meshes; 0 if there are none.
     """

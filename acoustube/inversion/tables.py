@@ -16,10 +16,10 @@ from acoustube.waves.scattering import Complex
 FINER = 2
 """Ratio of the steps of the tool's frequencies and of those of the splines."""
 WIDEST_STRETCH = 0.02
-"""Largest relative change of frequency for which there are splines."""
+"""Largest relative frequency shift that the splines cover."""
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
-"""Times in s of a press's impulse response: its start, before that of its reference plane, and the
-decay of its power; and its least power, relative to the largest."""
+"""Start in s of a press's impulse response relative to its reference plane's; decay time in s of
+its power; least power that is kept, relative to the largest."""
 ROUNDING = 1e-5
 """Errors of the coefficients to be smoothed, relative to their size."""
 

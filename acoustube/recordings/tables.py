@@ -210,7 +210,9 @@ def _stacked(columns: Iterable[NDArray[Any]]) -> NDArray[Any]:
     for i, column in enumerate(columns):
         if column.dtype.kind not in "iuf":
             words = [str(v) for v in column.tolist() if isinstance(_number(str(v)), str)]
-            raise ValueError(f"column {i + 1} of the samples holds {words[:1] or column.dtype}")
+            raise ValueError(
+                f"column {i + 1} of the samples holds text: {words[:1] or column.dtype}"
+            )
     if not columns:
         raise ValueError("no column holds samples")
     if any(column.dtype.kind == "f" for column in columns):

@@ -94,7 +94,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
         row = int(np.argmax(fall))
         raise SimulationError(
             f"the force falls to {path[row]:.3g} N at {MM * indentation.depth[row]:.3g} mm depth, "
-            "so that the depth is not unique; give a depth"
+            "so that depth is not a unique function of force; give a depth"
         )
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:

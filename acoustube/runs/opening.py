@@ -19,7 +19,7 @@ ORDER = (
     "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
     "diameter", "carrier_frequency", "temperature", "true_distance", "depth", "press",
 )  # fmt: skip
-"""Labels by which cases are sorted, the last of them fastest."""
+"""Labels by which cases are sorted; the last varies fastest."""
 PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
 """Result files of a folder, by the dimension along which they are joined."""
 

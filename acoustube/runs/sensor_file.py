@@ -23,7 +23,7 @@ OF_OTHERS = ("length_cm", "priors")
 
 
 def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the content of a sensor's file, of a twin's what other commands use of it.
+    """Return the content of a sensor's file; of a twin's file, the part that other commands use.
 
     Parameters
     ----------

@@ -243,7 +243,7 @@ def _alike(parts: Sequence[tuple[Path, xr.Dataset]]) -> tuple[float, float]:
         if abs(other / rate - 1) > 1e-6 or m != n:
             raise ConfigError(
                 f"{path} has cycles of {m} samples at {other:g} Hz, and {first} of {n} at {rate:g} "
-                "Hz; record all alike"
+                "Hz; use one sampling rate and length"
             )
         if abs(float(one["time"].values[0]) - start) > 0.5 / rate:
             raise ConfigError(

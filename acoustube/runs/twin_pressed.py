@@ -32,7 +32,7 @@ NEAR = 0.05
 SAME_TOOL = 0.1e-3
 """Difference in m up to which diameters are those of one tool."""
 WRONG_BORE, OTHER_BORE = 0.03, 0.005
-"""Relative difference of the twin's bore from the library's that is refused, and that is noted."""
+"""Relative differences of the bores of twin and library above which is an error, and a note."""
 
 
 def fitted_material(

@@ -188,7 +188,7 @@ def wrapped(
         the reach.
     """
     if not presses:
-        raise ConfigError("a wrap without a press has no band; use windings for the tube alone")
+        raise ConfigError("no press gives the frequency band; use windings() for the tube alone")
     matrix = presses[0].scattering
     found = windings(
         helix, air, matrix.frequency, sorted(press.position for press in presses),

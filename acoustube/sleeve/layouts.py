@@ -264,8 +264,8 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     if room < outer_diameter:
         raise ConfigError(
             f"n_tubes = {len(tubes)} over a length of {CM * tubes[0].length:.4g} cm would be "
-            f"{MM * room:.1f} mm apart and are {MM * outer_diameter:g} mm thick; use fewer "
-            "loops, a larger pitch or fewer tubes"
+            f"{MM * room:.1f} mm apart, less than their {MM * outer_diameter:g} mm outer diameter; "
+            "use fewer loops, a larger pitch or fewer tubes"
         )
 
 

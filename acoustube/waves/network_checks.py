@@ -144,15 +144,15 @@ def check_places(
     for press, (start, end) in zip(presses, parts, strict=True):
         if start < free:
             raise ValueError(
-                f"the press at {press.position:.4g} m, which bends the tube from {start:.4g} m to "
-                f"{end:.4g} m, meets the one before it or the source end; place it at "
-                f"{press.position + free - start:.4g} m or farther"
+                f"the press at {press.position:.4g} m, whose deformed section extends from "
+                f"{start:.4g} m to {end:.4g} m, meets the one before it or the source end; place "
+                f"it at {press.position + free - start:.4g} m or farther"
             )
         free = end
     if free > length:
         raise ValueError(
-            f"the last press bends the tube up to {free:.4g} m, beyond its end at length = "
-            f"{length:.4g} m; use a longer tube or move the press"
+            f"the deformed section of the last press extends to {free:.4g} m, beyond the tube's "
+            f"end at length = {length:.4g} m; use a longer tube or move the press"
         )
     for probe in probes:
         if not 0 <= probe <= length or any(start < probe < end for start, end in parts):

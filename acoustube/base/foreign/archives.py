@@ -61,6 +61,6 @@ def _array(path: Path, name: str, member: Any, stored: int) -> NDArray[Any]:
     for n in shape:
         size *= n
     if size > stored:  # before so much is allocated
-        raise ValueError(f"{name} declares {size} bytes and has {stored}")
+        raise ValueError(f"{name} declares {size} bytes but only {stored} are stored")
     member.seek(0)
     return np.lib.format.read_array(member, allow_pickle=False)

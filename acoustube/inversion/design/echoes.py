@@ -92,7 +92,7 @@ class PressedTube:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contacts:
-    """Contacts that a sensor has to tell.
+    """Contacts that a sensor has to resolve.
 
     Attributes
     ----------

@@ -22,10 +22,10 @@ from acoustube.inversion.twin.noise import Score
 PLACEMENTS = np.geomspace(0.02e-3, 10e-3, 13)
 LEVELS = np.geomspace(3e-4, 0.3, 13)
 COLOURS = np.geomspace(1e-4, 0.1, 7)
-"""Standard deviations over which is averaged: of the places of closures in m, of the logarithm of
-their levels, and of the coefficients of the send pulse's correction."""
+"""Standard deviations that are marginalised over: of the places of closures in m, of the logarithm
+of their levels, and of the coefficients of the send pulse's correction."""
 USUAL = ((1e-3, 1.5), (0.02, 1.5), (0.01, 2.0))
-"""Log-normal priors of these: median, and deviation of the logarithm."""
+"""Log-normal priors of the three above: median, and standard deviation of the logarithm."""
 
 
 class Posterior(NamedTuple):

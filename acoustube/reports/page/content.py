@@ -125,7 +125,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Group:
-    """States of one indenter at one place of one tube, the depth rising.
+    """States of one indenter at one place of one tube, in order of increasing depth.
 
     Attributes
     ----------

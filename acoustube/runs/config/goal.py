@@ -110,20 +110,26 @@ class Goal(Section):
         Cycles whose mean is inverted.
     """
 
-    reach_m: float = setting(2.0, Number(0.2, 10, "m", "length over which presses are told"))
+    reach_m: float = setting(2.0, Number(0.2, 10, "m", "length over which presses are resolved"))
     nearest_m: float = setting(0.3, Number(0.02, 9, "m", "distance of the nearest press"))
     forces_n: tuple[float, float] = _numbers(
-        (2.0, 20.0), Number(0.05, 500, "N", "forces to be told"), span=True
+        (2.0, 20.0), Number(0.05, 500, "N", "forces to be measured"), span=True
     )
     tools_mm: tuple[float, ...] = _numbers((25.0,), Number(5, 80, "mm", "diameters of the rods"))
     separation_cm: float = setting(15.0, Number(3, 200, "cm", "distance of two presses"))
-    place_mm: float = setting(10.0, Number(0.1, 500, "mm", "largest median deviation of place"))
+    place_mm: float = setting(
+        10.0, Number(0.1, 500, "mm", "largest median standard deviation of the distance")
+    )
     support: str = setting("table", Choice(("table", "arm"), "what the tube lies on"))
     layer_mm: float = setting(20.0, Number(1, 100, "mm", "thickness of the arm's soft layer"))
     layer_mpa: float = setting(0.1, Number(0.005, 50, "MPa", "Young's modulus of that layer"))
-    hardness_percent: float = setting(5.0, Number(0, 50, "%", "deviation of the wall's modulus"))
+    hardness_percent: float = setting(
+        5.0, Number(0, 50, "%", "standard deviation of the wall's modulus")
+    )
     temperature_c: float = setting(20.0, Number(-20, 60, "degC", "temperature of the air"))
-    model_um: float = setting(50.0, Number(0, 1000, "um", "deviation of depth by the model"))
+    model_um: float = setting(
+        50.0, Number(0, 1000, "um", "standard deviation of the depth by model errors")
+    )
     average: int = setting(1, Number(1, 1000, "", "cycles whose mean is inverted", whole=True))
 
     @property

@@ -28,7 +28,7 @@ from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 PAPER = TubeSpec(7.9, 1.6, 35.0)
 """Tube of the sleeve paper."""
 WORSE = 1.25
-"""Error of force of the recommended sensors, at most, in that of the best."""
+"""Largest error of force of a recommended sensor, relative to that of the best."""
 MAP_PLACES, MAP_FORCES = 16, 12
 """Places and forces of a map."""
 CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}

@@ -41,7 +41,7 @@ CARRIERS, PULSES, HARDNESSES = 14, 5, 5
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A sensor, and what is expected of it.
+    """A sensor and its predicted errors.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
 
 
 def modulus_of(design: DesignGoal, shore: float) -> float:
-    """Return the modulus of a hardness relative to that of the presses, of which 1 on an arm."""
+    """Return the ratio of a hardness's shear modulus to that of the presses; 1 on an arm."""
     if design.goal.support != "table":
         return 1.0
     return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
@@ -334,7 +334,7 @@ def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidat
 
 
 def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> Candidate:
-    """Return a candidate with what is expected of it on given contacts."""
+    """Return a candidate with its predicted errors on given contacts."""
     goal = design.goal
     found = predict(known, electronics_of(candidate.rangefinder, candidate.ends, goal.average))
     value = score(found, goal.asked)

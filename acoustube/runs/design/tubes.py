@@ -27,17 +27,17 @@ from acoustube.runs.sweep.workers import Task
 from acoustube.waves.scattering import Complex
 
 REFERENCE_SHORE_A = 35.0
-"""Hardness of the presses on a table, whose forces are proportional to the modulus."""
+"""Shore A hardness at which presses on a table are computed: forces scale with the modulus."""
 SHALLOWEST, DEEPEST, DEPTHS = 0.1, 0.94, 14
 """Depths at which sound is computed, in bores: first, last and their number."""
 ROWS = 16
 """Depths of a press: its shapes are interpolated between them."""
 INTO_LAYER = 0.4
-"""Further depth on a soft layer, in its thickness."""
+"""Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
 """Ends of the band in the lowest and the highest carrier."""
 STRIDE = 4
-"""Frequencies of the spectral solver that make one of the design's."""
+"""Every n-th frequency of the spectral solver is kept."""
 
 
 class TubeSpec(NamedTuple):

@@ -32,7 +32,7 @@ from the library's."""
 WIDEST_STEP = 1 / 16
 """Largest distance of the depths of a press, in bores: closer shapes can be interpolated."""
 ROUNDING = 1e-9
-"""Depths in m are rounded to so much, so that equal ones have equal names."""
+"""Depths are rounded to this, in m, so that equal ones have equal names."""
 
 
 @dataclass(frozen=True, eq=False)

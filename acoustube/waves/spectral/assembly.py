@@ -187,7 +187,7 @@ def along_elements(
 
 
 def element_boxes(wall: Wall, rule: AxialRule) -> tuple[Boxes, Array, Array]:
-    """Return the boxes at the points of a rule, and those at both ends."""
+    """Return the bounding boxes of the sections at a rule's points, and those at both ends."""
     nodes = gauss_lobatto(BOX_POINTS)
     step = rule.step
     z = (rule.edges[:-1, None] + step[:, None] * (nodes + 1) / 2).ravel()

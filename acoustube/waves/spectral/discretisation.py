@@ -138,7 +138,7 @@ class Discretisation:
 
 
 class Response(NamedTuple):
-    """Solution for one shift and one parity along z (`sides`).
+    """Solution at one expansion point, a squared wavenumber, for one parity along z (`sides`).
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class Response(NamedTuple):
         First-order correction of the response by the other functions of the enriched basis,
         (n_elements, size - n_basis, n_columns).
     impedance : ndarray
-        Z in 1/m, (n_ports n_modes, n_ports n_modes).
+        Z in m, modal pressure over modal normal derivative, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
         Correction of Z by the polynomials of higher degree.
     by_element : ndarray

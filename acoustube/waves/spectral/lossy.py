@@ -41,13 +41,13 @@ LOSSY_BLOCKS = 3
 CHECKS = 12
 """Number of frequencies at which the error is estimated."""
 SPARSE = 6
-"""One in so many of the sampled frequencies has fields of evanescent modes too."""
+"""Every n-th sampled frequency contributes the fields of evanescent modes too."""
 LAYER_DEGREE = 3
 """Degree that limits the number of points round the tube."""
 NO_KNOTS = np.zeros(0)
-"""Losses are small corrections: no point more where the wall is rough."""
+"""No further quadrature points at kinks of the wall: losses are small corrections."""
 SAMPLE_GRADING = 1.6
-"""They are even in this power of the frequency."""
+"""Exponent p: the sampled frequencies are equally spaced in f^p."""
 
 
 def with_layers(system: Discretisation, wall: Wall) -> Discretisation:

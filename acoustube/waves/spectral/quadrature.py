@@ -26,7 +26,7 @@ class AxialRule(NamedTuple):
     z : ndarray
         Heights in m, rising, (n_points,).
     point, weight : ndarray
-        Place from -1 to 1 in the element, and weight there, (n_points,).
+        Local coordinate from -1 to 1 in the element, and weight, (n_points,).
     element : ndarray of int
         Number of the element, (n_points,).
     edges : ndarray
@@ -40,7 +40,7 @@ class AxialRule(NamedTuple):
     edges: Array
 
     def of(self, number: int) -> slice:
-        """Return where the points of an element are."""
+        """Return the slice of an element's points."""
         low, high = np.searchsorted(self.element, [number, number + 1])
         return slice(int(low), int(high))
 

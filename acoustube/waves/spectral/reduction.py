@@ -236,7 +236,7 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
 
 
 def lossy_impedance(model: LossyModel, band: LossyBand, columns: Complex) -> Complex:
-    """Return the response matrix between the ports' lossy modes in 1/m, (n_frequencies, n, n).
+    """Return the impedance matrix between the ports' lossy modes in m, (n_frequencies, n, n).
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def lossy_impedance(model: LossyModel, band: LossyBand, columns: Complex) -> Com
 
 
 def impedance(reduced: Reduced, wavenumber: Array) -> Array:
-    """Return the impedance matrix Z of the ports in 1/m, (n_frequencies, n, n).
+    """Return the impedance matrix Z of the ports in m, (n_frequencies, n, n).
 
     Notes
     -----

@@ -57,9 +57,7 @@ MAX_DEGREE = 16
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
 COARSE_ERROR_RATIO = 30.0
-"""Ratio of error to tolerance from which the degree is raised by twice as much."""
-ROUGHNESS_RATIO = 0.25
-"""Elements are split whose integrals change by so much of the largest change with more points."""
+"""Ratio of error to tolerance above which the degree is raised by 4 instead of 2."""
 ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
 """Ratio of the estimate to the changes of S, whose own error is not all that is lacking, without
 losses and with them, where changes are known at a few frequencies only."""
