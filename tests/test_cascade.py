@@ -171,7 +171,7 @@ FREQUENCY = np.arange(25e3, 59.1e3, 200.0)
             "press at 0.315 m, whose deformed section extends from 0.305 m to 0.325 m",
         ),
         ([0.005], {}, "meets the one before it or the source end"),
-        ([5.995], {}, "beyond its end at length = 6 m"),
+        ([5.995], {}, "beyond the tube's end at length = 6 m"),
         ([0.3], {"probes": [0.3]}, "probe = 0.3 m lies outside the tube or within a press"),
         ([0.3], {"probes": [7.0]}, "probe = 7 m lies outside the tube"),
     ],
