@@ -38,8 +38,10 @@ NEGLIGIBLE = 1e-4
 """Change of a point's contact force beyond its linear part, relative to the residual, that is
 left to the next step."""
 ITERATIONS = 30
-PRECISION = 1e-10
-"""Largest error of the displacements in the zone, relative to the largest of the linear step."""
+PRECISION = 1e-4
+"""Largest error of the displacements in the zone, relative to the largest of the linear step.
+
+A step leaves more by the nonlinearity of the wall: it lowers the residual 5 to 20 times."""
 HALVINGS = 6
 
 _gaps = jax.jit(contact.gaps)
