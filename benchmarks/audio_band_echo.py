@@ -184,7 +184,7 @@ def by_hand(carrier, rng):
             nearest = np.abs(np.log(heard[..., None] / curve)).argmin(axis=-1)
             errors.append(force[nearest] / CubicSpline(tube.depth, tube.force)(pressed) - 1)
     drawn = np.concatenate(drawn)
-    other = rng.permutation(drawn)  # of another tube
+    other = rng.permutation(drawn)
     return np.mean(drawn[:, 1:] > other[:, :-1]), np.concatenate(errors)
 
 
@@ -201,7 +201,7 @@ def main():
                   f"{'rises' if rising(height) else 'does not rise'}; distance "
                   f"{1e3 * kept.min():+.1f} to {1e3 * kept.max():+.1f} mm")  # fmt: skip
         order, error = by_hand(carrier, np.random.default_rng(1))
-        print(f"  by hand: {100 * order:.1f} % of pairs of other tubes, 1 mm apart, in order; "
+        print(f"  by hand: {100 * order:.1f} % of pairs drawn at random, 1 mm apart, in order; "
               f"force off by {100 * np.median(np.abs(error)):.0f} % (median), "
               f"{100 * np.quantile(np.abs(error), 0.9):.0f} % (90 %)")  # fmt: skip
     for scale in BORES:

@@ -33,7 +33,7 @@ def completed(
     there = {tuple(row[name] for name in key) for row in rows_in(table)}
     with table.open("a", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, columns, restval="")
-        if not there:
+        if file.tell() == 0:
             writer.writeheader()
         for case in cases:
             if tuple(map(str, case[: len(key)])) not in there:

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from acoustube.inversion import (
     Tool,
     measured_clutter,
 )
+from acoustube.inversion.fit import Weights, restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import Matrices, ToolTable
@@ -223,6 +225,34 @@ def test_intervals_hold_the_truth_and_their_errors_are_small(inverter):
 
 
 @pytest.mark.slow
+def test_restricted_deviance_is_that_of_the_marginal_likelihood():
+    """Of a linear model, whose parameters add ``J L J^T`` to the covariance of its data.
+
+    Differences between two weights; place and depth have a wide prior there.
+    """
+    rng, n = np.random.default_rng(8), 30
+    jacobian = rng.normal(size=(1, 8, n)) + 1j * rng.normal(size=(1, 8, n))
+    jacobian[0, :2] *= [[3e3], [3e4]]
+    residual = rng.normal(size=(1, n)) + 1j * rng.normal(size=(1, n))
+    residual *= 5.0
+    at = np.concatenate([[0.6, 4e-3], 1e-3 * rng.normal(size=6)])[None]
+    model = SimpleNamespace(priors=Priors())
+    prior = np.concatenate([[1.0, 1.0], model.priors.deviations**2])
+    # As real data about zero nuisances, which have a prior there.
+    slopes = np.concatenate([jacobian[0].real, jacobian[0].imag], axis=1).T
+    data = np.concatenate([residual[0].real, residual[0].imag])
+    data = data + slopes[:, 2:] @ at[0, 2:]
+    found, expected = [], []
+    for sizes in (np.full(n, 1.0), np.linspace(4.0, 0.5, n)):
+        whiten = Weights(np.diag(1 / sizes).astype(complex), 2 * float(np.log(sizes).sum()))
+        found.append(restricted_deviance(model, at, residual, jacobian, whiten)[0])
+        noise = np.tile(sizes**2 / 2, 2)
+        covariance = np.diag(noise) + (slopes * prior) @ slopes.T
+        value = data @ np.linalg.solve(covariance, data)
+        expected.append(value + np.linalg.slogdet(covariance)[1])
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
+
+
 def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouched):
     """Ten presses whose reflection is off by 14 % rms, of known offsets of mesh and solver."""
     exact = Priors(thermometer=0.0, place=0.0, depth=0.0)
@@ -239,8 +269,8 @@ def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouch
             if error:
                 low, high = found.depth.intervals[0.9]
                 inside.append(low <= depth <= high)
-    # Binomial, at the 0.1 % level.
-    assert np.mean(inside) > 0.65
+    # Of 10, fewer than 5 hold with a probability of 0.02 % if each does with 0.9.
+    assert np.mean(inside) > 0.45
     assert np.median(wide) > 4 * np.median(narrow)
 
 

@@ -637,7 +637,7 @@ def test_tables_cut_short_are_refused(tmp_path, kind):
 def test_words_and_wrong_headers_in_tables_are_refused(tmp_path):
     path = tmp_path / "a.csv"
     for text, message in (
-        ("temperature,s0,s1\n20,1,off", "holds ['off']"),
+        ("temperature,s0,s1\n20,1,off", "holds text: ['off']"),
         ("temperature,s0\n20,1,2", "the header has 2 names for 3 columns"),
         ("temperature\n20", "no column holds samples"),
         ("5,1,3\n1,2,3,4", "Expected 3 fields"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi
 
 import numpy as np
@@ -210,8 +210,12 @@ class Inverter:
         inflation = max(1.0, min(one.residual for one in chain))
         odds = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         odds /= odds.sum()
-        best = chain[int(np.argmax(odds))]
-        posterior = Posterior(best, discrepancy(self.model, best, builder.samples, builder.noise))
+        number = int(np.argmax(odds))
+        off = discrepancy(self.model, chain[number], builder.samples, builder.noise)
+        order = np.argsort(off.level)
+        best = replace(chain[number], fits=chain[number].fits.at(order))
+        chain = [*chain[:number], best, *chain[number + 1 :]]
+        posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]

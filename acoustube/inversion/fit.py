@@ -10,14 +10,14 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, pi
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.signal import lfilter
 
-from acoustube.base.types import Array
+from acoustube.base.types import Array, Index
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.waves.scattering import Complex
 
@@ -46,10 +46,13 @@ class Weights:
         samples up to its own time, so that the first rows are the likelihood of the first samples.
     log_determinant : float
         Of the covariance.
+    spread : float
+        Error of the model at all times, relative to the highest echo.
     """
 
     matrix: Complex
     log_determinant: float
+    spread: float = 0.0
 
     def __call__(self, samples: Complex) -> Complex:
         """Return whitened samples (..., n_time)."""
@@ -59,7 +62,7 @@ class Weights:
         """Return the weights of the first n samples alone."""
         matrix = self.matrix.copy()
         matrix[n:] = 0.0
-        return Weights(matrix, self.log_determinant)
+        return replace(self, matrix=matrix)
 
 
 def weights(
@@ -87,7 +90,7 @@ def weights(
     factor = _factor(model, noise, error, echo, spread)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
     freedom = model.base.freedom
-    return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor))
+    return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor), spread)
 
 
 def deviance_of(
@@ -150,7 +153,10 @@ class Fits:
 
     def sorted(self) -> Fits:
         """Return the fits, the best first."""
-        order = np.argsort(self.cost)
+        return self.at(np.argsort(self.cost))
+
+    def at(self, order: Index) -> Fits:
+        """Return the fits of some indices."""
         return Fits(self.parameters[order], self.cost[order], self.information[order])
 
     def first(self, n: int) -> Fits:
@@ -279,7 +285,8 @@ def restricted_deviance(
 ) -> Array:
     """Return minus twice the log likelihood of weights, parameters marginalised, (n,).
 
-    By a linear model about each of some sets of parameters, and but for a constant.
+    By a linear model about each of some sets of parameters, within the largest steps of an
+    iteration, and but for a constant.
 
     Parameters
     ----------
@@ -297,9 +304,13 @@ def restricted_deviance(
     rest, slopes = whiten(residual), whiten(jacobian)
     information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + np.diag(precision)
     gradient = precision * parameters - 2 * (slopes.conj() @ rest[..., None])[..., 0].real
-    step = np.linalg.solve(information, gradient[..., None])[..., 0]
+    step = np.asarray(np.linalg.solve(information, gradient[..., None])[..., 0], float)
+    # As far towards the minimum as the linear model holds: it may lie beyond a bound.
+    part = np.min(
+        _limited(step) / np.where(step == 0, 1.0, step), axis=1, initial=1.0, where=step != 0
+    )
     least = 2 * np.sum(np.abs(rest) ** 2, axis=1) + parameters**2 @ precision
-    least -= np.sum(gradient * step, axis=1)
+    least -= part * (2 - part) * np.sum(gradient * step, axis=1)
     curvature = np.linalg.slogdet(information)[1]
     return np.asarray(least + 2 * whiten.log_determinant + curvature)
 

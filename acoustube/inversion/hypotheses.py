@@ -389,4 +389,4 @@ def _distinct(fits: Fits, n_presses: int) -> Fits:
             same = same or close or near
         if not same:
             kept.append(i)
-    return Fits(fits.parameters[kept], fits.cost[kept], fits.information[kept])
+    return fits.at(np.array(kept))

@@ -61,7 +61,7 @@ class Priors:
     def __post_init__(self) -> None:
         """Check that all are positive."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
-        offset = Number(0, 1.0, "m")
+        offset = Number(0, 0.01, "m")
         check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset)
 
     @property

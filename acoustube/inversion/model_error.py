@@ -66,7 +66,7 @@ def discrepancy(
     deviance = np.array([
         restricted_deviance(
             model, known.fits.parameters, samples - value, jacobian,
-            weights(model, noise, error, echo),
+            weights(model, noise, error, echo, known.whiten.spread),
         )
         for error in ERRORS
     ])  # fmt: skip

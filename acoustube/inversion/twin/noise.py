@@ -53,15 +53,17 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
 
     Notes
     -----
-    The noise's density is ``a P + b``, with the echo's power P and the white noise b. The residuals
-    ``(I - H) n`` of a linear least squares fit with the hat matrix H have the power
-    ``tr[P (I - H) (a P + b) (I - H)^T]`` weighted by P, from which a follows; what the noise of the
-    other closures adds by the shared parameters is left out. The variance is the mean density
-    weighted by P, not less than the residuals' variance.
+    The noise's density is ``a P + b W``, with the echo's power P and that of white noise in the
+    tapered band, W, of mean one. The residuals ``(I - H) n`` of a linear least squares fit with the
+    hat matrix H have the power ``tr[P (I - H) (a P + b W) (I - H)^T]`` weighted by P, from which a
+    follows; what the noise of the other closures, and of the other segment, adds by the parameters
+    is left out. The variance is the mean density weighted by P, not less than the residuals'
+    variance.
     """
     echoes = model(*point)
     covariance = _joint_covariance(normal_equations(model, data, point), prior)
     variances, clutter = np.empty_like(data.variances), np.empty_like(data.variances)
+    white = np.broadcast_to(_white(model), data.values.shape)
     for k in (0, 1):
         inside = data.segments == k + 1
         count = np.maximum(inside.sum(axis=1), 1)
@@ -73,7 +75,7 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
         # Of the part of the noise inside the segment.
         lags = np.fft.ifft(np.abs(np.fft.fft(inside)) ** 2) / inside.shape[1]
         remaining = []
-        for density in (power, np.ones_like(power)):
+        for density in (power, white):
             whole = (power * np.fft.fft(np.fft.ifft(density) * lags).real).sum(axis=1)
             coloured = slopes * density[:, None]
             cut = _spectra(np.fft.ifft(coloured, axis=-1, norm="ortho"), inside)
@@ -83,11 +85,12 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
             remaining.append(np.maximum(whole - taken + again, LEAST_LEFT * whole))
         a = np.maximum((power * left).sum(axis=1) - floors * remaining[1], 0)
         a /= np.maximum(remaining[0], 1e-300)
-        # Each alone is uncertain: averaged with the others'.
-        a = np.maximum(np.sqrt(a * np.median(a)), a / 2)
-        mean = (power**2).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
+        # Each alone is uncertain: averaged with the median of those that have the segment.
+        heard = inside.any(axis=1)
+        a = np.where(heard, (a + np.median(a[heard])) / 2, 0.0) if heard.any() else a
+        mean, mean_white = _means(power, white)
         plain = left.sum(axis=1) / count
-        variances[:, k] = np.maximum(a * mean + floors, plain)
+        variances[:, k] = np.maximum(a * mean + floors * mean_white, plain)
         clutter[:, k] = a
     return replace(data, variances=variances, clutter=clutter)
 
@@ -106,13 +109,30 @@ def score_of(model: EchoModel, data: Data, point: Point) -> Score:
     for k in (0, 1):
         inside = data.segments == k + 1
         power = np.abs(_spectra(echoes.value[:, None], inside)[:, 0]) ** 2
-        mean = (power**2).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
-        variance = data.variances[:, k]
-        density = variance[:, None] + data.clutter[:, k, None] * (power - mean[:, None])
+        white = np.broadcast_to(_white(model), power.shape)
+        mean, mean_white = _means(power, white)
+        variance, a = data.variances[:, k], data.clutter[:, k]
+        density = a[:, None] * power + ((variance - a * mean) / mean_white)[:, None] * white
         slopes = _spectra(np.concatenate([echoes.by_shared, echoes.by_local], axis=1), inside)
         total += 2 / variance[:, None, None] ** 2 * _gram(slopes, slopes * density[:, None])
     p = len(SHARED)
     return Score(total[:, :p, :p], total[:, :p, p:], total[:, p:, p:])
+
+
+def _white(model: EchoModel) -> Array:
+    """Return the density of white noise in the tapered band over its mean, (n_t,)."""
+    power = model.band.taper**2
+    return np.asarray(power / power.mean())
+
+
+def _means(power: Array, white: Array) -> tuple[Array, Array]:
+    """Return the means (n,) weighted by the power (n, n_t), of itself and of white noise.
+
+    The latter is one at least, as where there is no power.
+    """
+    total = np.maximum(power.sum(axis=1), 1e-300)
+    own, other = ((power * one).sum(axis=1) / total for one in (power, white))
+    return own, np.maximum(other, 1.0)
 
 
 def _joint_covariance(normal: Normal, prior: Prior) -> Array:

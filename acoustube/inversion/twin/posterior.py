@@ -83,7 +83,8 @@ def posterior(
     The model is linearised at the maximum. With the scatter given, the posterior is normal and its
     evidence a closed form; the average over a grid has the mean and the covariance of the mixture,
     and widens with few closures as Student's distribution does. With a score of its own noise the
-    covariance of the shared parameters is White's: that of the estimate under this noise.
+    covariance of the shared parameters is White's: that of the estimate under this noise; those of
+    the places are by the weights.
     """
     cases = list(product(PLACEMENTS, LEVELS, COLOURS))
     n, p = len(point.local), len(point.shared)
