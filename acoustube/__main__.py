@@ -31,6 +31,8 @@ def entry() -> NoReturn:
                 code = _run()
             except KeyboardInterrupt:  # a second one, while the first was being dealt with
                 code = _interrupted(exit_code())
+            except SystemExit as error:  # its frames end here, where their errors are dealt with
+                code = error.code
     except KeyboardInterrupt:
         code = _interrupted(128 + signal.SIGINT)
     except SystemExit as error:

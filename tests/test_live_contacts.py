@@ -88,8 +88,8 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
     assert len(late) + tally.n_skipped >= 10
     for row in late:
         place, depth = pressed(int(row["cycle"]) - UNTOUCHED)
-        # 8 bits, which hardly tell half wavelengths (4 mm) apart, and a gain known to 5 %. Where the
-        # machine stalls, cycles are left out and others timed late: two half wavelengths at most.
+        # 8 bits, which hardly tell half wavelengths (4 mm) apart, and a gain known to 5 %. Where
+        # the machine stalls, cycles are left out and others timed late: two half wavelengths.
         near = 0.5 if tally.n_skipped == 0 else 1.0
         assert float(row["distance_cm"]) == pytest.approx(100 * place, abs=near), tally.n_skipped
         assert float(row["depth_mm"]) == pytest.approx(1e3 * depth, rel=0.06)

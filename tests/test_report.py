@@ -156,3 +156,24 @@ def test_interrupt_outside_imports_comes_at_once_and_a_lost_one_again():
         assert time.perf_counter() - begun < 2
         with pytest.raises(KeyboardInterrupt):
             check()
+
+
+class Unfinished:
+    """An object whose destructor fails, as one whose construction was interrupted."""
+
+    def __del__(self) -> None:
+        raise AttributeError("unfinished")
+
+
+def test_errors_of_destructors_are_told_until_an_interrupt(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with watched_interrupts():
+        Unfinished()
+        assert len(told) == 1
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        Unfinished()
+        assert len(told) == 1
+    Unfinished()
+    assert len(told) == 2

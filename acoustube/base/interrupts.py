@@ -119,13 +119,16 @@ def watched_interrupts(
 
 
 def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a hook that raises an ignored interrupt again, and leaves other errors to `before`."""
+    """Return a hook that raises an ignored interrupt again, and leaves other errors to `before`.
+
+    After an interrupt they follow from it, as in the destructor of a half-made object: no word.
+    """
 
     def hook(unraisable: Any) -> None:
         in_main = threading.current_thread() is threading.main_thread()
         if in_main and issubclass(unraisable.exc_type, KeyboardInterrupt):
             handler.again()
-        else:
+        elif not handler.number:
             before(unraisable)
 
     HOOKS.add(hook.__code__)
