@@ -24,7 +24,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import MS
-from acoustube.base.writing import FULL
+from acoustube.base.writing import FULL, write
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
     MISSING,
@@ -278,7 +278,9 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
         yield lambda _: None
         return
     try:
-        file = out.open("xb", buffering=0)
+        # Not without its head: an interrupt may come before that is written.
+        write(out, _csv_row(columns))
+        file = out.open("ab", buffering=0)
     except OSError as error:
         raise ConfigError(
             f"cannot be written ({error.strerror})",
@@ -288,11 +290,9 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
         ) from error
     with file:
 
-        def write(row: list[object]) -> None:
-            line = io.StringIO()
-            csv.writer(line, lineterminator="\n").writerow(row)
+        def add(row: list[object]) -> None:
             whole = file.tell()
-            content = line.getvalue().encode("utf-8", "backslashreplace")
+            content = _csv_row(row)
             try:
                 if file.write(content) < len(content):
                     raise OSError(errno.ENOSPC, FULL[errno.ENOSPC])
@@ -303,8 +303,13 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
                     "far, so make room and log to a new file"
                 ) from error
 
-        write([*columns])
-        yield write
+        yield add
+
+
+def _csv_row(row: Sequence[object]) -> bytes:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(row)
+    return line.getvalue().encode("utf-8", "backslashreplace")
 
 
 def _taken(
