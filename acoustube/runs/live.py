@@ -24,7 +24,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import MS
-from acoustube.base.writing import FULL, write
+from acoustube.base.writing import FULL
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
     MISSING,
@@ -278,9 +278,7 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
         yield lambda _: None
         return
     try:
-        # Not without its head: an interrupt may come before that is written.
-        write(out, _csv_row(columns))
-        file = out.open("ab", buffering=0)
+        file = out.open("xb", buffering=0)
     except OSError as error:
         raise ConfigError(
             f"cannot be written ({error.strerror})",
@@ -290,9 +288,11 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
         ) from error
     with file:
 
-        def add(row: list[object]) -> None:
+        def write(row: list[object]) -> None:
+            line = io.StringIO()
+            csv.writer(line, lineterminator="\n").writerow(row)
             whole = file.tell()
-            content = _csv_row(row)
+            content = line.getvalue().encode("utf-8", "backslashreplace")
             try:
                 if file.write(content) < len(content):
                     raise OSError(errno.ENOSPC, FULL[errno.ENOSPC])
@@ -303,13 +303,8 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
                     "far, so make room and log to a new file"
                 ) from error
 
-        yield add
-
-
-def _csv_row(row: Sequence[object]) -> bytes:
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(row)
-    return line.getvalue().encode("utf-8", "backslashreplace")
+        write([*columns])
+        yield write
 
 
 def _taken(
