@@ -27,7 +27,7 @@ from acoustube.waves.scattering import Complex
 
 
 class Discrepancy(NamedTuple):
-    """What the error of the model does to the posterior about each maximum.
+    """Weights of the maxima, and deviations of places and depths by the error of the model.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ class Numbers:
 
     @property
     def meaning(self) -> str:
-        """What the setting is."""
+        """Name of the quantity that is set."""
         return self.each.meaning
 
     @property
