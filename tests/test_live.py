@@ -437,6 +437,14 @@ def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
 
 
 @needs_pty
+def test_log_that_is_there_is_kept(board):
+    Path("a.csv").write_text("of yesterday")
+    with pytest.raises(ConfigError, match=r"cannot be written \(File exists\); name a new file"):
+        run_live(board.port, Console(quiet=True), out=Path("a.csv"), duration=1.0)
+    assert [path.name for path in Path().iterdir()] == ["a.csv"]
+    assert Path("a.csv").read_text() == "of yesterday"
+
+
 def test_cycles_are_in_the_log_within_20_ms_of_their_last_byte(board):
     """In the median of 100 at 20 per second, measured inside; and the duration ends it."""
     paced(board, 100, 20.0, before=0.3)

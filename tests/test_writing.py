@@ -10,6 +10,7 @@ import sys
 import threading
 from importlib import import_module
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -102,6 +103,35 @@ def test_full_disk_names_the_file_and_the_space_and_leaves_nothing():
         write(partial / "a.csv", b"x" * 2_900)
         write(partial / "b.csv", b"x" * 20_000)
     assert names() == []
+    with pytest.raises(DiskFullError, match=r"^log.csv: .*; 0.02 MB are needed$"):
+        writing.begin(Path("log.csv"), b"x" * 19_000)
+    assert names() == []
+
+
+@pytest.mark.parametrize(
+    ("links", "step"),
+    [(True, "os.fsync"), (True, "os.link"), (True, "os.path.lexists"), (False, "os.fsync"),
+     (False, "pathlib.Path.replace"), (False, "os.path.lexists")],
+)  # fmt: skip
+def test_file_that_grows_is_never_without_its_head(links, step, monkeypatch):
+    """An interrupt at any step leaves no file, or one with a head; a taken name is refused."""
+    if not links:
+        refused = Mock(side_effect=OSError(errno.EPERM, "no links here"))
+        monkeypatch.setattr("os.link", refused)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(step, Mock(side_effect=KeyboardInterrupt))
+        writing.begin(Path("log.csv"), b"head\n")
+    writing.discard()
+    assert {Path(name).read_bytes() for name in names()} <= {b"head\n"}
+    for name in names():
+        Path(name).unlink()
+    with writing.begin(Path("log.csv"), b"head\n") as file:
+        file.write(b"row\n")
+        assert file.tell() == len(b"head\nrow\n")
+    with pytest.raises(FileExistsError):
+        writing.begin(Path("log.csv"), b"other\n")
+    assert Path("log.csv").read_bytes() == b"head\nrow\n"
+    assert names() == ["log.csv"]
 
 
 def test_folder_that_took_the_name_meanwhile_is_kept():
@@ -338,9 +368,8 @@ def test_commands_that_are_ended_at_random_moments_leave_whole_outputs_or_none(
 
 MAY_WRITE = {
     "base/console.py", "base/remnants.py", "base/writing.py", "reports/scenes/sleeve.py",
-    "runs/live.py",
 }  # fmt: skip
-"""What no user sees, or what is in a folder for the moment; and the log of `live`, which grows."""
+"""What no user sees, or what is in a folder for the moment."""
 MAY_REPLACE = {
     "cli/reproduce.py", "recordings/reading.py", "reports/studies/report.py",
     "runs/libraries/files.py", "runs/sweep/dataset.py", "runs/sweep/run.py", "runs/sweep/store.py",

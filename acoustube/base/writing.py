@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import itertools
 import math
 import os
@@ -116,6 +117,39 @@ def _naming_file(path: Path, needed: int) -> Iterator[None]:
         raise ConfigError(
             f"{path} cannot be written ({error.strerror or error}); name another place"
         ) from error
+
+
+def begin(path: Path, head: bytes) -> io.FileIO:
+    """Create a file that grows, atomically with its head, and open it to append.
+
+    Parameters
+    ----------
+    path : Path
+        New file.
+    head : bytes
+        First content.
+
+    Returns
+    -------
+    io.FileIO
+        Unbuffered.
+
+    Raises
+    ------
+    DiskFullError
+        If the disk is full.
+    OSError
+        If the name is taken, or cannot be written for another reason; then nothing is left.
+    """
+    try:
+        with aside(path) as hidden:
+            _to_disk(hidden, head)
+            _link(hidden, path)
+    except OSError as error:
+        if error.errno in FULL:
+            raise DiskFullError(path, FULL[error.errno], len(head)) from error
+        raise
+    return path.open("ab", buffering=0)
 
 
 def _to_disk(path: Path, content: bytes) -> None:

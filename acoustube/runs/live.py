@@ -24,7 +24,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import MS
-from acoustube.base.writing import FULL
+from acoustube.base.writing import FULL, begin
 from acoustube.recordings.echotube_stream import (
     FRAME_BYTES,
     MISSING,
@@ -278,7 +278,8 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
         yield lambda _: None
         return
     try:
-        file = out.open("xb", buffering=0)
+        # With its head at once: an interrupt in between would leave an empty file in the way.
+        file = begin(out, _csv_row(columns))
     except OSError as error:
         raise ConfigError(
             f"cannot be written ({error.strerror})",
@@ -289,10 +290,7 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
     with file:
 
         def write(row: list[object]) -> None:
-            line = io.StringIO()
-            csv.writer(line, lineterminator="\n").writerow(row)
-            whole = file.tell()
-            content = line.getvalue().encode("utf-8", "backslashreplace")
+            whole, content = file.tell(), _csv_row(row)
             try:
                 if file.write(content) < len(content):
                     raise OSError(errno.ENOSPC, FULL[errno.ENOSPC])
@@ -303,8 +301,13 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
                     "far, so make room and log to a new file"
                 ) from error
 
-        write([*columns])
         yield write
+
+
+def _csv_row(row: Sequence[object]) -> bytes:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(row)
+    return line.getvalue().encode("utf-8", "backslashreplace")
 
 
 def _taken(
