@@ -65,6 +65,19 @@ def known():
     return information([analytic()], contacts(places, forces))
 
 
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("tubes", []), ("contacts", None), ("modulus", 0), ("temperature", np.nan), ("priors", 1.0),
+     ("hardness", -1), ("model", "x")],
+)  # fmt: skip
+def test_nonsense_is_refused_with_the_name_of_the_argument(argument, value):
+    good = {"tubes": [analytic()], "contacts": contacts(np.array([0.8]), np.array([20.0]))}
+    with pytest.raises(ValueError, match=rf"\b{argument}\b"):
+        information(**good | {argument: value})
+    with pytest.raises(ValueError, match="electronics"):
+        predicting.predict(information(**good), value)
+
+
 def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
     """For whole half periods; between them it is continuous."""
     with jax.enable_x64(True):
