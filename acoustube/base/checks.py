@@ -92,8 +92,7 @@ class Reals:
         if self.missing:
             array = array[np.isfinite(array)]
         if array.dtype.kind == "U":
-            return
-        # Written so that nan fails too.
+            return  # written below so that nan fails too
         if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
             raise self._error(name, value, "is out of range or not finite")
 
@@ -265,8 +264,8 @@ class Several:
         ------
         ConfigError
         """
-        one_alone = isinstance(value, str | bytes | dict) or getattr(value, "ndim", 1) == 0
-        if one_alone or not hasattr(value, "__len__"):
+        alone = isinstance(value, str | bytes | dict) or getattr(value, "ndim", 1) == 0
+        if alone or not hasattr(value, "__len__"):
             raise ConfigError("is not a sequence", setting=name, value=value, advice="give a list")
         if len(value) < self.least:
             raise ConfigError(

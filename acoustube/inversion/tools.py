@@ -106,8 +106,9 @@ class Tool:
         n, n_f, m = len(self.depth), len(self.frequency), len(self.modes)
         if n < FEWEST_DEPTHS or np.shape(self.s) != (n, n_f, 2, m, 2, m):
             raise ConfigError(
-                f"a tool has {n} values of depth and s of shape {np.shape(self.s)}; give at least "
-                f"{FEWEST_DEPTHS} depths and (n, frequencies, 2, {m}, 2, {m}) for {m} modes"
+                f"a tool has {n} values of depth, {n_f} of frequency, {m} modes and s of shape "
+                f"{np.shape(self.s)}; give {FEWEST_DEPTHS} or more depths and s of shape "
+                f"{(n, n_f, 2, m, 2, m)}"
             )
         check_alike(
             depth=self.depth, force=self.force, force_error=self.force_error, error=self.error
