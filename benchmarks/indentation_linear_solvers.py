@@ -2,10 +2,11 @@
 
 The default tube, held, 1 mm under a 25 mm rod: the quarter that symmetry leaves, its half, the
 whole, and two refinements of the quarter. The state is that of the quarter, interpolated. Each row:
-unknowns, bandwidth as numbered and in the order of sections, entries of the lower triangle, and per
-solver the processor time to factorise and to solve (median of three, one thread) and the residual
-relative to the right-hand side. PARDISO (pypardiso) and CHOLMOD (cvxopt) are timed where they are
-installed: ``python benchmarks/indentation_linear_solvers.py``. Some four minutes on one core.
+unknowns, bandwidth, entries of the lower triangle, and per solver the processor time to factorise
+and to solve (median of three, one thread) and the residual relative to the right-hand side. The
+multifrontal method keeps its order and analysis, as in a press; the others begin anew. PARDISO
+(pypardiso) and CHOLMOD (cvxopt) are timed where they are installed: ``python
+benchmarks/indentation_linear_solvers.py``. Some four minutes on one core.
 """
 
 from __future__ import annotations
@@ -25,12 +26,15 @@ import scipy
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.interpolate import RBFInterpolator
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
 from acoustube.base.limits import pressed_reach
 from acoustube.indentation import Indentation, Indenter, MeshSize, indent, linear_solver
 from acoustube.indentation.assembly import stiffness
 from acoustube.indentation.mesh import Mesh, sweep
+from acoustube.indentation.multifrontal import Analysis
 from acoustube.indentation.press import press_model
 from acoustube.tube import Tube
 
@@ -59,8 +63,8 @@ def in_elements(points: Array) -> Array:
     return np.stack([np.abs(x) / wide, y / wide, along], axis=-1)
 
 
-def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, NDArray[np.int64]]:
-    """Return the lower triangle of the stiffness and the order by sections, for another mesh."""
+def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, Analysis]:
+    """Return the lower triangle of the stiffness for another mesh, and its analysis."""
     known = RBFInterpolator(
         in_elements(pressed.mesh.points), pressed.displacement[-1], neighbors=100
     )
@@ -78,7 +82,7 @@ def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, NDArray[
     displacement[~model.free] = 0
     return (
         stiffness(model, displacement, state.bodies()),
-        linear_solver.section_order(mesh.points, model.free),
+        model.analysis,
     )
 
 
@@ -98,12 +102,34 @@ def cholmod(library: Any, lower: sparse.csc_array) -> linear_solver.Solve:
     return solve
 
 
-def solvers(order: NDArray[np.int64]) -> dict[str, Factorise]:
+def banded(lower: sparse.csc_array) -> linear_solver.Solve:
+    """Factorise by banded Cholesky of LAPACK, as numbered: along the tube."""
+    columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
+    band = np.zeros((bandwidth(lower) + 1, lower.shape[0]), order="F")
+    band[lower.indices - columns, columns] = lower.data
+    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+    return lambda right: np.asarray(cho_solve_banded((factor, True), right, check_finite=False))
+
+
+def bandwidth(lower: sparse.csc_array) -> int:
+    """Return the largest distance of an entry from the diagonal."""
+    columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
+    return int((lower.indices - columns).max())
+
+
+def superlu(lower: sparse.csc_array) -> linear_solver.Solve:
+    """Factorise by sparse LU of SciPy, without pivoting."""
+    whole = (lower + sparse.tril(lower, -1).T).tocsc()
+    options = {"SymmetricMode": True}
+    return splu(whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+
+
+def solvers(analysis: Analysis) -> dict[str, Factorise]:
     """Return the solvers that are installed; name the others."""
     found: dict[str, Factorise] = {
-        "banded Cholesky, as numbered": linear_solver.banded,
-        "banded Cholesky, by sections": partial(linear_solver.banded, order=order),
-        "SuperLU": linear_solver.superlu,
+        "multifrontal Cholesky": partial(linear_solver.factorise, analysis=analysis),
+        "banded Cholesky": banded,
+        "SuperLU": superlu,
     }
     for name, module, solver in (
         (
@@ -117,7 +143,6 @@ def solvers(order: NDArray[np.int64]) -> dict[str, Factorise]:
             found[name] = solver(import_module(module))
         except ImportError:
             print(f"{module.split('.')[0]} is not installed: {name} is left out.")
-    found["factorise()"] = partial(linear_solver.factorise, order=order)
     return found
 
 
@@ -146,16 +171,14 @@ if __name__ == "__main__":
         pressed = indent(TUBE, ROD, depth=DEPTH, mesh=SIZE)
         # MKL is loaded after this limit is set and is not affected.
         os.environ["MKL_NUM_THREADS"] = "1"
-        header = (
-            "| mesh | unknowns | band | by sections | entries | solver | factorise s | solve s "
-        )
-        print(header + "| residual |\n" + "|" + "---|" * 9)
+        header = "| mesh | unknowns | band | entries | solver | factorise s | solve s "
+        print(header + "| residual |\n" + "|" + "---|" * 8)
         for name, (size, halved) in CASES.items():
-            lower, order = matrix(sweep(TUBE, REACH, size, halved=halved), pressed)
-            widths = linear_solver.bandwidth(lower), linear_solver.bandwidth(lower, order)
-            case = f"| {name} | {lower.shape[0]} | {widths[0]} | {widths[1]} | {lower.nnz} "
-            for solver, factorise in solvers(order).items():
-                if solver == "SuperLU" and lower.shape[0] * min(widths) > LARGEST_FOR_SUPERLU:
+            lower, analysis = matrix(sweep(TUBE, REACH, size, halved=halved), pressed)
+            width = bandwidth(lower)
+            case = f"| {name} | {lower.shape[0]} | {width} | {lower.nnz} "
+            for solver, factorise in solvers(analysis).items():
+                if solver == "SuperLU" and lower.shape[0] * width > LARGEST_FOR_SUPERLU:
                     print(case + f"| {solver} | not timed | | |")
                     continue
                 factor, solve, error = times(factorise, lower)

@@ -11,8 +11,9 @@ processor time.
 Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
 and volume ratios above zero, and the work of the force against the change of the whole potential
 energy, which are equal at a fixed ground whatever the contact. Where the wall snaps from one shape
-to another at a constant depth, energy is lost between two rows, which is recorded as a snap; it is
-never gained.
+to another at a constant depth, energy is lost between two rows, and never gained. Intervals of
+depth in which work and energy differ are therefore pressed again at closer rows: an error of the
+cubics through the forces vanishes, and a snap remains in an interval however short.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import argparse
 import json
 import signal
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +32,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 from acoustube.base.units import MM
 from acoustube.indentation import Indentation, Indenter, Layer, MeshSize, PressError, indent
 from acoustube.indentation.assembly import evaluate
@@ -43,8 +47,11 @@ LIMIT = 120
 """Seconds of processor time after which a press is given up."""
 WORK_TOLERANCE = 0.01
 """Largest difference of work and energy: of cubics through twelve forces."""
-SNAP_SHARE = 0.8
-"""Part of the energy lost that a single interval of depth holds if the wall snaps there."""
+PARTS = 4
+"""Parts into which an interval is divided in which work and energy differ."""
+NARROWEST = 1 / 300
+"""Length of an interval, in bores, below which it is not divided."""
+ROUNDS = 4
 
 
 def drawn(number: int) -> tuple[Tube, Indenter, float, dict[str, Any]]:
@@ -71,31 +78,55 @@ def drawn(number: int) -> tuple[Tube, Indenter, float, dict[str, Any]]:
     return tube, indenter, depth, {"support": support, "layer": layer, "mesh": size}
 
 
-def wrong(press: Indentation) -> tuple[list[str], str]:
-    """Return what is wrong with a press, and where the wall snaps with the energy lost."""
-    bore, found = press.tube.inner_diameter, []
+def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[list[str], str]:
+    """Return what is wrong with a press, and where the wall snaps with the energy lost.
+
+    ``again`` presses anew to given depths.
+    """
+    tube, found = press.tube, []
     with jax.enable_x64(True):
         model = press_model(press)
         crossing = any(model.lumen.crosses_itself(press.position(row)) for row in (-2, -1))
-        energy = [
-            model.mesh.copies * evaluate(model, press.displacement[row], press.bodies(row)).energy
-            for row in range(len(press.depth))
-        ]
-    if press.residual.max() > FORCE_TOLERANCE * press.tube.shear_modulus * bore**2:
+    if press.residual.max() > FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2:
         found.append("residual")
     if crossing or press.smallest_gap.min() <= 0:
         found.append("gap")
     if press.smallest_volume_ratio.min() <= 0:
         found.append("J")
+    narrowest = NARROWEST * tube.inner_diameter
+    lost, allowed = losses(press)
+    for _ in range(ROUNDS):
+        wide = np.diff(press.depth) > narrowest
+        if np.abs(lost[wide]).sum() <= allowed:
+            break
+        divided = wide & (np.abs(lost) > allowed / len(lost))
+        steps = np.diff(press.depth)[divided, None] * np.arange(1, PARTS) / PARTS
+        between = press.depth[:-1][divided, None] + steps
+        press = again(np.union1d(press.depth[1:], between))
+        lost, allowed = losses(press)
+    wide = np.diff(press.depth) > narrowest
+    snapped = ~wide & (lost > allowed / len(lost))
+    gained = -np.minimum(lost, 0.0)
+    if gained.max() > allowed:
+        worst = int(np.argmax(gained))
+        found.append(f"gains {gained[worst]:.3g} J before {MM * press.depth[worst + 1]:.4f} mm")
+    if abs(lost[~snapped].sum()) > allowed:
+        found.append(f"loses {lost[~snapped].sum():.3g} J beside snaps, {allowed:.3g} J allowed")
+    at = [f"{MM * press.depth[i + 1]:.3f} mm: {lost[i]:.3g} J" for i in np.flatnonzero(snapped)]
+    return found, "; ".join(at)
+
+
+def losses(press: Indentation) -> tuple[Array, float]:
+    """Return the work less the gain of energy between rows in J, and the largest sum allowed."""
+    with jax.enable_x64(True):
+        model = press_model(press)
+        energy = [
+            model.mesh.copies * evaluate(model, press.displacement[row], press.bodies(row)).energy
+            for row in range(len(press.depth))
+        ]
     work_to = PchipInterpolator(press.depth, press.contact_force).antiderivative()
-    work, gained = np.diff(work_to(press.depth)), np.diff(energy)
-    lost, allowed = work - gained, WORK_TOLERANCE * max(energy) - WORK_TOLERANCE * energy[0]
-    if abs(lost.sum()) > allowed:
-        worst = int(np.argmax(lost))
-        if worst > 0 and lost[worst] >= SNAP_SHARE * np.abs(lost).sum():
-            return found, f"{MM * press.depth[worst]:.3f} mm: {lost[worst]:.3g} J"
-        found.append(f"work {work.sum():.4g} J, energy {gained.sum():.4g} J")
-    return found, ""
+    lost = np.diff(work_to(press.depth)) - np.diff(energy)
+    return lost, WORK_TOLERANCE * (max(energy) - energy[0])
 
 
 def pressed(number: int) -> dict[str, Any]:
@@ -118,7 +149,8 @@ def pressed(number: int) -> dict[str, Any]:
         record |= {"state": "reached", "force_N": float(press.contact_force[-1])}
         record |= {"closed": bool(press.closed[-1]), "rows": len(press.depth)}
         record["iterations"] = int(press.iterations.sum())
-        record["wrong"], record["snap"] = wrong(press)
+        again = partial(indent, tube, indenter, **options)
+        record["wrong"], record["snap"] = wrong(press, lambda depths: again(depth=depths))
     except ConfigError as error:
         record |= {"state": "refused", "reason": str(error)}
     except PressError as error:

@@ -36,7 +36,7 @@ def condensed(tube, depth):
     untouched, model, state = tube
     bodies = bodies_at(untouched, depth)
     tangent = assembly.stiffness(model, state, bodies)
-    contact = CondensedContact(model, bodies, linear_solver.banded(tangent), state)
+    contact = CondensedContact(model, bodies, linear_solver.factorise(tangent), state)
     return tangent + sparse.tril(tangent, -1).T, contact, assembly.evaluate(model, state, bodies)
 
 
@@ -122,11 +122,11 @@ def test_contact_solved_exactly_saves_factorisations_and_changes_no_state(tube, 
 
 @pytest.mark.parametrize(("n", "half_width"), [(1, 0), (40, 6), (300, 130), (250, 97)])
 def test_forward_columns_give_the_inverse(n, half_width):
-    """Unknowns in any order, narrower and wider bands than a block; against a dense inverse."""
+    """Of unknowns in one front and in many; against a dense inverse."""
     rng = np.random.default_rng(n)
     root = np.triu(np.tril(rng.normal(size=(n, n))), -half_width) + 3 * half_width * np.eye(n)
     matrix = root @ root.T + np.eye(n)
-    factor = linear_solver.banded(sparse.csc_array(np.tril(matrix)))
+    factor = linear_solver.factorise(sparse.csc_array(np.tril(matrix)))
     unknowns = rng.permutation(n)[: max(1, n // 3)]
     unknowns = unknowns[np.argsort(factor.place[unknowns])]
     columns = factor.forward(unknowns)

@@ -6,6 +6,8 @@ from scipy import sparse
 from scipy.linalg import LinAlgError
 
 from acoustube.indentation import linear_solver
+from acoustube.indentation.dissection import dissected
+from acoustube.indentation.multifrontal import Analysis
 
 N_NODES = 9
 ELEMENTS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5], [5, 7, 6]])
@@ -91,7 +93,7 @@ def pardiso(lower):
     return linear_solver.pardiso(lower, pytest.importorskip("pypardiso.pardiso_wrapper"))
 
 
-METHODS = [linear_solver.banded, linear_solver.superlu, pardiso, linear_solver.factorise]
+METHODS = [pardiso, linear_solver.factorise]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -118,51 +120,92 @@ def test_factorisation_refuses_an_indefinite_matrix(method):
     method(lower_of(band_matrix(shift=-0.99 * lowest)))
 
 
-def shuffled():
-    """Return a band matrix in a random order, and the order that makes it a band again."""
-    matrix = band_matrix()
-    order = np.random.default_rng(4).permutation(len(matrix))
-    return matrix[np.ix_(order, order)], np.argsort(order)
+def grid_matrix(shape, width=1, shift=0.0):
+    """Return the lower triangle of a random matrix of a grid's points, and the points.
+
+    Entries between points up to `width` apart along each axis; positive definite without a shift.
+    """
+    points = np.stack([axis.ravel() for axis in np.indices(shape)], axis=1).astype(float)
+    near = np.abs(points[:, None] - points).max(axis=2) <= width
+    entries = np.where(near, np.random.default_rng(5).normal(size=near.shape), 0.0)
+    entries = entries + entries.T
+    diagonal = np.abs(entries).sum(axis=1) + shift
+    np.fill_diagonal(entries, diagonal)
+    return entries, points
 
 
-@pytest.mark.parametrize("method", [linear_solver.banded, linear_solver.factorise])
-def test_another_order_narrows_the_band_and_leaves_the_solution(method):
-    matrix, order = shuffled()
-    lower = lower_of(matrix)
-    assert linear_solver.bandwidth(lower) > 30
-    assert linear_solver.bandwidth(lower, order) == np.max(np.nonzero(band_matrix()[0]))
-    right = np.random.default_rng(3).normal(size=(len(matrix), 2))
+def test_dissection_separates_its_parts():
+    """Of each entry one unknown is eliminated in the subtree of the other's front; planes are."""
+    matrix, points = grid_matrix((24, 9, 3))
+    tree = dissected(lower_of(matrix), points)
+    rows, columns = np.nonzero(matrix)
+    low, high = np.sort([tree.front[rows], tree.front[columns]], axis=0)
+    assert np.all(tree.first[high] <= low)
+    assert len(tree.parent) > 5
+    (last,) = np.nonzero(tree.front == len(tree.parent) - 1)
+    assert len(last) == 9 * 3
+    assert np.ptp(points[last, 0]) == 0
+
+
+def test_pairs_that_a_dissection_separates_are_moved_to_where_it_does_not():
+    matrix, points = grid_matrix((24, 9, 3))
+    tree = dissected(lower_of(matrix), points)
+    rng = np.random.default_rng(6)
+    rows, columns = rng.integers(len(points), size=(2, 20))
+    kept = tree.holding(rows, columns)
+    assert not np.array_equal(kept.front, tree.front)
+    for pairs in ((rows, columns), np.nonzero(matrix)):
+        low, high = np.sort([kept.front[pairs[0]], kept.front[pairs[1]]], axis=0)
+        assert np.all(kept.first[high] <= low)
+
+
+@pytest.mark.parametrize("width", [1, 2])
+@pytest.mark.parametrize("shape", [(1, 1), (40, 8), (14, 7, 4)])
+def test_fronts_solve_as_a_dense_matrix(shape, width):
+    """Another matrix of the same sparsity, then one with more entries; one and two right sides."""
+    matrix, points = grid_matrix(shape, width)
+    analysis = Analysis(points)
+    rng = np.random.default_rng(7)
+    joined = matrix.copy()
+    for first, second in rng.integers(len(points), size=(5, 2)):
+        joined[first, second] = joined[second, first] = 0.1
+    for each in (matrix, 2 * matrix + np.eye(len(matrix)), joined, matrix):
+        solve = linear_solver.factorise(lower_of(each), analysis)
+        for right in (rng.normal(size=len(each)), rng.normal(size=(len(each), 2))):
+            exact = np.linalg.solve(each, right)
+            assert solve(right) == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
+
+
+def test_fronts_refuse_an_indefinite_matrix_wherever_its_negative_pivot_is():
+    matrix, points = grid_matrix((40, 8))
+    analysis = Analysis(points)
+    for wrong in (0, 17, 160, 319):
+        spoilt = matrix.copy()
+        spoilt[wrong, wrong] = -1.0
+        with pytest.raises(LinAlgError):
+            linear_solver.factorise(lower_of(spoilt), analysis)
+    linear_solver.factorise(lower_of(matrix), analysis)
+
+
+def test_parts_without_common_entries_are_solved_too():
+    """Two blocks: the separator between them is empty."""
+    block, points = grid_matrix((20, 10))
+    matrix = np.block([[block, np.zeros_like(block)], [np.zeros_like(block), 2 * block]])
+    points = np.concatenate([points, points + np.array([20, 0])])
+    right = np.random.default_rng(8).normal(size=len(matrix))
     exact = np.linalg.solve(matrix, right)
-    assert np.abs(method(lower, order)(right) - exact).max() < 1e-10 * np.abs(exact).max()
+    found = linear_solver.factorise(lower_of(matrix), Analysis(points))(right)
+    assert found == pytest.approx(exact, abs=1e-12 * np.abs(exact).max())
 
 
-def test_sections_are_numbered_one_after_the_other_from_below():
-    points = np.array([[0, 1, 0], [0, 0, 2], [1, 0, 0], [0, -1, 2]], float)
-    free = np.ones((4, 3), bool)
-    free[2, 1] = False
-    # Unknowns 0-2 are of the first node, 3-5 of the second, 6-7 of the third, 8-10 of the fourth.
-    assert list(linear_solver.section_order(points, free)) == [6, 7, 0, 1, 2, 8, 9, 10, 3, 4, 5]
-
-
-@pytest.fixture
-def chosen(monkeypatch):
-    """Record which methods are called."""
-    called = []
-    for name in ("banded", "superlu", "pardiso"):
-        monkeypatch.setattr(linear_solver, name, lambda *_, name=name: called.append(name))
-    return called
-
-
-def test_banded_serves_until_its_work_is_large_and_superlu_beyond_its_memory(chosen, monkeypatch):
-    """PARDISO takes over where it is installed; without it the band goes on while it fits."""
-    lower = lower_of(band_matrix())
-    library = None
+def test_pardiso_serves_large_work_where_it_is_installed(monkeypatch):
+    called, lower = [], lower_of(band_matrix())
+    monkeypatch.setattr(linear_solver, "pardiso", lambda *_: called.append("pardiso"))
+    library = object()
     monkeypatch.setattr(linear_solver, "_pypardiso", lambda: library)
     linear_solver.factorise(lower)
-    monkeypatch.setattr(linear_solver, "LARGEST_BANDED_WORK", 1.0)
+    monkeypatch.setattr(linear_solver, "LARGEST_OWN_WORK", 1.0)
     linear_solver.factorise(lower)
-    monkeypatch.setattr(linear_solver, "LARGEST_BAND", 1.0)
+    library = None
     linear_solver.factorise(lower)
-    library = object()
-    linear_solver.factorise(lower)
-    assert chosen == ["banded", "banded", "superlu", "pardiso"]
+    assert called == ["pardiso"]

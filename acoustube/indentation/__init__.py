@@ -4,9 +4,11 @@ Reading order: ``reference_element`` (shape functions and quadrature), ``mesh`` 
 tube), ``material`` (strain energies), ``element`` (energy, force and stiffness of an element),
 ``padding`` (few lengths of arrays), ``contact`` (distances and contact laws), ``indenters`` (rods,
 punches, spheres and the ground), ``self_contact`` (the barrier between the lumen's walls),
-``wrinkle_penalty`` (smooth folds), ``linear_solver`` (the sparse matrix and its factorisation),
-``assembly`` (energy, residual and tangent of the whole tube), ``newton`` (equilibrium at one
-depth), ``result``, ``guide`` (a path on a coarse mesh), ``load_path`` (increments of depth),
+``wrinkle_penalty`` (smooth folds), ``dissection`` (order of elimination), ``multifrontal`` and
+``linear_solver`` (the sparse matrix and its factorisation), ``assembly`` (energy, residual and
+tangent of the whole tube), ``condensed_contact`` and ``negative_curvature`` (Newton steps),
+``newton`` (equilibrium at one depth), ``result``, ``guide`` (a path on a coarse mesh),
+``load_path`` (increments of depth),
 ``press`` (the public function), ``depth_path`` (depths between), ``derivatives`` (sensitivities),
 and for imported walls ``wall_surface``, ``boundary_nodes`` and ``tetrahedra``.
 """

@@ -18,6 +18,7 @@ from acoustube.indentation.element import Quadrature
 from acoustube.indentation.linear_solver import Pattern
 from acoustube.indentation.material import Material
 from acoustube.indentation.mesh import Mesh
+from acoustube.indentation.multifrontal import Analysis
 from acoustube.indentation.padding import padded
 from acoustube.indentation.self_contact import SelfContact
 
@@ -73,6 +74,11 @@ class Model:
     def wrinkle_tangent(self) -> sparse.csc_array:
         """Lower triangle of `wrinkle_stiffness` for the unknowns."""
         return self.pattern.restrict(self.wrinkle_stiffness)
+
+    @cached_property
+    def analysis(self) -> Analysis:
+        """Order in which the unknowns are eliminated."""
+        return Analysis(self.mesh.points[np.nonzero(self.free)[0]])
 
     @property
     def free(self) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ from acoustube.base.types import Array, Index
 from acoustube.indentation import contact
 from acoustube.indentation.assembly import Model, State
 from acoustube.indentation.contact import Body
-from acoustube.indentation.linear_solver import BandedFactor
+from acoustube.indentation.multifrontal import MultifrontalFactor
 
 LARGEST_ZONE = 1000
 """Unknowns of the nodes whose contact changes, above which a step is linear in the contact too."""
@@ -57,7 +57,7 @@ class CondensedContact:
     model : Model
     bodies : tuple of Body
         Indenters and ground at their heights.
-    factor : BandedFactor
+    factor : MultifrontalFactor
         Of the tangent, or of a matrix near it, at a state.
     displacement : array of shape (n_nodes, 3)
         That state, in m.
@@ -65,7 +65,7 @@ class CondensedContact:
 
     model: Model
     bodies: tuple[Body, ...]
-    factor: BandedFactor
+    factor: MultifrontalFactor
     displacement: Array
     _faces: Index = field(init=False)
     _zone: Index = field(init=False)
@@ -178,9 +178,11 @@ class CondensedContact:
         if len(self._zone) + len(new) > LARGEST_ZONE:
             return False
         new = new[np.argsort(self.factor.place[new])]
-        columns, start = self.factor.forward(new), int(self.factor.place[new].min(initial=0))
-        own = columns[start:].T @ columns[start:]
-        shared = [known[start:].T @ columns[start:] for known in self._columns]
+        columns = self.factor.forward(new)
+        rows = np.flatnonzero(columns.any(axis=1))
+        reached = columns[rows]
+        own = reached.T @ reached
+        shared = [known[rows].T @ reached for known in self._columns]
         between = np.concatenate([np.zeros((0, len(new))), *shared])
         self._compliance = np.block([[self._compliance, between], [between.T, own]])
         self._faces, self._zone = at_faces, np.concatenate([self._zone, new])
@@ -205,12 +207,8 @@ class CondensedContact:
         for _ in range(ITERATIONS):
             if np.abs(wrong).max() <= PRECISION * scale:
                 return force
-            matrix = np.eye(len(moved)) + self._compliance @ self._zone_stiffness(stiffness)
-            if not np.all(np.isfinite(matrix)):
-                return None
-            try:
-                change = -np.linalg.solve(matrix, wrong)
-            except np.linalg.LinAlgError:
+            change = _solved(self._compliance, self._zone_stiffness(stiffness), -wrong)
+            if change is None:
                 return None
             for length in 0.5 ** np.arange(HALVINGS):
                 trial = moved + length * change
@@ -256,3 +254,17 @@ class CondensedContact:
     @property
     def _shapes(self) -> Array:
         return np.asarray(self.model.mesh.face.shapes)
+
+
+def _solved(compliance: Array, stiffness: Array, right: Array) -> Array | None:
+    """Return x of ``x + C K x = right``, or None; solved for the unknowns that K concerns."""
+    stiff = np.flatnonzero(stiffness.any(axis=1))
+    own = stiffness[np.ix_(stiff, stiff)]
+    matrix = np.eye(len(stiff)) + compliance[np.ix_(stiff, stiff)] @ own
+    if not np.all(np.isfinite(matrix)):
+        return None
+    try:
+        inner = np.linalg.solve(matrix, right[stiff])
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(right - compliance[:, stiff] @ (own @ inner))

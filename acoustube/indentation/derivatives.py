@@ -118,7 +118,7 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
         problem = _problem(indentation, model, increment)
         try:
             lower = stiffness(model, displacement, indentation.bodies(increment))
-            solve = linear_solver.factorise(lower)
+            solve = linear_solver.factorise(lower, model.analysis)
         except LinAlgError as error:
             raise SimulationError(
                 "The press cannot be differentiated at a depth of "

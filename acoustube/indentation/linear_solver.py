@@ -11,23 +11,19 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.linalg.blas import dtrsm
-from scipy.sparse.linalg import splu
+from scipy.linalg import LinAlgError
 
 from acoustube.base.types import Array, Index
+from acoustube.indentation.multifrontal import Analysis, multifrontal
 
 Solve = Callable[[Array], Array]
 
-LARGEST_BANDED_WORK = 5e10
-"""Unknowns times squared bandwidth above which PARDISO is faster than banded Cholesky."""
-LARGEST_BAND = 3e8
-"""Entries of the band (2.4 GB) above which it is not stored."""
-FORWARD_BLOCK = 96
-"""Columns of a banded factor that are eliminated together."""
+LARGEST_OWN_WORK = 1e11
+"""Operations above which PARDISO is used if it is installed.
+
+Up to 5e10 multifrontal Cholesky was the faster on every mesh measured; beyond, none was."""
 _PARDISO_POSITIVE_DEFINITE = 2
 _PARDISO_NOT_POSITIVE = -4
 
@@ -114,15 +110,15 @@ def pattern(free: NDArray[np.bool_], connectivities: Sequence[Index]) -> Pattern
     return Pattern(free, source[order], starts, rows_.astype(np.int32), columns_)
 
 
-def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
+def factorise(lower: sparse.csc_array, analysis: Analysis | None = None) -> Solve:
     """Factorise a symmetric positive definite matrix by the fastest direct method for its size.
 
     Parameters
     ----------
     lower : sparse array of shape (n, n)
-        Lower triangle of the matrix, with its diagonal; the unknowns are numbered along the tube.
-    order : array of int, shape (n,), optional
-        Another order of the unknowns, used if its band is narrower.
+        Lower triangle of the matrix, with its diagonal.
+    analysis : Analysis, optional
+        Of this or a similar matrix; by default the unknowns' numbers are their coordinates.
 
     Returns
     -------
@@ -136,174 +132,13 @@ def factorise(lower: sparse.csc_array, order: Index | None = None) -> Solve:
 
     Notes
     -----
-    Banded Cholesky [1]_ runs at the processor's peak rate, with n b^2 operations for a bandwidth b;
-    it is the fastest up to about 5e10, which only a whole tube or a fine section exceeds. Above,
-    PARDISO is, if pypardiso is installed. SuperLU took 4 to 10 times as long as banded Cholesky on
-    swept tubes: it is for a band too large to store.
-
-    References
-    ----------
-    .. [1] G. H. Golub, C. F. Van Loan, "Matrix Computations", 4th ed., Johns Hopkins University
-       Press (2013), section 4.3.
+    Multifrontal Cholesky takes a third of the time of banded Cholesky to all of it.
     """
-    n = lower.shape[0]
-    if order is not None and bandwidth(lower, order) >= bandwidth(lower):
-        order = None
-    width = bandwidth(lower, order) + 1
-    if n * width**2 > LARGEST_BANDED_WORK and (library := _pypardiso()) is not None:
+    analysis = analysis or Analysis(np.arange(lower.shape[0], dtype=float)[:, None])
+    plan = analysis.plan(lower)
+    if plan.operations > LARGEST_OWN_WORK and (library := _pypardiso()) is not None:
         return pardiso(lower, library)
-    return superlu(lower) if n * width > LARGEST_BAND else banded(lower, order)
-
-
-def section_order(points: Array, free: NDArray[np.bool_]) -> Index:
-    """Return the order of the unknowns by section, and in each section from its bottom upwards.
-
-    Both sides of a ring are numbered together, so that the band of a whole tube is narrow.
-
-    Parameters
-    ----------
-    points : array of shape (n_nodes, 3)
-        In m; the tube lies along z.
-    free : array of bool, shape (n_nodes, 3)
-        Displacement components that are unknowns.
-
-    Returns
-    -------
-    array of int, shape (n_free,)
-    """
-    _, y, z = points[np.nonzero(free)[0]].T
-    return np.lexsort((y, z))
-
-
-def bandwidth(lower: sparse.csc_array, order: Index | None = None) -> int:
-    """Return the half bandwidth of a matrix: the largest distance of an entry from the diagonal.
-
-    Parameters
-    ----------
-    lower : sparse array of shape (n, n)
-        Its lower triangle.
-    order : array of int, shape (n,), optional
-        Another order of the unknowns.
-    """
-    rows, columns = _places(lower, order)
-    return int(np.abs(rows - columns).max(initial=0))
-
-
-def _places(lower: sparse.csc_array, order: Index | None) -> tuple[Index, Index]:
-    """Return the row and column of every entry after reordering the unknowns."""
-    columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
-    if order is None:
-        return lower.indices, columns
-    place = np.argsort(order)
-    return place[lower.indices], place[columns]
-
-
-@dataclass(frozen=True, eq=False)
-class BandedFactor:
-    """Cholesky factor of a banded matrix.
-
-    Attributes
-    ----------
-    band : array of shape (bandwidth + 1, n)
-        Lower triangle of the factor by columns, as LAPACK stores it.
-    place : array of int, shape (n,)
-        Place of each unknown in the order of elimination.
-    """
-
-    band: Array
-    place: Index
-
-    def __call__(self, right: Array) -> Array:
-        """Solve for right-hand sides of shape (n,) or (n, k)."""
-        ordered = np.empty_like(right)
-        ordered[self.place] = right
-        solution = cho_solve_banded((self.band, True), ordered, check_finite=False)
-        return np.asarray(solution[self.place])
-
-    def forward(self, unknowns: Index) -> Array:
-        """Return the columns of the factor's inverse of some unknowns.
-
-        Parameters
-        ----------
-        unknowns : array of int, shape (k,)
-            In the order of elimination.
-
-        Returns
-        -------
-        array of shape (n, k)
-            In the order of elimination. The products of its columns are the entries of the matrix's
-            inverse at the unknowns, their compliance.
-
-        Notes
-        -----
-        By blocks of columns, with matrix products; LAPACK solves for one right-hand side after the
-        other, which takes ten times as long. A column is zero up to its unknown, so that few rows
-        are computed for unknowns that are eliminated late.
-        """
-        width, n = len(self.band) - 1, self.band.shape[1]
-        first = self.place[unknowns]
-        found = np.zeros((n, len(unknowns)))
-        found[first, np.arange(len(unknowns))] = 1.0
-        entries, block = self.band.ravel(order="F"), max(1, min(FORWARD_BLOCK, width))
-        for start in range(int(first.min(initial=n)), n, block):
-            here = min(block, n - start)
-            rows, count = min(here + width, n - start), int(np.searchsorted(first, start + here))
-            # Row i and column j of the factor are i + j * width after its first entry.
-            dense = as_strided(
-                entries[start * (width + 1) :], (rows, here), (8, 8 * width), writeable=False
-            )
-            below, last = found[start + here : start + rows, :count], width + 1 - here
-            solved = dtrsm(1.0, dense[:here], found[start : start + here, :count], lower=1)
-            found[start : start + here, :count] = solved
-            below[:last] -= dense[here : width + 1] @ solved
-            below[last:] -= np.triu(dense[width + 1 :], 1) @ solved
-        return found
-
-
-def banded(lower: sparse.csc_array, order: Index | None = None) -> BandedFactor:
-    """Factorise by banded Cholesky; arguments, result and errors as of :func:`factorise`.
-
-    Notes
-    -----
-    The last unknowns are eliminated first: those of the middle of a press, which is at the start of
-    half a tube, come late; see :meth:`BandedFactor.forward`.
-    """
-    n = lower.shape[0]
-    rows, columns = _places(lower, order)
-    offset = np.abs(rows - columns)
-    band = np.zeros((int(offset.max()) + 1, n), order="F")
-    band[offset, n - 1 - np.maximum(rows, columns)] = lower.data
-    factor = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    place = np.arange(n) if order is None else np.argsort(order)
-    return BandedFactor(factor, n - 1 - place)
-
-
-def superlu(lower: sparse.csc_array) -> Solve:
-    """Factorise by sparse LU in SciPy; argument, result and errors as of :func:`factorise`.
-
-    Notes
-    -----
-    In symmetric mode with a pivoting threshold of zero, every pivot is on the diagonal and the
-    factors are L D L^T with D the diagonal of U. By Sylvester's law of inertia [1]_ D has as many
-    negative entries as the matrix has negative eigenvalues. At a zero pivot the library swaps rows,
-    which its permutations show, or fails.
-
-    References
-    ----------
-    .. [1] J. J. Sylvester, "A demonstration of the theorem that every homogeneous quadratic
-       polynomial is reducible by real orthogonal substitutions to the form of a sum of positive and
-       negative squares", Philosophical Magazine 4, 138-142 (1852).
-    """
-    matrix = (lower + sparse.tril(lower, -1).T).tocsc()
-    options = {"SymmetricMode": True}
-    try:
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-    except RuntimeError as error:
-        raise LinAlgError(f"The matrix is singular: {error}.") from error
-    symmetric = np.array_equal(factor.perm_r, factor.perm_c)
-    if not (symmetric and np.all(factor.U.diagonal() > 0)):
-        raise LinAlgError("The matrix is not positive definite.")
-    return factor.solve
+    return multifrontal(lower, plan)
 
 
 def pardiso(lower: sparse.csc_array, library: Any) -> Solve:

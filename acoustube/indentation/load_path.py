@@ -253,11 +253,9 @@ def _solved(
         for guess in guesses:
             clear = model.lumen.collision_free_fraction(points + here, points + guess)
             sound.append(here + clear * (guess - here))
-    best, least = here, np.inf
-    for guess in sound:
-        energy = evaluate(model, guess, bodies).energy
-        if energy < least:
-            best, least = guess, energy
+    states = [evaluate(model, guess, bodies) for guess in sound]
+    finite = [state for state in states if np.isfinite(state.energy)]
+    best = min(finite, key=lambda state: state.energy) if finite else here
     return minimise(model, best, bodies, problem.allowed)
 
 

@@ -21,11 +21,12 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import LinAlgError
 
-from acoustube.base.types import Array, Index
+from acoustube.base.types import Array
 from acoustube.indentation import linear_solver
 from acoustube.indentation.assembly import Model, State, evaluate, stiffness
 from acoustube.indentation.condensed_contact import CondensedContact
 from acoustube.indentation.contact import Body
+from acoustube.indentation.multifrontal import MultifrontalFactor
 from acoustube.indentation.negative_curvature import curved_step
 
 MAX_ITERATIONS = 40
@@ -38,8 +39,8 @@ REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
 """The same with condensed contact, where a further step is cheap beside a factorisation."""
-LEAST_CONDENSED_WORK = 2e9
-"""Unknowns times squared bandwidth from which on the contact is condensed and solved exactly.
+LEAST_CONDENSED_WORK = 1e9
+"""Operations of a factorisation from which on the contact is condensed and solved exactly.
 
 Below, as on 2 x 12 x 10 elements of a quarter, a factorisation is cheaper than what is saved."""
 REUSED_TOLERANCE = 0.1
@@ -76,15 +77,15 @@ class NewtonResult:
 
 
 def minimise(
-    model: Model, start: Array, bodies: tuple[Body, ...], tolerance: float
+    model: Model, start: Array | State, bodies: tuple[Body, ...], tolerance: float
 ) -> NewtonResult:
     """Minimise the potential energy by Newton's method with a line search.
 
     Parameters
     ----------
     model : Model
-    start : array of shape (n_nodes, 3)
-        Initial displacements in m, at which the inner wall does not cross itself.
+    start : State or array of shape (n_nodes, 3)
+        Initial state or displacements in m, at which the inner wall does not cross itself.
     bodies : tuple of Body
         Indenters and ground at their heights.
     tolerance : float
@@ -105,8 +106,7 @@ def minimise(
     while it lowers the residual tenfold (the chord method); after such steps the residual must fall
     to `REUSED_TOLERANCE` of the tolerance, as a step of the state's own tangent would make it.
     """
-    state = evaluate(model, start, bodies)
-    order = linear_solver.section_order(model.mesh.points, model.free)
+    state = start if isinstance(start, State) else evaluate(model, start, bodies)
     tangent, own = None, False
     for iteration in range(MAX_ITERATIONS + 1):
         near = state.norm <= tolerance
@@ -123,7 +123,7 @@ def minimise(
             break
         own = tangent is None or (near and not sound)
         if own:
-            tangent = _factorised(model, state.displacement, bodies, order)
+            tangent = _factorised(model, state.displacement, bodies)
         if tangent is None or (near and iteration == 0 and tangent.stable):
             reason = "" if tangent is not None else BUCKLING
             break
@@ -170,9 +170,7 @@ def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> b
     return ratio <= tangent.reuse or (ratio < 1 and last <= REUSED_TOLERANCE * tolerance)
 
 
-def _factorised(
-    model: Model, displacement: Array, bodies: tuple[Body, ...], order: Index
-) -> _Tangent | None:
+def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> _Tangent | None:
     """Factorise the tangent, or else a nearby positive definite matrix.
 
     That is the tangent without what makes it indefinite first, and with a part of its diagonal
@@ -184,15 +182,15 @@ def _factorised(
         if shift:
             matrix = (matrix + shift * sparse.diags_array(np.abs(matrix.diagonal()))).tocsc()
         try:
-            solve = linear_solver.factorise(matrix, order)
+            solve = linear_solver.factorise(matrix, model.analysis)
         except LinAlgError:
             indefinite = matrix if shift is None else indefinite
             continue
         condensed = None
         if (
             shift is None
-            and isinstance(solve, linear_solver.BandedFactor)
-            and solve.band.size * len(solve.band) >= LEAST_CONDENSED_WORK
+            and isinstance(solve, MultifrontalFactor)
+            and solve.plan.operations >= LEAST_CONDENSED_WORK
         ):
             condensed = CondensedContact(model, bodies, solve, displacement)
         return _Tangent(solve, shift is None, condensed, indefinite)

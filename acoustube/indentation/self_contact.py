@@ -90,7 +90,8 @@ class SelfContact:
 
         Both at the given states of the vertices and on the straight way from one to another. If the
         smallest distance at a centre state is d, it is more than `by` while no vertex is farther
-        than (d - by) / 2 from there. A centre without such a margin is kept for small motions.
+        than (d - by) / 2 from there. A centre without such a margin is kept for small motions, and
+        none is sought for a way that is too long at the last one's d.
         """
         d_hat = self.barrier.dhat
 
@@ -98,9 +99,11 @@ class SelfContact:
             away = [np.sum((state - centre) ** 2, axis=1).max(initial=0.0) for state in states]
             return float(np.sqrt(max(away)))
 
-        centre, least = self._last.get("centre", (None, 0.0))
+        centre, least = self._last.get("centre", (None, CLEARANCE * d_hat))
         margin = 0.999 * (least - by) / 2
         if centre is None or moved(centre) > (margin if margin > 0 else d_hat / 4):
+            if moved(states[0]) > max(margin, 0.0):
+                return False
             centre, least = states[0], CLEARANCE * d_hat
             pairs = self._pairs(centre, least)
             if not pairs.empty():  # the library returns the square
