@@ -8,10 +8,12 @@ import jax
 import numpy as np
 import pytest
 from commands import run_here
+from scipy.interpolate import CubicSpline
 from test_inversion import RADIUS, matrices, tool
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
+from acoustube.indentation import DepthPath
 from acoustube.inversion import Baseband, ForwardModel, Library, Priors
 from acoustube.inversion.design import (
     Contacts,
@@ -23,7 +25,9 @@ from acoustube.inversion.design import (
 )
 from acoustube.inversion.design import prediction as predicting
 from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, score, spectrum
+from acoustube.lumen import pressed_part
 from acoustube.ranging import Burst, Rangefinder
+from acoustube.runs import presses, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.config.goal import DesignGoal, Goal, Variables, in_toml, read_goal
 from acoustube.runs.design import choice as choosing
@@ -63,6 +67,19 @@ def contacts(place, force, length=2.5, stiffness=1.0):
 def known():
     places, forces = np.linspace(0.4, 1.6, 8), 20.0 * 4.0 ** np.linspace(0, 1, 8)
     return information([analytic()], contacts(places, forces))
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("tubes", []), ("contacts", None), ("modulus", 0), ("temperature", np.nan), ("priors", 1.0),
+     ("hardness", -1), ("model", "x")],
+)  # fmt: skip
+def test_nonsense_is_refused_with_the_name_of_the_argument(argument, value):
+    good = {"tubes": [analytic()], "contacts": contacts(np.array([0.8]), np.array([20.0]))}
+    with pytest.raises(ValueError, match=rf"\b{argument}\b"):
+        information(**good | {argument: value})
+    with pytest.raises(ValueError, match="electronics"):
+        predicting.predict(information(**good), value)
 
 
 def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
@@ -406,6 +423,7 @@ def test_command_writes_front_sensors_maps_and_page(tmp_path):
     assert (paper.resonance, paper.drive.cycles, paper.bits) == (42e3, 13.0, 12)
     configs = [load_config(path) for path in out.glob("*.config.toml")]
     assert {one.tube.inner_diameter_mm for one in configs} >= {7.9}
+    assert {one.waves.losses for one in configs} == {"on"}
     page = (out / "design.html").read_text()
     assert page.count("data:image/png") == 5
     assert all(words in page for words in ("bore +5 %", "-5 Shore A", "+10 K", "hardness of the"))
@@ -450,3 +468,18 @@ def test_tube_is_pressed_and_sounded(monkeypatch):
     at = np.argmin(np.abs(found.frequency - 10e3))
     assert np.all(np.diff(np.abs(found.reflection[:, at])) > 0)
     assert np.abs(found.reflection[:, at]).max() < 1
+
+
+@pytest.mark.slow
+def test_reflection_between_the_depths_of_a_design_is_that_of_a_tube_with_losses():
+    """Near 7 mm of a bore of 10.5 mm sound is trapped, for longer without losses."""
+    design = DesignGoal(variables=Variables(carrier_khz=17.5))
+    plan = plan_of(design, TubeSpec(10.5, 1.5, 35.0), 25.0, (14e3, 21e3))
+    (tube,) = making.pressed_tubes(TubeSpec(10.5, 1.5, 35.0), [25.0], [making.sounded(plan).result])
+    path = DepthPath(presses.press_to(plan.settings, plan.pressed))
+    for depth in (6.65e-3, 7.3e-3):
+        part = pressed_part(path.at([depth]))
+        exact = sound.spectral_scattering_of(part, plan.settings.air, plan.band, lossy=True)
+        own = CubicSpline(tube.frequency, tube.reflection_at([depth])[0])(exact.frequency)
+        off = own - exact.s[:, 0, 0, 0, 0]
+        assert np.linalg.norm(off) < 0.06 * np.linalg.norm(exact.s[:, 0, 0, 0, 0])

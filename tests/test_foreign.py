@@ -88,6 +88,10 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
     for name, words in (("q.csv", "is a pipe, not a file"), ("zero.npz", "is a device, not a")):
         with pytest.raises(ConfigError, match=f"{name} {words}"):
             read(tmp_path / name)
+    if Path("/proc/self/status").is_file():  # kmsg beside it would make the reader wait
+        (tmp_path / "status.csv").symlink_to("/proc/self/status")
+        with pytest.raises(ConfigError, match=r"status\.csv is of the operating system"):
+            read(tmp_path / "status.csv")
     (tmp_path / "settings.toml").symlink_to("/dev/zero")
     with pytest.raises(ConfigError, match="is a device, not a file; name a file"):
         read_document(tmp_path / "settings.toml")

@@ -113,7 +113,11 @@ def test_cycles_are_left_out_when_others_wait(folder, cycles):
     ("sensor", "rate", "reason"),
     [
         ("bits = 12\nsampling_rate = 80e3", 80e3, "samples of 8 bits and the sensor has 12"),
-        ("bits = 8\nsampling_rate = 200e3", 80e3, "has 80000 samples per second and the sensor"),
+        (
+            "bits = 8\nsampling_rate = 200e3",
+            80e3,
+            "80000 Hz and the sensor sampling_rate",
+        ),
         (None, 60e3, "folds the band of a carrier of 42 kHz"),
     ],
 )

@@ -80,6 +80,15 @@ def test_odd_argument_is_named_or_the_answer_is_finite(name, data):
         ("waves.bend", "angle", 1e-320), ("waves.bend", "bend_radius", 1000.0),
         ("waves.probe_pressure", "duration", 1000.0), ("waves.probe_pressure", "length", 1e-3),
         ("waves.modes_below", "sound_speed", 1.0), ("waves.cut_ons_in_band", "sound_speed", 1.0),
+        ("waves.Pulse", "frequency", np.timedelta64(42, "s")), ("inversion.Baseband", "length", -1),
+        ("inversion.Baseband", "n_samples", 10**7), ("inversion.Inverter", "model", None),
+        ("inversion.measured_clutter", "counts", np.ones((0, 1600))),
+        ("inversion.measured_clutter", "counts", np.ones((2, 3))),
+        ("inversion.Tool", "frequency", np.arange(84.0) ** 2), ("inversion.Tool", "s", None),
+        ("inversion.update", "elapsed", 1e308), ("inversion.force_at", "depth", "deep"),
+        ("signals.rectify", "pressure", np.ma.masked_equal(np.arange(9.0), 4)),
+        ("signals.rectify", "pressure", {1.0}), ("twin.fit_material", "presses", []),
+        ("twin.fit_twin", "humidity", np.nan), ("twin.Group", "cycles", np.ones(9)),
     ],
 )  # fmt: skip
 def test_nonsense_is_refused_with_the_name_of_the_argument(name, argument, value):

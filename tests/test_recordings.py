@@ -707,3 +707,25 @@ def test_reading_needs_no_solver_and_no_drawing():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert not {"jax", "pyvista", "soundfile", "matplotlib"} & set(loaded.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("tube_length", "x"), ("tube_length", -1.0), ("tube_length", np.nan), ("full_scale", 0.0),
+     ("full_scale", "many"), ("bore_radius", [1.0, 2.0])],
+)  # fmt: skip
+def test_what_a_file_of_our_own_states_wrongly_is_named(tmp_path, name, value):
+    data = xr.Dataset(
+        {"signal": (("cycle", "time"), np.arange(80.0).reshape(2, 40) % 7),
+         "temperature": ("cycle", [20.0, 20.0]), "depth": ("cycle", [1e-3, 2e-3])},
+        {"time": np.arange(40) / 2e5}, {"acoustube_version": "0.1.0", "sampling_rate": 2e5},
+    )  # fmt: skip
+    good, wrong, odd = (tmp_path / f"{one}.nc" for one in ("good", "wrong", "odd"))
+    data.to_netcdf(good, engine="h5netcdf")
+    assert read(good).attrs["sampling_rate"] == 2e5
+    data.assign_attrs({name: value}).to_netcdf(wrong, engine="h5netcdf")
+    with pytest.raises(ConfigError, match=rf"wrong\.nc: {name} = "):
+        read(wrong)
+    data.assign(depth=("cycle", ["deep", "deeper"])).to_netcdf(odd, engine="h5netcdf")
+    with pytest.raises(ConfigError, match=r"odd\.nc: depth is of type .* one number a cycle"):
+        read(odd)

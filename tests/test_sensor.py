@@ -211,6 +211,19 @@ def test_contact_out_of_range_is_one_sentence(sensor, contacts, sentence):
         sensor.read([Contact(**one) for one in contacts])
 
 
+@pytest.mark.parametrize("diameter", [np.nan, "x", [], 10**400, np.timedelta64(25, "ms")])
+def test_nonsense_for_a_tool_is_named(sensor, diameter):
+    for call in (sensor.force_of, sensor.depth_of):
+        with pytest.raises(ConfigError, match="diameter = "):
+            call(3e-3, diameter)
+
+
+@pytest.mark.parametrize("path", [3.0, None, "x" * 5000, "a\0b"])
+def test_nonsense_for_a_folder_is_one_sentence(path):
+    with pytest.raises(ConfigError, match=r"path = |acoustube library"):
+        TubeSensor.from_library(path)
+
+
 def test_batch_out_of_range_is_one_sentence(sensor):
     with pytest.raises(ConfigError, match="shapes"):
         sensor.read_many(np.ones((3, 2)), np.zeros((2, 2)))

@@ -67,6 +67,20 @@ def test_observation_is_the_cycle_of_the_contact_with_its_noise(sensor):
     assert np.std((counts - quiet)[1500:] - drift) < 1.0
 
 
+def test_nonsense_is_named(sensor):
+    pytest.importorskip("gymnasium")
+    for reach in ((0.4,), (0.4, 0.8, 1.2), "ab"):
+        with pytest.raises(ConfigError, match="reach"):
+            PressAtPlace(sensor, reach=reach)
+    world = PressAtPlace(sensor)
+    with pytest.raises(ConfigError, match="goal"):
+        world.reset(seed=0, options={"goal": [np.nan, 1.0]})
+    world.reset(seed=0)
+    for action in (np.full(2, np.nan), np.zeros(3), None):
+        with pytest.raises(ConfigError, match="action"):
+            world.step(action)
+
+
 def test_reach_beyond_the_tube_is_refused(sensor):
     pytest.importorskip("gymnasium")
     with pytest.raises(ConfigError, match="is not on the tube"):

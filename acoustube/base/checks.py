@@ -6,6 +6,7 @@ import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from numbers import Number as AnyNumber
 from os import PathLike
 from typing import Any, ParamSpec, Protocol, TypeVar
@@ -72,8 +73,10 @@ class Reals:
 
         try:
             array = np.asarray(value)
-        except (ValueError, TypeError, OverflowError) as error:
+        except Exception as error:  # its own conversion may raise anything
             raise self._error(name, value, "is not an array") from error
+        if np.ma.is_masked(value):
+            raise self._error(name, value, "has masked elements")
         if array.dtype.kind not in self.kinds:
             kind = "real" if "f" in self.kinds else "whole"
             raise self._error(name, value, f"is of type {array.dtype} and not of {kind} numbers")
@@ -89,8 +92,7 @@ class Reals:
         if self.missing:
             array = array[np.isfinite(array)]
         if array.dtype.kind == "U":
-            return
-        # Written so that nan fails too.
+            return  # written below so that nan fails too
         if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
             raise self._error(name, value, "is out of range or not finite")
 
@@ -108,7 +110,7 @@ def _in_words(value: Any) -> Any:
         value, "ndim", hasattr(value, "__len__")
     ):
         return value
-    first = ", ".join(str(one) for one in value[:3])
+    first = ", ".join(str(one) for one in islice(value, 3))
     return f"[{first}{', ...' if len(value) > 3 else ''}]"
 
 
@@ -262,7 +264,8 @@ class Several:
         ------
         ConfigError
         """
-        if isinstance(value, str | bytes | dict) or not hasattr(value, "__len__"):
+        alone = isinstance(value, str | bytes | dict) or getattr(value, "ndim", 1) == 0
+        if alone or not hasattr(value, "__len__"):
             raise ConfigError("is not a sequence", setting=name, value=value, advice="give a list")
         if len(value) < self.least:
             raise ConfigError(
@@ -274,7 +277,7 @@ class Several:
 
 
 def check_argument(name: str, value: Any, rule: Any) -> Any:
-    """Return the value of an argument, if it obeys a rule: a whole number as an int.
+    """Return the value of an argument, if it obeys a rule: a number as an int or a float.
 
     Parameters
     ----------
@@ -296,7 +299,8 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
     if isinstance(rule, Number) and getattr(value, "ndim", None) == 0:
         value = value.item()  # NumPy's numbers, and arrays of one
     found = rule.check(name, value)
-    return found if isinstance(rule, Number) and rule.whole else value
+    plain = isinstance(rule, Number) and (rule.whole or not isinstance(value, int | float))
+    return found if plain else value
 
 
 def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:

@@ -68,7 +68,8 @@ def short(value: Any) -> str:
     """Return a value as a short text: a number in its shortest exact form, 12 rather than 12.0."""
     if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:  # more than Python may print
         return f"{'-' if value < 0 else ''}1e{int(log10(abs(value)))}"
-    if isinstance(value, int | str) or not isinstance(value, Real):
+    interval = getattr(getattr(value, "dtype", None), "kind", "") == "m"  # a Real to NumPy
+    if isinstance(value, int | str) or not isinstance(value, Real) or interval:
         return _shortened(str(value), LONGEST_WORD)
     return repr(float(value)).removesuffix(".0")
 

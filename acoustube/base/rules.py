@@ -141,8 +141,13 @@ class File:
 
 
 def _is_number(value: Any) -> bool:
-    """Return whether a value is a number; `wall_mm = true`, a number to Python, is a mistake."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+    """Return whether a value is a number; `wall_mm = true`, a number to Python, is a mistake.
+
+    So is one of NumPy's intervals of time, an integer by its class.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    return getattr(getattr(value, "dtype", None), "kind", "f") in "iuf"
 
 
 def setting(default: Any, rule: Number | Choice | File) -> Any:

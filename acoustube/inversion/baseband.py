@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from acoustube.air import Air, air_at
+from acoustube.base.checks import BORE, TEMPERATURE, Optional, Reals, Several, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.inversion.quantiser import linearised
@@ -30,6 +32,8 @@ DITHER = 0.1
 """Noise in counts, rms, below which rounding is not white."""
 QUIET_SHARE = 0.3
 """Last part of a cycle whose mean is subtracted from it."""
+TUBE = Number(0.01, 100.0, "m")
+CYCLE = Number(2, 1e6, "samples", whole=True)
 FEWEST_CYCLES = 8
 """Cycles from which on their noise is estimated from their scatter."""
 
@@ -58,6 +62,10 @@ class Baseband:
     freedom = 1.0
     """Expected square of a whitened sample: 1 of a complex one, 1/2 of a real one."""
 
+    @checked(
+        rangefinder=Rangefinder, radius=BORE, length=TUBE, temperature=TEMPERATURE,
+        modes=Several(str, 1), n_samples=Optional(CYCLE),
+    )  # fmt: skip
     def __init__(
         self,
         rangefinder: Rangefinder,
@@ -86,8 +94,8 @@ class Baseband:
         self.used = np.flatnonzero((self.time >= start) & (self.time < end))
         if len(self.used) < 16:
             raise ConfigError(
-                f"a cycle of {1e3 * self.n_samples / self.rate:.3g} ms in a tube of {length:g} m "
-                "is too short to invert; use longer ones"
+                f"a cycle of n_samples = {self.n_samples}, {1e3 * self.n_samples / self.rate:.3g} "
+                f"ms, in a tube of length {length:g} m is too short to invert; use longer ones"
             )
         self.k, self.k_by_temperature = self._wavenumbers()
         self.speed, self.speed_by_temperature = _speeds(temperature)
@@ -132,6 +140,7 @@ class Baseband:
             variance += 1 / 12 / (1.0 if sigma >= DITHER else min(band, 1.0))
         return 2 * max(variance / n_cycles, 1e-12) * band
 
+    @checked(counts=Reals(ndim=2))
     def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
         """Return the mean of cycles in the baseband, and the variance of its samples.
 
@@ -147,7 +156,13 @@ class Baseband:
         variance : float
             From the scatter of the cycles within the band; of few cycles by :meth:`noise`.
         """
+        counts = np.asarray(counts)
         n = len(counts)
+        if n == 0 or counts.shape[1] != self.n_samples:
+            raise ConfigError(
+                f"counts have shape {counts.shape}; give one or more cycles of {self.n_samples} "
+                "samples, those of the model"
+            )
         sigma = self.rangefinder.noise * self.per_volt * self.rangefinder.quantised
         found = linearised(counts, sigma, int(QUIET_SHARE * counts.shape[1]))
         mean = self._of_samples(found.mean)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.checks import Optional, Reals, checked
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.waves.scattering import Complex
@@ -83,6 +84,7 @@ class Clutter:
         return value, by_place, by_heat
 
 
+@checked(base=Baseband)
 def unknown_clutter(base: Baseband) -> Clutter:
     """Return clutter of which only the rangefinder's density of power is known."""
     _, shapes = _reflectors(base)
@@ -91,6 +93,7 @@ def unknown_clutter(base: Baseband) -> Clutter:
     return Clutter(None, None, ring, covariance)
 
 
+@checked(base=Baseband, counts=Reals(ndim=2), at=Optional(Baseband))
 def measured_clutter(
     base: Baseband, counts: NDArray[np.generic], at: Baseband | None = None
 ) -> Clutter:

@@ -146,8 +146,9 @@ class Inverter:
         Largest number of presses that is tried.
     """
 
+    @checked(model=ForwardModel, most=Number(1, 8, whole=True))
     def __init__(self, model: ForwardModel, most: int = 3) -> None:
-        self.model, self.most = model, int(Number(1, 8, whole=True).check("most", most))
+        self.model, self.most = model, most
         self.templates = [Templates(model, i) for i in range(len(model.tables))]
 
     @checked(counts=Reals(ndim=2))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
@@ -105,6 +106,7 @@ class FoldedBaseband(Baseband):
         return np.asarray(sent[self.bins - 1] * np.exp(-2j * pi * self.frequency * r.lead))
 
 
+@checked(rangefinder=Rangefinder)
 def baseband_of(
     rangefinder: Rangefinder,
     radius: float,

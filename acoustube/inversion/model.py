@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acoustube.base.checks import check_fields
+from acoustube.base.checks import Optional, check_fields, checked
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
@@ -82,6 +82,9 @@ class ForwardModel:
     priors : Priors, optional
     """
 
+    @checked(
+        library=Library, base=Baseband, clutter=Optional(Clutter), priors=Optional(Priors)
+    )  # fmt: skip
     def __init__(
         self,
         library: Library,

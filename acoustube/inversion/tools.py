@@ -10,15 +10,38 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from acoustube.base.checks import Several, check_fields
+from acoustube.base import checks
+from acoustube.base.checks import (
+    BORE,
+    LENGTH,
+    SPEED,
+    Reals,
+    Several,
+    check_alike,
+    check_fields,
+    checked,
+)
 from acoustube.base.errors import ConfigError
-from acoustube.base.rules import Number
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.base.units import MM
 from acoustube.waves.scattering import Complex
 
 FEWEST_DEPTHS = 4
 """Depths of a tool between which its scattering can be interpolated."""
+FEWEST_FREQUENCIES, UNEVEN = 4, 1e-2
+"""Frequencies between which it can be interpolated, and largest relative error of their spacing."""
+POSITIVE = Reals(0, 1e50, ndim=1)
+FIELDS = {
+    "shape": Choice(("rod", "punch", "sphere")), "diameter": LENGTH, "radius": BORE,
+    "depth": Reals(0, 1.0, "m", ndim=1), "force": Reals(-1e50, 1e50, "N", ndim=1),
+    "force_error": POSITIVE, "frequency": Reals(0, 1e12, "Hz", ndim=1), "modes": Several(str, 1),
+    "s": checks.Complex(0, 1e6), "error": POSITIVE, "interpolation_error": POSITIVE,
+    "sound_speed": SPEED, "young_modulus": Reals(1e-3, 1e15, "Pa", ndim=0, missing=True),
+    "poisson_ratio": Number(-1, 0.5), "stiffness_error": Number(0, 1e50),
+}  # fmt: skip
+DEPTHS = Reals(-1.0, 1.0, "m", missing=True, empty=True)
+ORDER = Number(0, 3, whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,21 +101,36 @@ class Tool:
     stiffness_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that the arrays belong together."""
+        """Check the values, and that the arrays belong together."""
+        check_fields(self, **FIELDS)
         n, n_f, m = len(self.depth), len(self.frequency), len(self.modes)
-        if n < FEWEST_DEPTHS or self.s.shape != (n, n_f, 2, m, 2, m):
+        if n < FEWEST_DEPTHS or np.shape(self.s) != (n, n_f, 2, m, 2, m):
             raise ConfigError(
-                f"a tool has {n} depths and matrices of shape {self.s.shape}; give at least "
-                f"{FEWEST_DEPTHS} depths and (n, n_frequencies, 2, {m}, 2, {m})"
+                f"a tool has {n} values of depth, {n_f} of frequency, {m} modes and s of shape "
+                f"{np.shape(self.s)}; give {FEWEST_DEPTHS} or more depths and s of shape "
+                f"{(n, n_f, 2, m, 2, m)}"
             )
+        check_alike(
+            depth=self.depth, force=self.force, force_error=self.force_error, error=self.error
+        )
+        check_alike(
+            interpolation_error=self.interpolation_error, **{"steps of depth": self.depth[1:]}
+        )
         if not (np.all(np.diff(self.depth) > 0) and np.all(np.diff(self.frequency) > 0)):
-            raise ConfigError("depths and frequencies of a tool must increase; sort them")
+            raise ConfigError("depth and frequency of a tool must increase; sort them")
+        step = np.diff(self.frequency)
+        if n_f < FEWEST_FREQUENCIES or np.ptp(step) > UNEVEN * step.mean():
+            raise ConfigError(
+                f"the frequency of a tool has {n_f} values; give {FEWEST_FREQUENCIES} or more, "
+                "evenly spaced"
+            )
 
     @property
     def name(self) -> str:
         """The tool in words."""
         return f"{MM * self.diameter:g} mm {self.shape}"
 
+    @checked(depth=DEPTHS, derivative=ORDER)
     def matrix(self, depth: ArrayLike, derivative: int = 0) -> Complex:
         """Return scattering matrices at depths between those computed, or derivatives by depth.
 
@@ -110,15 +148,18 @@ class Tool:
         """
         return np.asarray(self._spline(np.asarray(depth, float), derivative))
 
+    @checked(depth=DEPTHS, derivative=ORDER)
     def force_at(self, depth: ArrayLike, derivative: int = 0) -> Array:
         """Return the force in N at depths in m, or its derivative by depth, by monotone cubics."""
         return np.asarray(self._force(np.asarray(depth, float), derivative))
 
+    @checked(depth=DEPTHS)
     def force_deviation(self, depth: ArrayLike) -> Array:
         """Return the standard deviation of the forces at depths in m, in N."""
         own = float(self.force_error.max())
         return np.asarray(np.hypot(own, self.stiffness_error * self.force_at(depth)))
 
+    @checked(depth=DEPTHS)
     def error_at(self, depth: ArrayLike) -> Array:
         """Return the interpolation error of the interval that each depth is in."""
         found = np.searchsorted(self.depth, depth) - 1
@@ -169,6 +210,7 @@ class Library:
                     "one command"
                 )
 
+    @checked(value=Number(1e-3, 1e15, "Pa"), deviation=Number(0, 1e15, "Pa"))
     def with_young_modulus(self, value: float, deviation: float = 0.0) -> Library:
         """Return the library of a wall of another Young's modulus.
 
@@ -187,7 +229,6 @@ class Library:
         In a Neo-Hookean wall between rigid bodies the shape at a depth does not depend on the
         modulus, and the force is proportional to it.
         """
-        value = Number(1e-3, 1e15, "Pa").check("young_modulus", value)
         tools = []
         for tool in self.tools:
             if not np.isfinite(tool.young_modulus):

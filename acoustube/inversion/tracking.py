@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
-from acoustube.base.checks import Reals, checked
+from acoustube.base.checks import Optional, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -83,6 +83,10 @@ class ContactTracker:
         Cycles per second; that of the rangefinder by default.
     """
 
+    @checked(
+        model=ForwardModel, most=Number(1, 8, whole=True), motion=Optional(Motion),
+        cycle_rate=Optional(Number(1e-3, 1e6, "Hz")),
+    )  # fmt: skip
     def __init__(
         self,
         model: ForwardModel,
@@ -90,7 +94,7 @@ class ContactTracker:
         motion: Motion | None = None,
         cycle_rate: float | None = None,
     ) -> None:
-        self.model, self.most = model, int(Number(1, 8, whole=True).check("most", most))
+        self.model, self.most = model, most
         self.motion = motion or Motion()
         self.step = 1 / (cycle_rate or model.base.rangefinder.cycle_rate)
         noise = model.base.noise(1)
@@ -104,7 +108,7 @@ class ContactTracker:
     def _new(self, branches: Branches) -> Track:
         return Track(self.model, self.proposals, self.motion, self.most, branches, self.quiet)
 
-    @checked(counts=Reals(ndim=1))
+    @checked(counts=Reals(ndim=1), elapsed=Optional(Number(1e-9, 1e6, "s")))
     def update(self, counts: ArrayLike, elapsed: float | None = None) -> Tracked:
         """Return the contacts after one cycle more.
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.air import TEMPERATURES
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.units import MS
 
 SEND_PULSE_END = 3e-3
@@ -132,3 +134,36 @@ def clipped_cycles(
         "clipped echoes do."
     )
     return [text] if count else []
+
+
+STATED = {
+    "full_scale": Number(1, 1e12, "counts"), "bore_radius": Number(1e-5, 1e3, "m"),
+    "tube_length": Number(1e-2, 1e3, "m"),
+}  # fmt: skip
+"""Attributes of a recording of our own, which are also labels where they differ between cycles."""
+
+
+def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> None:
+    """Raise unless what a file of our own states of its cycles are numbers.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    data : xarray.Dataset
+    labels : iterable of str
+        Names of the variables that must have a number for each cycle, where they exist.
+
+    Raises
+    ------
+    ConfigError
+    """
+    for name, rule in STATED.items():
+        if name in data.attrs:
+            rule.check(f"{path}: {name}", data.attrs[name])
+    for name in (*labels, *STATED):
+        if name in data and (data[name].dims != ("cycle",) or data[name].dtype.kind not in "iuf"):
+            raise ConfigError(
+                f"{path}: {name} is of type {data[name].dtype} over {data[name].dims}; give one "
+                "number a cycle"
+            )

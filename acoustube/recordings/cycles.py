@@ -20,6 +20,7 @@ from acoustube.base.sampling import sampling_rate
 from acoustube.base.version import __version__
 from acoustube.recordings.checks import (
     check_samples,
+    check_statements,
     check_temperature,
     clipped_cycles,
     silent_cycles,
@@ -88,9 +89,10 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     rate = _rate(path, known, (signal.shape[1],))
     check_samples(path, signal)
     check_temperature(path, data["temperature"].values)
+    check_statements(path, data, LABELS)
     if "time" not in data.coords:
         data = data.assign_coords(time=_time(signal.shape[1], rate))
-    return data.assign_attrs({"sampling_rate": rate} | data.attrs)
+    return data.assign_attrs(data.attrs | {"sampling_rate": rate})
 
 
 def _names(path: Path, advice: str) -> tuple[set[str], set[str]]:

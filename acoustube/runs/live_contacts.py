@@ -96,8 +96,8 @@ class Follower:
         rangefinder = sensor.rangefinder or Rangefinder(sampling_rate=rate, bits=BITS)
         if abs(rangefinder.sampling_rate / rate - 1) > 1e-3:
             raise ConfigError(
-                f"the stream has {rate:g} samples per second and the sensor "
-                f"{rangefinder.sampling_rate:g}; state the same rate in both"
+                f"the stream has rate = {rate:g} Hz and the sensor sampling_rate = "
+                f"{rangefinder.sampling_rate:g} Hz; state the same in both"
             )
         if rangefinder.bits != BITS:
             raise ConfigError(

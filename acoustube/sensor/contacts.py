@@ -96,10 +96,11 @@ def diameter_of(tables: PressTables, diameter: float | None) -> float:
         if len(known) > 1:
             raise ConfigError(f"the library has tools of {words} mm; state the contact's diameter")
         return float(known[0])
+    Number(0, 1.0, "m").check("diameter", diameter)
     if not known[0] * (1 - 1e-6) <= diameter <= known[-1] * (1 + 1e-6):
         raise ConfigError(
-            f"a tool of {MM * diameter:g} mm is not in the library, which has {words} mm; make "
-            "one with acoustube library --indenter"
+            f"a tool of diameter {MM * diameter:g} mm is not in the library, which has {words} mm; "
+            "make one with acoustube library --indenter"
         )
     return float(diameter)
 

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.base.checks import Several, checked
+from acoustube.base.checks import Reals, check_argument, checked
 from acoustube.base.errors import ConfigError
-from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.sensor.contacts import HALF_PRESS, Contact
 from acoustube.sensor.tube_sensor import TubeSensor
@@ -60,7 +59,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
-    @checked(sensor=TubeSensor, reach=Several(Number(0, 1e3, "m")))
+    @checked(sensor=TubeSensor, reach=Reals(0, 1e3, "m", ndim=1, last=2))
     def __init__(self, sensor: TubeSensor, reach: tuple[float, float] | tuple[()] = ()) -> None:
         if gymnasium is None:
             raise ConfigError(
@@ -68,7 +67,8 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
             )
         if len(sensor.tables.diameters) > 1:
             raise ConfigError("the library has several tools; give the sensor that of the finger")
-        low, high = reach or (min(0.3, sensor.length / 2), sensor.length - 2 * HALF_PRESS)
+        usual = min(0.3, sensor.length / 2), sensor.length - 2 * HALF_PRESS
+        low, high = (float(one) for one in (reach if len(reach) else usual))
         if not HALF_PRESS <= low < high <= sensor.length - HALF_PRESS:
             raise ConfigError(
                 "is not on the tube", setting="reach", value=str((low, high)),
@@ -100,6 +100,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         low, high = [self.reach[0], 0.1 * self.largest], [self.reach[1], 0.9 * self.largest]
         self.state, self.goal = self.np_random.uniform(low, high, (2, 2))
         if options and "goal" in options:
+            check_argument("goal", options["goal"], Reals(0, 1e9, "m and N", ndim=1, last=2))
             self.goal = np.asarray(options["goal"], float)
         self.noise, self.steps = int(self.np_random.integers(2**31)), 0
         return self._observed(), self._contact()
@@ -108,6 +109,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, float]]:
         """Return observation, reward, whether at the goal, whether out of time, and the contact."""
+        check_argument("action", action, Reals(ndim=1, last=2))
         most = np.array([LONGEST_MOVE, LARGEST_CHANGE * self.largest])
         moved = self.state + most * np.clip(np.asarray(action, float), -1, 1)
         self.state = np.clip(moved, [self.reach[0], 0.0], [self.reach[1], self.largest])

@@ -14,7 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acoustube.base.checks import LENGTH, SEED, TEMPERATURE, Optional, Reals, Several, checked
+from acoustube.base.checks import (
+    LENGTH,
+    PATH,
+    SEED,
+    TEMPERATURE,
+    Optional,
+    Reals,
+    Several,
+    check_argument,
+    checked,
+)
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -119,6 +129,7 @@ class TubeSensor:
         ConfigError
             As :func:`acoustube.runs.libraries.files.open_library`, and as the class.
         """
+        check_argument("path", path, PATH)
         return cls(open_library(Path(path)), *given, **options)
 
     def force_of(self, depth: float, diameter: float | None = None) -> float:

@@ -31,7 +31,8 @@ ALSO = {
     "settings": ("matched filter",), "temperature": ("air", "m/s"), "untouched": ("cycles",),
     "untouched_temperature": ("temperature",),
     "outer_diameter": ("thick", "loops"), "count": ("seed",), "over": ("range",),
-    "path": ("cannot be read",),
+    "path": ("cannot be read",), "s": ("matrices", "spaced"), "tools": ("library",),
+    "counts": ("cycle",),
 }  # fmt: skip
 """Words by which a sentence may name an argument, where several of them together are wrong."""
 
@@ -149,10 +150,11 @@ def up_to(function: Callable[..., Any], *places: str) -> Callable[..., Any]:
 def specs() -> dict[str, Spec]:
     """Return the public functions by name."""
     from tests.fuzz.costly import of_estimators, of_fields, of_presses
+    from tests.fuzz.inverse import of_inversions, of_twins
 
     groups = (
         _of_signals(), _of_sleeve(), _of_waves(), _of_air(), _of_estimation(), _of_walls(),
-        of_presses(), of_fields(), of_estimators(),
+        of_presses(), of_fields(), of_estimators(), of_inversions(), of_twins(),
     )  # fmt: skip
     return {name: spec for group in groups for name, spec in group.items()}
 

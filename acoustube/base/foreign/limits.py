@@ -7,6 +7,7 @@ the nesting, which Python's stack bounds.
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import stat
@@ -97,8 +98,25 @@ def check_file(path: str | Path, kind: str) -> int:
     for is_kind, what in _KINDS.items():
         if is_kind(status.st_mode):
             raise ConfigError(f"{path} is {what}, not a file; name a file")
+    if status.st_dev in _of_system():
+        raise ConfigError(
+            f"{path} is of the operating system, whose files have no size; name a file"
+        )
     check_size(path, kind, status.st_size)
     return status.st_size
+
+
+@functools.cache
+def _of_system() -> frozenset[int]:
+    """Return the devices of the file systems whose regular files may never end, or make one wait.
+
+    Such as /proc/kmsg, by whatever name.
+    """
+    found = set()
+    for folder in ("/proc", "/sys", "/sys/kernel/tracing", "/sys/kernel/debug"):
+        with contextlib.suppress(OSError):
+            found.add(os.stat(folder).st_dev)  # noqa: PTH116
+    return frozenset(found - {os.stat("/").st_dev})  # noqa: PTH116
 
 
 def check_size(path: str | Path, kind: str, size: float, what: str = "holds") -> None:

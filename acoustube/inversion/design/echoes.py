@@ -8,7 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from acoustube.base import checks
+from acoustube.base.checks import BORE, LENGTH, SPEED, Reals, check_alike, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.waves.scattering import Complex
 
@@ -53,6 +56,11 @@ class PressedTube:
 
     def __post_init__(self) -> None:
         """Check that the arrays belong together."""
+        check_fields(
+            self, radius=BORE, diameter=LENGTH, depth=Reals(0, 1.0, "m", ndim=1),
+            force=Reals(0, 1e9, "N", ndim=1), frequency=Reals(0, 1e12, "Hz", ndim=1),
+            reflection=checks.Complex(0, 1e6), sound_speed=SPEED,
+        )  # fmt: skip
         n = len(self.depth)
         if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):
             raise ConfigError(
@@ -114,6 +122,15 @@ class Contacts:
     lightest: float
     strongest: float
     length: float
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        force = Number(1e-9, 1e9, "N")
+        check_fields(
+            self, place=Reals(0, 1e6, "m", ndim=1), force=Reals(1e-9, 1e9, "N", ndim=1),
+            tool=Reals(0, 1e6, ndim=1, kinds="iu"), lightest=force, strongest=force, length=LENGTH,
+        )  # fmt: skip
+        check_alike(place=self.place, force=self.force, tool=self.tool)
 
     @property
     def force_prior(self) -> float:

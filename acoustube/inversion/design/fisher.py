@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.air import air_at
+from acoustube.base.checks import TEMPERATURE, Optional, Several, checked
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.design.echoes import Contacts, PressedTube
 from acoustube.inversion.model import Priors
@@ -85,6 +87,11 @@ class Information(NamedTuple):
     range_power: Array
 
 
+@checked(
+    tubes=Several(PressedTube, 1), contacts=Contacts, modulus=Number(1e-6, 1e6),
+    temperature=TEMPERATURE, priors=Optional(Priors), hardness=Number(0, 100),
+    model=Number(0, 1.0, "m"),
+)  # fmt: skip
 def information(
     tubes: Sequence[PressedTube],
     contacts: Contacts,

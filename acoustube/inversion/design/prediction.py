@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr
 
+from acoustube.base.checks import Reals, checked
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import AFTER_CLIPPING, DITHER, FADE, HALF_WIDTH
 from acoustube.inversion.design.fisher import Information
@@ -142,6 +143,7 @@ def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) ->
     )  # fmt: skip
 
 
+@checked(known=Information, electronics=Electronics)
 def predict(known: Information, electronics: Electronics) -> Prediction:
     """Return the expected errors for one set of electronics, or for many.
 
@@ -180,6 +182,7 @@ def score(found: Prediction, asked: Sequence[float]) -> Array:
     return np.asarray(_score(np, found, np.array(asked)))
 
 
+@checked(known=Information, electronics=Electronics, asked=Reals(0, 1e6, "m", ndim=1))
 def gradient(
     known: Information, electronics: Electronics, asked: Sequence[float]
 ) -> tuple[float, Array]:

@@ -9,6 +9,7 @@ from math import exp, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.checks import LENGTH, Optional, Several, checked
 from acoustube.base.types import Array
 from acoustube.inversion.twin.estimate import SPEED, Twin
 from acoustube.inversion.twin.model import (
@@ -92,6 +93,7 @@ class Background:
     recorded: Complex
 
 
+@checked(twin=Twin, untouched=Group, closed=Several(Group), length=Optional(LENGTH))
 def fit_background(
     twin: Twin, untouched: Group, closed: Sequence[Group], length: float | None = None
 ) -> Background:

@@ -8,8 +8,10 @@ from math import log
 
 import numpy as np
 
+from acoustube.base.checks import LENGTH, RATE, SECONDS, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import ignore
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.inversion.twin.fit import Data, Normal, Point, Prior, best_start, maximise
@@ -111,6 +113,10 @@ class Twin:
         return 1 - _sums(left, inside) / _sums(np.abs(self.data.values) ** 2, inside)
 
 
+@checked(
+    closed=Several(Group, 1), untouched=Group, rate=RATE, start=SECONDS, length=Optional(LENGTH),
+    humidity=Optional(Number(0, 100, "%")),
+)  # fmt: skip
 def fit_twin(
     closed: Sequence[Group],
     untouched: Group,

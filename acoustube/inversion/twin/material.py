@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acoustube.base.checks import Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion.tools import Tool
@@ -88,6 +89,7 @@ class Material:
     yields: bool
 
 
+@checked(presses=Several(Press, 1))
 def fit_material(presses: Sequence[Press]) -> Material:
     """Return the wall's Young's modulus and the ground's compliance.
 

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi
+from math import nan, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
+from acoustube.base.checks import (
+    FREQUENCY,
+    RATE,
+    SECONDS,
+    TEMPERATURE,
+    Reals,
+    check_fields,
+    checked,
+)
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.waves.scattering import Complex
@@ -57,8 +67,15 @@ class Group:
 
     cycles: NDArray[np.generic]
     temperature: float
-    place: float = float("nan")
+    place: float = nan
     source: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        place = Reals(0, 1e6, "m", ndim=0, missing=True)
+        check_fields(
+            self, cycles=Reals(ndim=2), temperature=TEMPERATURE, place=place, source=str
+        )  # fmt: skip
 
 
 class Means(NamedTuple):
@@ -106,6 +123,10 @@ class Band:
     the one at rate - f, too (`image`).
     """
 
+    @checked(
+        rate=RATE, start=SECONDS, n_samples=Number(2, 1e7, whole=True), carrier=FREQUENCY,
+        clear=SECONDS,
+    )  # fmt: skip
     def __init__(
         self, rate: float, start: float, n_samples: int, carrier: float, clear: float
     ) -> None:

@@ -50,6 +50,6 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
         length_cm=max(CM * goal.reach_m, 20.0), indenter_mm=goal.tools_mm[0],
         depth_mm=round(spec.bore / 2, 3), frequency_khz=round(KHZ * r.resonance, 4),
         cycles=max(round(r.drive.cycles), 2), temperature_c=goal.temperature_c, method="spectral",
-        **ground,
+        losses="on", **ground,
     )  # fmt: skip
     return to_toml(config)

@@ -241,6 +241,11 @@ def build_library(
         ("expected", (f"{time_in_words(sum(map(sum, costs)) / count)} on {count} workers; "
                      f"{len(plans) - len(todo)} of {len(plans)} tools finished")),
     ])  # fmt: skip
+    if not all(plan.settings.lossy for plan in plans):
+        report.note(
+            'losses = "off": near trapped modes the scattering is sharper than that of a tube, so '
+            'that depths told by it are wrong; set losses = "on" to invert recordings'
+        )
     failed: list[str] = []
     if todo:
         with watched_interrupts() as check, report.progress(check) as show:

@@ -161,9 +161,10 @@ def open_library(path: str | Path) -> Library:
         If there is none, a file is damaged, or the tools do not go together.
     """
     found = Path(path)
-    if not found.exists():
-        raise ConfigError(f"{path} does not exist; {ADVICE}")
-    files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]
+    with reading(found, "cannot be opened", ADVICE):  # its name may be too long for a file
+        if not found.exists():
+            raise ConfigError(f"{path} does not exist; {ADVICE}")
+        files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]
     if not files:
         raise ConfigError(f"{path} holds no tool of a library; {ADVICE}")
     tools = []
