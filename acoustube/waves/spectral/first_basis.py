@@ -16,6 +16,9 @@ LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
 """Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
 DEGREE_MARGIN = 3
+FLAT, FLAT_DEGREES = 0.03, 2
+"""Half height of the flattest section, relative to the radius of the ends, below which the degree
+is so much higher."""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
 """Fields of the reduced space per standing wave that fits the lumen in the band, without and with
 losses."""
@@ -66,8 +69,11 @@ def first_basis(
     """
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
-    degree += DERIVATIVE_DEGREES * moving
     edges = partition(wall, float(k[-1]))
+    _, y, *_ = wall.lines(edges)
+    if np.ptp(y, axis=1).min() < 2 * FLAT * wall.radius:
+        degree += FLAT_DEGREES
+    degree += DERIVATIVE_DEGREES * moving
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
     waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi

@@ -42,6 +42,8 @@ WIDE_GAP = 30.0
 """Least width of an element's gaps, in viscous layers, from which it counts as wide."""
 MANY_LAYERS = 15.0
 """Half widths in ``|D|`` from which the functions of the width are taken asymptotically."""
+TANGENTIAL = 1e-3
+"""Sine of the angle to a wall under which a point counts as one of its own neighbours."""
 SAMPLES = 10
 """Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
@@ -165,15 +167,56 @@ def gap_widths(contours: Contours, boxes: Boxes, halved: bool, narrow: float) ->
         here = np.stack([contours.x[section], contours.y[section]])
         inwards = np.stack([-contours.y_t[section], contours.x_t[section]])
         inwards /= np.hypot(*inwards)
-        there = np.concatenate([here, here * [[-1.0], [1.0]]], axis=1) if halved else here
-        away = there[:, None] - here[:, :, None]
-        ahead = np.einsum("pij,pi->ij", away, inwards)
-        square = (away**2).sum(axis=0)
-        touching = np.where(
-            ahead > 1e-3 * np.sqrt(square), square / np.where(ahead > 0, ahead, 1.0), np.inf
-        )
-        width[section] = np.minimum(touching.min(axis=1), width[section])
+        there, facing = here, inwards
+        if halved:
+            mirror = np.array([[-1.0], [1.0]])
+            there, facing = (
+                np.concatenate([part, (part * mirror)[:, ::-1]], axis=1) for part in (here, inwards)
+            )
+        touching = _touching(here, inwards, there, facing)
+        width[section] = np.minimum(touching, width[section])
     return width
+
+
+def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array:
+    """Return diameters of the least circles that touch a contour at points and reach another point.
+
+    Parameters
+    ----------
+    here, inwards : ndarray
+        Points and normals of unit length, (2, n).
+    there, facing : ndarray
+        The same all round the contour, in its order, (2, n_all).
+
+    Returns
+    -------
+    ndarray
+        (n,); in m.
+
+    Notes
+    -----
+    The circle through the point at a distance a, with the normal n, has the diameter
+    a^2 / (a . n). Opposite walls may be much closer than the points of a contour: from the wall
+    that faces a point, the least value on the chord between two neighbours is taken.
+    """
+    away = there[:, None] - here[:, :, None]
+    chord = np.roll(there, -1, axis=1) - there
+    ahead, rise = np.einsum("pij,pi->ij", away, inwards), inwards.T @ chord
+    square, length = (away**2).sum(axis=0), (chord**2).sum(axis=0)
+    least = np.where(
+        ahead > TANGENTIAL * np.sqrt(square), square / np.where(ahead > 0, ahead, 1.0), np.inf
+    )
+    slope = np.einsum("pij,pj->ij", away, chord)
+    # Of (square + 2 slope s + length s^2) / (ahead + rise s), 0 < s < 1.
+    turn = rise * square - 2 * slope * ahead
+    down = length * ahead
+    down = down + np.sqrt(np.maximum(down**2 + length * rise * turn, 0.0))
+    s = np.clip(np.divide(turn, down, out=np.zeros_like(down), where=down > 0), 0.0, 1.0)
+    opposite = (inwards.T @ facing < 0) & (inwards.T @ np.roll(facing, -1, axis=1) < 0)
+    opposite &= (ahead > 0) & (ahead + rise > 0)
+    reached = np.where(opposite, ahead + rise * s, 1.0)
+    between = np.where(opposite, (square + s * (2 * slope + length * s)) / reached, np.inf)
+    return np.asarray(np.minimum(least, between).min(axis=1))
 
 
 def lossy_ends(

@@ -12,12 +12,14 @@ from acoustube.waves.spectral.walls import Wall
 
 LEAD = 0.5
 """Length of straight bore between the lumen and a port, in radii."""
-SHORT, LONG = 0.65, 1.2
-"""Largest element length on a sloping and on an almost straight wall, in radii."""
-SHORT_WAVE, LONG_WAVE = 0.45, 0.85
-"""Largest element lengths in wavelengths."""
-SLOPE = 0.1
-"""Slope of the box's sides above which the wall counts as sloping."""
+LONGEST, LONGEST_WAVE = 1.2, 0.85
+"""Largest element length in radii and in wavelengths, where the section does not change."""
+FEWEST = 3
+"""Least number of elements of half a lumen: a shorter one has shorter features."""
+PER_CHANGE = 1.0
+"""Elements more per change of a section's height or width by a factor of e."""
+SHORTEST = 0.3
+"""Length in radii of the shortest elements, but for those that errors ask for."""
 SAMPLES = 400
 
 
@@ -34,18 +36,25 @@ def partition(wall: Wall, wavenumber: float) -> Array:
     start = wall.middle if wall.reversible else wall.ends[0]
     borders = [start, *(z for z in sorted(wall.breaks) if start < z < wall.ends[1]), wall.ends[1]]
     z = np.linspace(start, wall.ends[1], SAMPLES)
-    x, y, *_ = wall.lines(z)
-    extent = np.stack([x.min(axis=1), x.max(axis=1), y.min(axis=1), y.max(axis=1)])
-    steep = np.abs(np.gradient(extent, z, axis=1)).max(axis=0) > SLOPE
-    wave = 2 * np.pi / wavenumber
-    short, long = (
-        min(a * wall.radius, b * wave) for a, b in ((SHORT, SHORT_WAVE), (LONG, LONG_WAVE))
-    )
-    density = np.where(steep, 1 / short, 1 / long)
+    half = (wall.ends[1] - start) / (1 if wall.reversible else 2)
+    longest = min(LONGEST * wall.radius, LONGEST_WAVE * 2 * np.pi / wavenumber, half / FEWEST)
+    density = 1 / longest + PER_CHANGE * _change(wall, z)
+    density = np.minimum(density, 1 / min(SHORTEST * wall.radius, longest))
     passed = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(z))])
     pieces = [_between(*ends, z, passed) for ends in pairwise(borders)]
     edges = np.concatenate([[start], *(piece[1:] for piece in pieces), [wall.ends[1] + lead]])
     return edges if wall.reversible else np.concatenate([[start - lead], edges])
+
+
+def _change(wall: Wall, z: Array) -> Array:
+    """Return the relative change of the section's height or width along z, in 1/m."""
+    x, y, *_ = wall.lines(z)
+    found = []
+    for part in (x, y):
+        low, high = part.min(axis=1), part.max(axis=1)
+        moved = np.abs(np.gradient(low, z)) + np.abs(np.gradient(high, z))
+        found.append(moved / (high - low))
+    return np.maximum(*found)
 
 
 def _between(low: float, high: float, z: Array, passed: Array) -> Array:

@@ -224,7 +224,10 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
     diagonal = np.diag_indices(len(model.square))
     flat = np.concatenate([model.stiffness, model.mass]).reshape(2 * len(model.mass), -1)
     for number, (k, viscous, thermal, flux) in enumerate(zip(*band, strict=True)):
-        matrix = (-np.concatenate([viscous, k**2 * thermal]) @ flat).reshape(model.mass.shape[1:])
+        losses = np.concatenate([viscous, k**2 * thermal])
+        # Real products: the matrices would otherwise be copied as complex ones.
+        real, imaginary = np.stack([losses.real, losses.imag]) @ flat
+        matrix = -(real + 1j * imaginary).reshape(model.mass.shape[1:])
         matrix[diagonal] += model.square - k**2
         factors = lu_factor(matrix, check_finite=False, overwrite_a=True)
         load = model.ports @ flux
