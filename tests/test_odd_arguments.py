@@ -4,6 +4,7 @@ The functions and their good arguments are those of the fuzzer, which draws odde
 """
 
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +105,29 @@ def test_good_arguments_are_taken(name):
         "sleeve.check_reach",
         "sleeve.check_room",
     }
+
+
+@pytest.mark.parametrize("value", [3.0, None, b"a.npz", "a\0b.npz", "x" * 5000, np.ones(2)])
+@pytest.mark.parametrize(
+    ("place", "argument"),
+    [("recordings:read", "path"), ("recordings:find", "paths"), ("estimation:load", "path"),
+     ("runs.opening:open_dataset", "where"), ("runs.scattering_file:read", "path"),
+     ("runs.libraries.files:open_library", "path"), ("reports.page:read", "where")],
+)  # fmt: skip
+def test_what_is_no_name_of_a_file_is_refused_by_its_argument(place, argument, value):
+    module, _, name = place.partition(":")
+    call = getattr(import_module(f"acoustube.{module}"), name)
+    with pytest.raises(ValueError, match=rf"\b{argument} = "):
+        call(value)
+
+
+def test_what_is_no_dataset_or_model_is_not_written(tmp_path):
+    from acoustube import estimation, recordings
+
+    with pytest.raises(ValueError, match="dataset = "):
+        recordings.write(None, tmp_path / "a.nc")
+    with pytest.raises(ValueError, match="model = "):
+        estimation.save(None, tmp_path / "a.model")
+    with pytest.raises(ValueError, match="cycles = "):
+        estimation.groups(None, "tube")
+    assert not list(tmp_path.iterdir())

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from numbers import Number as AnyNumber
-from os import PathLike
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from acoustube.base.errors import ConfigError
@@ -391,7 +390,6 @@ FREQUENCIES = Reals(0, 1e12, "Hz")
 PROMINENCE = Number(0, LARGEST)
 GAPS = Reals(missing=True, empty=True)
 FLAG = Flag()
-PATH = Instance((str, PathLike))
 REFLECTION = Complex(0, 1e3)
 WAVES = Complex(1e-6, 1e12)
 WAVE_SERIES = Complex(1e-6, 1e12, axes=1)

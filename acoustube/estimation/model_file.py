@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.archives import read_archive
 from acoustube.base.foreign.documents import parsed
 from acoustube.base.foreign.limits import check_file, reading
+from acoustube.base.names import PATH
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
@@ -50,6 +52,7 @@ FILE_NAMES = {
 """Names in files of settings that are called otherwise in Python."""
 
 
+@checked(model=Model, path=PATH)
 def save(model: Model, path: str | Path, *, overwrite: bool = True) -> None:
     """Write a model as a NumPy archive (the format of .npz) under any name.
 
@@ -105,6 +108,7 @@ def load(path: str | Path) -> Model:
     ConfigError
         If the file is not a model, or has another format.
     """
+    PATH.check("path", path)
     check_file(path, "model")
     with reading(path, "is not a model", "acoustube train writes one"):
         if not zipfile.is_zipfile(path):

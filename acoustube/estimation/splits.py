@@ -20,6 +20,7 @@ KINDS = ("cycle", "session", "tube")
 """Groups that a split can keep together."""
 
 
+@checked(cycles=xr.Dataset, by=str)
 def groups(cycles: xr.Dataset, by: str) -> Index:
     """Return the group of each cycle.
 

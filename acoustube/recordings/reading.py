@@ -11,10 +11,12 @@ from typing import Any
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.foreign.limits import reading
+from acoustube.base.names import PATH, PATHS
 from acoustube.base.netcdf import write_dataset
 from acoustube.recordings.cycles import LABELS, assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
@@ -74,6 +76,7 @@ def read(
     A label or a temperature of a continuous record that has a value for each sample is averaged
     over each cycle. How text tables are understood: :func:`acoustube.recordings.tables.read_table`.
     """
+    PATH.check("path", path)
     path = Path(path)
     _check_kind(path)
     with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
@@ -174,6 +177,7 @@ def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     return list(found)
 
 
+@checked(dataset=xr.Dataset, path=PATH)
 def write(dataset: xr.Dataset, path: str | Path) -> None:
     """Write a recording as netCDF; :func:`read` returns it unchanged.
 
@@ -195,6 +199,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
 
 
 def _entries(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    PATHS.check("paths", paths)
     return [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
 
 

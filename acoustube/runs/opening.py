@@ -14,6 +14,7 @@ from acoustube.base.checks import FLAG, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import check_result
+from acoustube.base.names import PATHS
 
 ORDER = (
     "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
@@ -121,6 +122,7 @@ def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:
     ConfigError
         If there are none.
     """
+    PATHS.check("where", where)
     given: Sequence[Any] = [where] if isinstance(where, str | Path) else list(where)
     found: list[Path] = []
     for one in given:

@@ -10,10 +10,11 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base import cache
-from acoustube.base.checks import PATH, checked
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
+from acoustube.base.names import PATH
 from acoustube.base.netcdf import flag, to_netcdf, variable
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering

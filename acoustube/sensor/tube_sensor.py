@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.checks import (
     LENGTH,
-    PATH,
     SEED,
     TEMPERATURE,
     Optional,
@@ -26,6 +25,7 @@ from acoustube.base.checks import (
     checked,
 )
 from acoustube.base.errors import ConfigError
+from acoustube.base.names import PATH
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion import Library

@@ -9,6 +9,7 @@ from string import Template
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
+from acoustube.base.names import PATH
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.reports.page.cases import read_sweep
@@ -33,6 +34,7 @@ def read(where: str | Path) -> Content:
     ConfigError
         If it is something else, or holds no result yet.
     """
+    PATH.check("where", where)
     folder = Path(where).parent if Path(where).name == RUN else Path(where)
     if not folder.exists():
         raise ConfigError(
@@ -68,6 +70,7 @@ def write_page(where: str | Path, out: str | Path) -> Path:
     ConfigError
         If there is nothing to show, or the file cannot be made.
     """
+    PATH.check("out", out)
     out = Path(out)
     check_new_file(out, "html")
     library = plotly_js()

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acoustube.base.checks import PATH, Optional, checked
+from acoustube.base.checks import Optional, checked
 from acoustube.base.errors import ConfigError, short
 from acoustube.base.foreign.documents import read_document
+from acoustube.base.names import PATH
 from acoustube.base.rules import Number, nearest
 
 if TYPE_CHECKING:  # the command line imports this module before it writes anything

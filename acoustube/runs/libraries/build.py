@@ -19,9 +19,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from acoustube.base import cache
-from acoustube.base.checks import PATH, Optional, Several, checked
+from acoustube.base.checks import Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.names import PATH
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.types import Array

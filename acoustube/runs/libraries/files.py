@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from acoustube.base.checks import PATH, checked
+from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
+from acoustube.base.names import PATH
 from acoustube.base.netcdf import Seal, seal_of, to_netcdf, variable
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__

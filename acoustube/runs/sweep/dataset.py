@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube.base.checks import PATH, Either, Optional, Several, checked
+from acoustube.base.checks import Either, Optional, Several, checked
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.names import PATH
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number, nearest
 from acoustube.base.units import KHZ

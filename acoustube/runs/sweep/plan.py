@@ -16,8 +16,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from acoustube.base.checks import PATH, Optional, checked
+from acoustube.base.checks import Optional, checked
 from acoustube.base.errors import ConfigError, short
+from acoustube.base.names import PATH
 from acoustube.base.rules import Choice, Number
 from acoustube.base.version import __version__
 from acoustube.runs.config import (

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.base.checks import FLAG, PATH, Either, Optional, Several, checked
+from acoustube.base.checks import FLAG, Either, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.names import PATH
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
