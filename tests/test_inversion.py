@@ -274,6 +274,26 @@ def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouch
     assert np.median(wide) > 4 * np.median(narrow)
 
 
+def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouched):
+    """A tool that sounds at a depth d over 4 mm nearly as at 8 mm - d."""
+    known = library.tools[0]
+
+    def heard(depth):
+        return np.minimum(depth, 8e-3 - 0.98 * depth)
+
+    alike = dataclasses.replace(known, s=matrices(heard(known.depth), FREQUENCY))
+    clutter = measured_clutter(base, untouched)
+    inverter = Inverter(ForwardModel(Library((alike,)), base, clutter), most=1)
+    for i, depth in enumerate((2.5e-3, 3e-3, 5e-3, 5.5e-3)):
+        cycles = record([press(heard(depth), 0.9)], tube_seed=7, seed=90 + i, n_cycles=1)
+        found = inverter(cycles["signal"].values).contacts[0].depth
+        for mode in (heard(depth), (8e-3 - heard(depth)) / 0.98):
+            near = np.abs(found.means - mode) < 0.3e-3
+            assert found.weights[near].sum() > 0.02
+        low, high = found.intervals[0.9]
+        assert low < depth < high
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("apart", "depths"), [(0.4, (4e-3, 4.5e-3)), (0.2, (3e-3, 5e-3))])
 def test_two_presses_are_told_apart(inverter, apart, depths):

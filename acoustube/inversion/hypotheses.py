@@ -26,6 +26,7 @@ from acoustube.inversion.fit import (
     weights,
 )
 from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.other_depths import other_depths
 from acoustube.inversion.search import Templates, front_of
 from acoustube.waves.scattering import Complex
 
@@ -295,7 +296,12 @@ class Builder:
             better = min(tried, key=lambda one: one.deviance)
             if better.deviance < known.deviance - 1:
                 return self.shifted(better)
-        merged = _distinct(known.fits.and_those(fits), m)
+        others = other_depths(self.model, known.fits, known.tools, self.samples, known.whiten)
+        if others.cost.min() < known.fits.cost[0] - 1:
+            better = self._alone(known.tools, others.sorted().parameters[:1])
+            if better.deviance < known.deviance - 1:
+                return self.shifted(better)
+        merged = _distinct(known.fits.and_those(fits).and_those(others), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
         if moved:
