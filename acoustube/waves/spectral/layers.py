@@ -16,7 +16,7 @@ where h is the diameter of the greatest circle in the section that touches the w
 matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
 correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
 the place and one of the frequency, by singular values. Where the walls are pressed together, f D
-is h / 2: the gap that the mechanics leaves there is sealed.
+is that of a slit `LEAK` times as high: the gap that the mechanics leaves there is sealed.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ MANY_LAYERS = 15.0
 """Half widths in ``|D|`` from which the functions of the width are taken asymptotically."""
 TANGENTIAL = 1e-3
 """Sine of the angle to a wall under which a point counts as one of its own neighbours."""
+LEAK = 0.3
+"""Height of a slit that passes as little as a sealed gap, relative to the gap: air that could not
+move at all would have mass without stiffness, which no polynomials resolve."""
 SAMPLES = 10
 """Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
@@ -106,9 +109,10 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     both = np.stack(
         [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
     )
-    # Viscous layers that fill a gap wholly leave no air that could move along it.
+    # Viscous layers that fill a gap almost wholly leave no air that could move along it.
     sealed = width.ravel() < points.sealing_gap
-    both[: len(sampled), sealed] = width.ravel()[sealed] / (2 * layers[0][:, None])
+    half = LEAK * width.ravel()[sealed] / (2 * layers[0][:, None])
+    both[: len(sampled), sealed] = np.tanh(half) / LEAK
     rows = np.concatenate([both.real, both.imag])
     number = points.rule.element
     of_element = np.repeat(number, width.shape[1])
