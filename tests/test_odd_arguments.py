@@ -131,3 +131,18 @@ def test_what_is_no_dataset_or_model_is_not_written(tmp_path):
     with pytest.raises(ValueError, match="cycles = "):
         estimation.groups(None, "tube")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("settings", None), ("temperature", ["warm"]), ("temperature", [-300.0]), ("radius", "wide"),
+     ("radius", -4e-3)],
+)  # fmt: skip
+def test_features_of_nonsense_are_refused(argument, value):
+    from acoustube.estimation.features import echo_features
+    from acoustube.signals import Processing
+
+    good = {"time": np.arange(1200) / 200e3, "signal": np.ones((1, 1200)),
+            "temperature": np.array([20.0]), "settings": Processing(), "radius": 4e-3}  # fmt: skip
+    with pytest.raises(ValueError, match=argument):
+        echo_features(**(good | {argument: value}))

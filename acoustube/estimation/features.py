@@ -26,7 +26,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.air import air_at
-from acoustube.base.checks import Reals, check_argument, check_fields, checked
+from acoustube.base.checks import CELSIUS, Reals, check_argument, check_fields, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
@@ -203,6 +203,7 @@ def frequencies(carrier: float) -> Array:
     )
 
 
+@checked(settings=Processing, temperature=CELSIUS, radius=BORE_RADII)
 def echo_features(
     time: Array,
     signal: Any,

@@ -159,12 +159,6 @@ class Tool:
         own = float(self.force_error.max())
         return np.asarray(np.hypot(own, self.stiffness_error * self.force_at(depth)))
 
-    @checked(depth=DEPTHS)
-    def error_at(self, depth: ArrayLike) -> Array:
-        """Return the interpolation error of the interval that each depth is in."""
-        found = np.searchsorted(self.depth, depth) - 1
-        return self.interpolation_error[np.clip(found, 0, len(self.depth) - 2)]
-
     @cached_property
     def _spline(self) -> CubicSpline:
         return CubicSpline(self.depth, self.s.astype(complex))

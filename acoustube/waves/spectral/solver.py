@@ -65,8 +65,6 @@ LEAST_ERROR = 3e-6
 """Error of the integrals over walls that are given by rings, with a safety factor."""
 ERROR_WINDOW = 5
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
-MAX_POINT_DOUBLINGS = 2
-"""Largest number of times that the Gauss points along an element are doubled."""
 FIRST_SHARE = 0.5
 """Share of the tolerance that degree and elements may each lack at the probes, to begin with."""
 MAX_SOLUTIONS = 2
