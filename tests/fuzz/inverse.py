@@ -46,7 +46,6 @@ def of_inversions() -> dict[str, Spec]:
             (tool.matrix, {**at, "derivative": 1}, True),
             (tool.force_at, {**at, "derivative": 0}, True),
             (tool.force_deviation, at, True),
-            (tool.error_at, at, True),
             (i.Priors, {f.name: f.default for f in dataclasses.fields(i.Priors)}),
             (i.Motion, {f.name: f.default for f in dataclasses.fields(i.Motion)}),
             (i.Baseband, given),
