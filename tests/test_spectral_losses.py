@@ -99,10 +99,10 @@ def pressed_flat(least, half_length=0.5e-3, slope=4e-3):
     return replace(wall, breaks=(-half_length, half_length))
 
 
-def test_walls_that_are_pressed_together_pass_no_sound():
-    """A gap of 16 um over 1 mm lets 1.6e-3 and 2.4e-3 of the pressure through, sealed 3e-4.
+def test_walls_that_are_pressed_together_pass_the_sound_of_a_lower_slit():
+    """A gap of 16 um over 1 mm lets 1.5e-3 and 2.3e-3 of the pressure through.
 
-    The rest is what the span of the fields without losses cannot represent.
+    Far thinner than its viscous layers, its mean velocity is as the square of its height.
     """
     frequency = np.array([10e3, 20e3])
     options = {"symmetric_only": True, "tolerance": 1e-2}
@@ -113,7 +113,7 @@ def test_walls_that_are_pressed_together_pass_no_sound():
         for gap in (0.0, 20e-6)
     )
     assert np.all(np.abs(leaking) > 1.2e-3)
-    assert np.all(np.abs(tight) < 0.25 * np.abs(leaking))
+    np.testing.assert_allclose(np.abs(tight / leaking), layers.LEAK**2, rtol=0.04)
 
 
 def test_gap_much_lower_than_the_points_are_apart_has_its_own_height():
