@@ -149,8 +149,7 @@ def pressed(number: int) -> dict[str, Any]:
         record |= {"state": "reached", "force_N": float(press.contact_force[-1])}
         record |= {"closed": bool(press.closed[-1]), "rows": len(press.depth)}
         record["iterations"] = int(press.iterations.sum())
-        again = partial(indent, tube, indenter, **options)
-        record["wrong"], record["snap"] = wrong(press, lambda depths: again(depth=depths))
+        record |= _examined(press, partial(indent, tube, indenter, **options))
     except ConfigError as error:
         record |= {"state": "refused", "reason": str(error)}
     except PressError as error:
@@ -160,6 +159,17 @@ def pressed(number: int) -> dict[str, Any]:
         record |= {"state": "unfinished", "part_done": done[-1]}
     signal.setitimer(signal.ITIMER_PROF, 0)
     return record | {"seconds": round(time.process_time() - start, 2)}
+
+
+def _examined(press: Indentation, again: Callable[..., Indentation]) -> dict[str, Any]:
+    """Return what is wrong with a press that has reached its depth, and where it snaps."""
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    try:
+        found, snap = wrong(press, lambda depths: again(depth=depths))
+    except (PressError, TimeoutError) as error:  # unlike the press itself
+        reason = str(error) or f"not within {LIMIT} s"
+        return {"wrong": [f"not examined at closer rows: {reason}"], "snap": ""}
+    return {"wrong": found, "snap": snap}
 
 
 def _give_up(*_: object) -> None:
