@@ -102,7 +102,7 @@ def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[li
         divided = wide & (np.abs(lost) > allowed / len(lost))
         steps = np.diff(press.depth)[divided, None] * np.arange(1, PARTS) / PARTS
         between = press.depth[:-1][divided, None] + steps
-        press = again(np.union1d(press.depth[1:], between))
+        press = again(np.unique(np.union1d(press.depth[1:], between).round(12)))
         lost, allowed = losses(press)
     wide = np.diff(press.depth) > narrowest
     snapped = ~wide & (lost > allowed / len(lost))
