@@ -294,6 +294,20 @@ def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouche
         assert low < depth < high
 
 
+def test_library_of_a_narrow_range_of_depths_tells_them(base, library, untouched):
+    """Every depth that could be tried lies within the distance of those that are tried."""
+    known = library.tools[0]
+    near = np.abs(known.depth - 5e-3) < 0.35e-3
+    names = ("depth", "force", "force_error", "s", "error")
+    short = {name: getattr(known, name)[near] for name in names}
+    short["interpolation_error"] = known.interpolation_error[near[:-1]][1:]
+    narrow = Library((dataclasses.replace(known, **short),))
+    clutter = measured_clutter(base, untouched)
+    cycles = record([press(5e-3, 0.9)], tube_seed=7, seed=97, n_cycles=4)
+    found = Inverter(ForwardModel(narrow, base, clutter), most=1)(cycles["signal"].values)
+    assert abs(found.contacts[0].depth.value - 5e-3) < 0.1e-3
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("apart", "depths"), [(0.4, (4e-3, 4.5e-3)), (0.2, (3e-3, 5e-3))])
 def test_two_presses_are_told_apart(inverter, apart, depths):

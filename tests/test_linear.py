@@ -109,6 +109,14 @@ def test_factorisation_solves(method):
     assert np.array_equal(right, before)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_columns_are_solved_as_they_are_alone(count):
+    matrix = band_matrix()
+    right = np.random.default_rng(3).normal(size=(len(matrix), count))
+    solution = linear_solver.factorise(lower_of(matrix))(right)
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), atol=1e-10)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_factorisation_refuses_an_indefinite_matrix(method):
     """Shifted so that the lowest eigenvalue is just below zero, then one that is far below."""

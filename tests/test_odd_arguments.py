@@ -107,7 +107,14 @@ def test_good_arguments_are_taken(name):
     }
 
 
-@pytest.mark.parametrize("value", [3.0, None, b"a.npz", "a\0b.npz", "x" * 5000, np.ones(2)])
+class NoPath:
+    def __fspath__(self):
+        return 3
+
+
+@pytest.mark.parametrize(
+    "value", [3.0, None, b"a.npz", "a\0b.npz", "x" * 5000, np.ones(2), NoPath()]
+)
 @pytest.mark.parametrize(
     ("place", "argument"),
     [("recordings:read", "path"), ("recordings:find", "paths"), ("estimation:load", "path"),

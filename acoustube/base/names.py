@@ -48,7 +48,7 @@ def _check_one(name: str, value: Any) -> None:
     """Raise if no file can have a name."""
     try:
         os.lstat(value)
-    except (OSError, ValueError) as error:  # ValueError: a null character
+    except (OSError, ValueError, TypeError) as error:  # of a null character, and of no text
         if isinstance(error, OSError) and error.errno != errno.ENAMETOOLONG:
             return
         reason = getattr(error, "strerror", None) or error

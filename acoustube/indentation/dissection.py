@@ -2,7 +2,8 @@
 
 Nodes on a plane across the body separate the rest into two parts that share no element. Both are
 eliminated before the plane, each in the same way, so that their eliminations fill neither the other
-nor more of the plane's rows than they touch. A tube takes a third of the operations of a band.
+nor more of the plane's rows than they touch. A quarter of a tube takes a third of the operations
+of a band.
 
 References
 ----------
@@ -77,6 +78,7 @@ def dissected(lower: sparse.csc_array, points: Array) -> Dissection:
         Coordinates of the unknowns' nodes.
     """
     nodes, node = np.unique(points, axis=0, return_inverse=True)
+    node = node.ravel()  # NumPy 2.0 keeps an axis
     count = len(nodes)
     columns = np.repeat(node, np.diff(lower.indptr))
     pairs = node[lower.indices], columns

@@ -160,7 +160,10 @@ class MultifrontalFactor:
     def __call__(self, right: Array) -> Array:
         """Solve for right-hand sides of shape (n,) or (n, k)."""
         if right.ndim > 1:
-            return np.stack([self(column) for column in right.T], axis=1)
+            found = np.empty(right.shape)
+            for column, here in zip(right.T, found.T, strict=True):
+                here[:] = self(column)
+            return found
         plan, solution = self.plan, np.empty(len(right))
         solution[plan.place] = right
         for here, rows, square, below in self._fronts:

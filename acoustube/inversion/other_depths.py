@@ -37,7 +37,8 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
     for i, tool in enumerate(tools):
         low, high = model.tables[tool].range
         depths = np.linspace(low, high, 2 + int((high - low) / STEP))
-        depths = depths[np.abs(depths - known.parameters[0, 2 * i + 1]) > STEP]
+        far = np.abs(depths - known.parameters[0, 2 * i + 1]) > STEP
+        depths = depths[far] if far.any() else np.array([low, high])
         start = np.repeat(known.parameters[:1], len(depths), axis=0)
         start[:, 2 * i + 1] = depths
         starts.append(start)

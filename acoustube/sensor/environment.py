@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.base.checks import Reals, check_argument, checked
+from acoustube.base.checks import Optional, Reals, check_argument, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.sensor.contacts import HALF_PRESS, Contact
@@ -59,8 +59,8 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
-    @checked(sensor=TubeSensor, reach=Reals(0, 1e3, "m", ndim=1, last=2))
-    def __init__(self, sensor: TubeSensor, reach: tuple[float, float] | tuple[()] = ()) -> None:
+    @checked(sensor=TubeSensor, reach=Optional(Reals(0, 1e3, "m", ndim=1, last=2)))
+    def __init__(self, sensor: TubeSensor, reach: tuple[float, float] | None = None) -> None:
         if gymnasium is None:
             raise ConfigError(
                 "the environment needs the package gymnasium; pip install 'acoustube[robot]'"
@@ -68,7 +68,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         if len(sensor.tables.diameters) > 1:
             raise ConfigError("the library has several tools; give the sensor that of the finger")
         usual = min(0.3, sensor.length / 2), sensor.length - 2 * HALF_PRESS
-        low, high = (float(one) for one in (reach if len(reach) else usual))
+        low, high = (float(one) for one in (usual if reach is None else reach))
         if not HALF_PRESS <= low < high <= sensor.length - HALF_PRESS:
             raise ConfigError(
                 "is not on the tube", setting="reach", value=str((low, high)),

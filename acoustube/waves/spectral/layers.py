@@ -16,7 +16,7 @@ where h is the diameter of the greatest circle in the section that touches the w
 matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
 correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
 the place and one of the frequency, by singular values. Where the walls are pressed together, f D
-is that of a slit `LEAK` times as high: touching walls seal, where the mechanics leaves a gap.
+is that of a slit `LEAK` times as high: touching walls seal, though the mechanics leaves a gap.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MANY_LAYERS = 15.0
 TANGENTIAL = 1e-3
 """Sine of the angle to a wall under which a point counts as one of its own neighbours."""
 LEAK = 0.7
-"""Height of a slit that passes as little as a sealed gap, relative to the gap: air that could not
+"""Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
 move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the estimate of
 the error under a 25 mm rod at 8 mm is 2e-2, at 0.7 1e-3."""
 SAMPLES = 10
