@@ -162,7 +162,7 @@ def open_library(path: str | Path) -> Library:
         If there is none, a file is damaged, or the tools do not go together.
     """
     found = Path(path)
-    with reading(found, "cannot be opened", ADVICE):  # its name may be too long for a file
+    with reading(found, "cannot be opened", ADVICE):  # a folder on the way may be locked
         if not found.exists():
             raise ConfigError(f"{path} does not exist; {ADVICE}")
         files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]

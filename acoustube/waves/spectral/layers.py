@@ -110,7 +110,7 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     both = np.stack(
         [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
     )
-    # Viscous layers that fill a gap almost wholly leave no air that could move along it.
+    # The mean velocity of a lower slit, by its own function of the height.
     sealed = width.ravel() < points.sealing_gap
     half = LEAK * width.ravel()[sealed] / (2 * layers[0][:, None])
     both[: len(sampled), sealed] = np.tanh(half) / LEAK
