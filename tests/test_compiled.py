@@ -20,6 +20,7 @@ from acoustube.waves import cut_cells
 from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.grid.straight_part import straight_ends_cut
 from acoustube.waves.port_waves import PortProblem
+from acoustube.waves.propagation import audible_layers
 from acoustube.waves.scheme import cpu_layout
 from acoustube.waves.scheme.cpu_leapfrog import CompiledMarcher
 from acoustube.waves.scheme.leapfrog import initial_state, march
@@ -171,6 +172,24 @@ def test_threads_share_the_columns(pinched, n_threads):
     alone, shared = (CompiledMarcher(setup, noisy(setup), n) for n in (1, n_threads))
     assert difference(shared.advance(source), alone.advance(source)) < 1e-6
     assert np.array_equal(shared.state().pressure, alone.state().pressure)
+
+
+@pytest.mark.parametrize("source_end", ["release", "absorbing"])
+@pytest.mark.parametrize("lossy_band", [None, BAND])
+def test_layers_that_are_not_heard_are_left_out(source_end, lossy_band):
+    """Noise, which has no smooth front, is heard as if all layers were advanced."""
+    long = cut_cells(pinched_tube(0.1, 0.8), 2 * BORE / 16, half=True)
+    setup = prepare(long, AIR, probes=(0.01, 0.004), source_end=source_end, lossy_band=lossy_band)
+    n_steps = int(2.2 * long.length / AIR.sound_speed / setup.time_step)
+    source = np.random.default_rng(3).normal(size=n_steps)
+    layers = audible_layers(setup, AIR, n_steps, n_steps + 1)
+    assert layers.mean() < 0.75 * setup.cells.shape[2]
+    assert layers.max() == setup.cells.shape[2]
+    _, whole = march(setup, setup.state, source, compiled=True)
+    _, heard = march(setup, setup.state, source, layers=layers, compiled=True)
+    assert difference(heard, whole) < ROUNDING[jnp.float32]
+    _, late = march(setup, setup.state, source, layers=layers - 40, compiled=True)
+    assert difference(late, whole) > 1e-2  # sound is cut off
 
 
 def test_marches_in_several_threads_at_once(pinched):

@@ -46,21 +46,23 @@ def left_over(tube, tangent, contact, state, step):
     moved = np.zeros_like(displacement)
     moved[model.free] = step
 
+    shapes = model.mesh.face.shapes
+    blocks = list(zip(model.outer_faces, model.outer_areas, strict=True))
+
     def touch(at):
-        faces = (model.mesh.points + at)[model.outer_faces]
-        shapes = model.mesh.face.shapes
-        _, local = assembly._touch(faces, model.outer_area, shapes, contact.bodies)
         total = np.zeros_like(at)
-        np.add.at(total, model.outer_faces, np.asarray(local))
+        for nodes, area in blocks:
+            faces = (model.mesh.points + at)[nodes]
+            _, local = assembly._touch(faces, area, shapes, contact.bodies)
+            np.add.at(total, nodes, np.asarray(local))
         return total[model.free]
 
-    faces = (model.mesh.points + displacement)[model.outer_faces]
-    local = assembly._touch_tangents(
-        faces, model.outer_area, model.mesh.face.shapes, contact.bodies
-    )
-    within = np.einsum("fab,fb->fa", local, moved[model.outer_faces].reshape(len(local), -1))
     linear = np.zeros_like(displacement)
-    np.add.at(linear, model.outer_faces, np.asarray(within).reshape(*model.outer_faces.shape, 3))
+    for nodes, area in blocks:
+        faces = (model.mesh.points + displacement)[nodes]
+        local = assembly._touch_tangents(faces, area, shapes, contact.bodies)
+        within = np.einsum("fab,fb->fa", local, moved[nodes].reshape(len(local), -1))
+        np.add.at(linear, nodes, np.asarray(within).reshape(*nodes.shape, 3))
     wall = tangent @ step - linear[model.free]
     change = touch(displacement + moved) - touch(displacement)
     return float(np.linalg.norm(state.gradient + wall + change))

@@ -433,7 +433,7 @@ def pressed_block(rod, width, reach, cells):
     points = np.einsum("qn,fni->fqi", QUAD8.shapes, corners) - float(tool.height) * UP
     pressing = jax.jit(jax.vmap(jax.vmap(lambda x: -jax.grad(law)(gap(x)))))
     pressure = np.asarray(pressing(points))
-    weighted = pressure * model.outer_area[: len(mesh.outer_faces)]
+    weighted = pressure * np.concatenate(model.outer_areas)[: len(mesh.outer_faces)]
     second = np.sum(weighted * points[..., 2] ** 2) / np.sum(weighted)
     middle = pressure.ravel()[np.argmin(np.abs(points[..., 2]))]
     return indenter_force(model, displacement, tool) / slab, middle, 2 * np.sqrt(second)

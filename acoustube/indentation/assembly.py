@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -19,7 +21,7 @@ from acoustube.indentation.linear_solver import Pattern
 from acoustube.indentation.material import Material
 from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.multifrontal import Analysis
-from acoustube.indentation.padding import padded
+from acoustube.indentation.padding import counts_of_blocks, in_blocks
 from acoustube.indentation.self_contact import SelfContact
 
 _quadrature = jax.jit(element.quadrature, static_argnames="reference")
@@ -37,20 +39,20 @@ class Model:
     """The discretised tube: everything that is constant during a press.
 
     JAX compiles a function anew for each shape of its arguments. Elements and outer faces are
-    therefore padded to few counts, so that most meshes share compiled code; see
-    :func:`acoustube.indentation.padding.padded_count`.
+    therefore evaluated in blocks of one size, so that all meshes share compiled code; see
+    :func:`acoustube.indentation.padding.in_blocks`.
 
     Attributes
     ----------
     mesh : Mesh
     material : Material
-    elements : array of int, shape (n_padded, n_local)
+    elements : array of int, shape (n_blocks, n_block, n_local)
         Nodes of the wall's elements; the last element is repeated.
-    rule : Quadrature
-        Of the padded elements; the weights of repeated elements are zero.
-    outer_faces : array of int, shape (n_padded_faces, n_face_nodes)
+    rules : tuple of Quadrature
+        Of the blocks of elements; the weights of repeated elements are zero.
+    outer_faces : array of int, shape (n_blocks, n_block, n_face_nodes)
         Nodes of the outer faces; the last face is repeated.
-    outer_area : array of shape (n_padded_faces, n_points)
+    outer_areas : array of shape (n_blocks, n_block, n_points)
         Undeformed area in m2 of the outer faces' quadrature points, zero for repeated faces.
     pattern : Pattern
         Sparsity of the stiffness matrix.
@@ -63,9 +65,9 @@ class Model:
     mesh: Mesh
     material: Material
     elements: NDArray[np.int_]
-    rule: Quadrature
+    rules: tuple[Quadrature, ...]
     outer_faces: NDArray[np.int_]
-    outer_area: Array
+    outer_areas: Array
     pattern: Pattern
     lumen: SelfContact
     wrinkle_stiffness: sparse.csr_array
@@ -86,11 +88,17 @@ class Model:
         return self.pattern.free
 
 
-def _weights_of_mesh(weights: Array, count: int) -> Array:
-    """Return weights with zeros beyond the first `count` rows."""
-    kept = np.array(weights)
-    kept[count:] = 0.0
-    return kept
+def _weights_of_mesh(blocks: list[Array], n_rows: int) -> Array:
+    """Return the weights of blocks (n_blocks, n_block, ...), zero for repeated rows."""
+    weights = np.stack([np.asarray(block) for block in blocks])
+    for block, count in zip(weights, counts_of_blocks(n_rows), strict=True):
+        block[count:] = 0.0
+    return weights
+
+
+def _joined(blocks: list[Any], n_rows: int) -> Array:
+    """Return the rows of blocks, those that are repeated left out."""
+    return np.concatenate([np.asarray(block) for block in blocks])[:n_rows]
 
 
 def build_model(
@@ -115,16 +123,20 @@ def build_model(
     face, n_components = mesh.face, mesh.points.size
     if wrinkle_stiffness is None:
         wrinkle_stiffness = sparse.csr_array((n_components, n_components))
-    elements, outer_faces = padded(mesh.elements), padded(mesh.outer_faces)
-    rule = _quadrature(mesh.points[elements], mesh.reference)
-    outer_area = _areas(mesh.points[outer_faces], face.slopes, face.weights)
+    elements, outer_faces = in_blocks(mesh.elements), in_blocks(mesh.outer_faces)
+    rules = [_quadrature(mesh.points[block], mesh.reference) for block in elements]
+    weights = _weights_of_mesh([rule.weights for rule in rules], len(mesh.elements))
+    areas = [_areas(mesh.points[block], face.slopes, face.weights) for block in outer_faces]
     return Model(
         mesh=mesh,
         material=material,
         elements=elements,
-        rule=rule._replace(weights=_weights_of_mesh(rule.weights, len(mesh.elements))),
+        rules=tuple(
+            rule._replace(weights=jnp.asarray(kept))
+            for rule, kept in zip(rules, weights, strict=True)
+        ),
         outer_faces=outer_faces,
-        outer_area=_weights_of_mesh(outer_area, len(mesh.outer_faces)),
+        outer_areas=_weights_of_mesh(areas, len(mesh.outer_faces)),
         pattern=linear_solver.pattern(~fixed, [mesh.elements, mesh.outer_faces]),
         lumen=lumen,
         wrinkle_stiffness=wrinkle_stiffness,
@@ -169,16 +181,37 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
         NaN where an element is inverted (J <= 0).
     """
     mesh, position = model.mesh, model.mesh.points + displacement
-    wall, inner = _wall(displacement[model.elements], model.rule, model.material)
-    touch, outer = _touch(position[model.outer_faces], model.outer_area, mesh.face.shapes, bodies)
+    energies, inner = _wall_of(model, displacement)
+    touches = [
+        _touch(faces, areas, mesh.face.shapes, bodies) for faces, areas in _faces(model, position)
+    ]
+    touch, outer = (
+        _joined(list(part), len(mesh.outer_faces)) for part in zip(*touches, strict=True)
+    )
     barrier, total = model.lumen.energy_and_forces(position)
-    np.add.at(total, mesh.elements, np.asarray(inner)[: len(mesh.elements)])
-    np.add.at(total, mesh.outer_faces, np.asarray(outer)[: len(mesh.outer_faces)])
+    np.add.at(total, mesh.elements, inner)
+    np.add.at(total, mesh.outer_faces, outer)
     smoothing = (model.wrinkle_stiffness @ displacement.ravel()).reshape(displacement.shape)
     gradient = (total + smoothing)[model.free]
     smooth = 0.5 * np.sum(smoothing * displacement)
-    energy = float(np.asarray(wall).sum() + np.asarray(touch).sum() + smooth) + barrier
+    energy = float(energies.sum() + touch.sum() + smooth) + barrier
     return State(displacement, energy, gradient, float(np.linalg.norm(gradient)))
+
+
+def _wall_of(model: Model, displacement: Array) -> tuple[Array, Array]:
+    """Return the strain energies in J and internal forces in N of the elements."""
+    found = [
+        _wall(displacement[block], rule, model.material)
+        for block, rule in zip(model.elements, model.rules, strict=True)
+    ]
+    n_elements = len(model.mesh.elements)
+    energies, forces = (_joined(list(part), n_elements) for part in zip(*found, strict=True))
+    return energies, forces
+
+
+def _faces(model: Model, position: Array) -> Iterator[tuple[Array, Array]]:
+    """Iterate over the blocks of outer faces: positions of their nodes, and areas."""
+    return zip((position[block] for block in model.outer_faces), model.outer_areas, strict=True)
 
 
 def stiffness(
@@ -201,12 +234,17 @@ def stiffness(
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     share = 0.0 if convex else 1.0
-    local, faces = displacement[model.elements], position[model.outer_faces]
-    outer = _touch_tangents(faces, model.outer_area, mesh.face.shapes, bodies)
-    matrices = [
-        element.tangents(local, model.rule, model.material, share, count=len(mesh.elements)),
-        np.asarray(outer)[: len(mesh.outer_faces)],
+    inner = [
+        element.tangents(displacement[block], rule, model.material, share, count=count)
+        for block, rule, count in zip(
+            model.elements, model.rules, counts_of_blocks(len(mesh.elements)), strict=True
+        )
     ]
+    outer = [
+        _touch_tangents(faces, areas, mesh.face.shapes, bodies)
+        for faces, areas in _faces(model, position)
+    ]
+    matrices = [np.concatenate(inner), _joined(outer, len(mesh.outer_faces))]
     lower = model.pattern.assemble(matrices) + model.wrinkle_tangent
     barrier = model.lumen.tangent(position, convex=convex)
     return lower if barrier is None else lower + model.pattern.restrict(barrier)
@@ -244,16 +282,26 @@ def equilibrium_results(
     Arguments as of :func:`evaluate`; the last of the bodies is the ground.
     """
     mesh, position = model.mesh, model.mesh.points + displacement
-    local, faces = displacement[model.elements], position[model.outer_faces]
-    wall, _ = _wall(local, model.rule, model.material)
-    deformed = _areas(faces, mesh.face.slopes, mesh.face.weights)
-    deformed = _weights_of_mesh(deformed, len(mesh.outer_faces))
-    touched = [_contact_area(faces, deformed, mesh.face.shapes, body) for body in bodies[:-1]]
+    energies, _ = _wall_of(model, displacement)
+    faces = [faces for faces, _ in _faces(model, position)]
+    areas = [_areas(block, mesh.face.slopes, mesh.face.weights) for block in faces]
+    deformed = _weights_of_mesh(areas, len(mesh.outer_faces))
+    touched = [
+        sum(
+            float(_contact_area(block, area, mesh.face.shapes, body))
+            for block, area in zip(faces, deformed, strict=True)
+        )
+        for body in bodies[:-1]
+    ]
+    ratios = [
+        np.asarray(_volume_ratios(displacement[block], rule)).min()
+        for block, rule in zip(model.elements, model.rules, strict=True)
+    ]
     return EquilibriumResults(
         press_force=np.array([indenter_force(model, displacement, body) for body in bodies[:-1]]),
         contact_area=mesh.copies * np.array(touched),
-        energy=mesh.copies * float(np.asarray(wall).sum()),
-        smallest_volume_ratio=float(np.asarray(_volume_ratios(local, model.rule)).min()),
+        energy=mesh.copies * float(energies.sum()),
+        smallest_volume_ratio=float(min(ratios)),
         smallest_gap=model.lumen.smallest_gap(position),
     )
 
@@ -268,6 +316,8 @@ def indenter_force(model: Model, displacement: Array, body: Body) -> float:
         In m.
     body : Body
     """
-    position = (model.mesh.points + displacement)[model.outer_faces]
-    part = _force(position, model.outer_area, model.mesh.face.shapes, body)
-    return model.mesh.copies * float(part)
+    parts = [
+        float(_force(faces, areas, model.mesh.face.shapes, body))
+        for faces, areas in _faces(model, model.mesh.points + displacement)
+    ]
+    return model.mesh.copies * sum(parts)

@@ -142,14 +142,14 @@ class CondensedContact:
     def _gaps(self, displacement: Array) -> tuple[Array, Array]:
         """Return gaps and normals of the outer wall's points: (body, face, point), (..., 3)."""
         mesh = self.model.mesh
-        faces = (mesh.points + displacement)[self.model.outer_faces]
+        faces = (mesh.points + displacement)[self._nodes]
         gap, normal = _gaps(faces, mesh.face.shapes, self.bodies)
         return np.asarray(gap), np.asarray(normal)
 
     def _laws(self, gap: Array) -> tuple[Array, Array]:
         """Return the points' contact forces in N, negative, and stiffnesses in N/m."""
         slope, bend = _pressures(gap, self.bodies)
-        area = np.asarray(self.model.outer_area)
+        area = self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
         return np.asarray(slope) * area, np.asarray(bend) * area
 
     def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
@@ -158,7 +158,7 @@ class CondensedContact:
         Zero for all faces but those given.
         """
         change = np.zeros(self._stiffness.shape)
-        points = self._shapes @ moved[self.model.outer_faces[at]]
+        points = self._shapes @ moved[self._nodes[at]]
         change[:, at] = np.einsum("bfqi,fqi->bfq", self._normal[:, at], points)
         return change
 
@@ -172,7 +172,7 @@ class CondensedContact:
         at_faces = np.union1d(self._faces, faces)
         # A body touches nodes in the direction of its normal: a rod's has no x component.
         across = np.abs(self._normal[:, at_faces]).max(axis=(0, 1, 2)) > 0
-        used = np.unique(self._number[self.model.outer_faces[at_faces]][..., across])
+        used = np.unique(self._number[self._nodes[at_faces]][..., across])
         numbers = used[used >= 0]
         new = np.setdiff1d(numbers, self._zone)
         if len(self._zone) + len(new) > LARGEST_ZONE:
@@ -224,7 +224,7 @@ class CondensedContact:
         normal = self._normal[:, at]
         local = np.einsum("qn,bfqi,bfq->fni", shapes, normal, point_forces[:, at], optimize=True)
         total = np.zeros(self.displacement.shape)
-        np.add.at(total, self.model.outer_faces[at], local)
+        np.add.at(total, self._nodes[at], local)
         return total[self.model.free]
 
     def _zone_stiffness(self, stiffness: Array) -> Array:
@@ -235,7 +235,7 @@ class CondensedContact:
         local = np.einsum("qn,qm,fqij->fnimj", shapes, shapes, at_points, optimize=True)
         place = np.full(self.model.pattern.n_free + 1, -1)
         place[self._zone] = np.arange(size)
-        rows = place[self._number[self.model.outer_faces[at]]]
+        rows = place[self._number[self._nodes[at]]]
         first, second = np.broadcast_arrays(rows[:, :, :, None, None], rows[:, None, None])
         known = (first >= 0) & (second >= 0)
         entries = np.bincount(first[known] * size + second[known], local[known], size**2)
@@ -250,6 +250,12 @@ class CondensedContact:
         step = np.zeros(self.model.pattern.n_free)
         step[self._zone] = moved
         return self._on_nodes(step)
+
+    @property
+    def _nodes(self) -> Index:
+        """Nodes of the outer faces of all blocks, (n_faces, n_face_nodes)."""
+        blocks = self.model.outer_faces
+        return blocks.reshape(-1, blocks.shape[-1])
 
     @property
     def _shapes(self) -> Array:

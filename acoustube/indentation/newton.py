@@ -27,7 +27,7 @@ from acoustube.indentation.assembly import Model, State, evaluate, stiffness
 from acoustube.indentation.condensed_contact import CondensedContact
 from acoustube.indentation.contact import Body
 from acoustube.indentation.multifrontal import MultifrontalFactor
-from acoustube.indentation.negative_curvature import curved_step
+from acoustube.indentation.negative_curvature import CurvedStep, curved_step
 
 MAX_ITERATIONS = 40
 MAX_HALVINGS = 8
@@ -45,8 +45,11 @@ LEAST_CONDENSED_WORK = 1e9
 Below, as on 2 x 12 x 10 elements of a quarter, a factorisation is cheaper than what is saved."""
 REUSED_TOLERANCE = 0.1
 """Fraction of the tolerance that the residual must reach by a step with a reused factor."""
-DIAGONAL_SHIFTS = (0.0, 1e-3, 1e-2, 1e-1)
-"""Parts of the diagonal that are added, one after the other, to an indefinite tangent."""
+DIAGONAL_SHIFTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+"""Parts of the diagonal that are added, one after the other, to an indefinite tangent.
+
+The diagonal of a nearly incompressible wall is that of its volume: beside it a thin wall bends with
+a stiffness of 1e-6 to 1e-4, and with a larger shift its steps hardly bend it."""
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
 """Steps tried from a saddle of the energy, both ways: their largest displacement, in bores, or
 in heights of a body without one."""
@@ -178,9 +181,10 @@ def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> 
     """
     indefinite = None
     for shift in (None, *DIAGONAL_SHIFTS):
-        matrix = stiffness(model, displacement, bodies, convex=shift is not None)
-        if shift:
-            matrix = (matrix + shift * sparse.diags_array(np.abs(matrix.diagonal()))).tocsc()
+        if not shift:
+            matrix = plain = stiffness(model, displacement, bodies, convex=shift is not None)
+        else:
+            matrix = (plain + shift * sparse.diags_array(np.abs(plain.diagonal()))).tocsc()
         try:
             solve = linear_solver.factorise(matrix, model.analysis)
         except LinAlgError:
@@ -209,10 +213,16 @@ def _descended(
 
     if tangent.indefinite is None:
         return moved(tangent.step(state))
-    if saddle:
-        return _below_saddle(model, state, tangent.indefinite, tangent.solve, bodies)
-    lower = moved(curved_step(tangent.indefinite, tangent.solve, state.gradient).step)
-    return moved(tangent.step(state)) if lower is None else lower
+    curved = None
+    if state.gradient.any():
+        curved = curved_step(tangent.indefinite, tangent.solve, state.gradient)
+    lower = None if curved is None else moved(curved.step)
+    if not saddle:
+        return moved(tangent.step(state)) if lower is None else lower
+    # To a loose tolerance a state is near one whose saddle is farther away than the step's end.
+    beyond = _below_saddle(model, state, tangent.indefinite, tangent.solve, bodies, curved)
+    found = [each for each in (lower, beyond) if each is not None and each.energy < state.energy]
+    return min(found, key=lambda each: each.energy, default=None)
 
 
 def _below_saddle(
@@ -221,9 +231,12 @@ def _below_saddle(
     indefinite: sparse.csc_array,
     convex: linear_solver.Solve,
     bodies: tuple[Body, ...],
+    curved: CurvedStep | None,
 ) -> State | None:
-    """Return a state of lower energy than a saddle's, along its least curvature, or None."""
-    curved = curved_step(indefinite, convex, state.gradient) if state.gradient.any() else None
+    """Return a state of lower energy than a saddle's, along its least curvature, or None.
+
+    `curved` is the step there, if its residual is not zero.
+    """
     if curved is None or curved.curvature >= 0:
         # A symmetric state's gradient has nothing of the direction in which it buckles.
         start = np.random.default_rng(0).normal(size=len(state.gradient))

@@ -1,4 +1,4 @@
-"""Padding of arrays to few lengths, so that meshes of different size share compiled code."""
+"""Padding of arrays to few lengths, or to blocks, so that all meshes share compiled code."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+BLOCK = 64
+"""Number of rows of a block."""
 
 
 def padded_count(count: int) -> int:
@@ -20,5 +23,30 @@ def padded_count(count: int) -> int:
 
 def padded(rows: NDArray[Any]) -> NDArray[Any]:
     """Return an array with its last row repeated up to :func:`padded_count`."""
-    surplus = padded_count(len(rows)) - len(rows)
-    return np.concatenate([rows, np.repeat(rows[-1:], surplus, axis=0)])
+    return _with_last_row_repeated(rows, padded_count(len(rows)))
+
+
+def in_blocks(rows: NDArray[Any]) -> NDArray[Any]:
+    """Return an array cut into blocks of `BLOCK` rows, its last row repeated where one is short.
+
+    Parameters
+    ----------
+    rows : ndarray
+        (n, ...).
+
+    Returns
+    -------
+    ndarray
+        (n_blocks, `BLOCK`, ...).
+    """
+    full = _with_last_row_repeated(rows, BLOCK * math.ceil(len(rows) / BLOCK))
+    return full.reshape(-1, BLOCK, *rows.shape[1:])
+
+
+def counts_of_blocks(count: int) -> list[int]:
+    """Return how many rows of each block of :func:`in_blocks` are not repeated."""
+    return [min(BLOCK, count - first) for first in range(0, count, BLOCK)]
+
+
+def _with_last_row_repeated(rows: NDArray[Any], count: int) -> NDArray[Any]:
+    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
