@@ -6,8 +6,9 @@ import trimesh
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from wave_lumens import BORE, pinched_tube, straight_tube
 
-from acoustube.waves.grid.cells import cut_cells, with_straight_ends
+from acoustube.waves.grid.cells import _shortened, cut_cells, with_straight_ends
 from acoustube.waves.grid.polyhedron import cut_polyhedron
+from acoustube.waves.grid.repeated_layers import without_repeated_layers
 from acoustube.waves.grid.small_cells import share_small_volumes
 
 SHAPE, SPACING, ORIGIN = (15, 14, 13), (0.10, 0.11, 0.12), (-0.75, -0.75, -0.75)
@@ -154,3 +155,41 @@ def test_open_surface_is_refused():
     tube.faces = tube.faces[5:]
     with pytest.raises(ValueError, match="not closed"):
         cut_cells(tube, 5e-4)
+
+
+def long_tube():
+    """A pinched tube between straight ends of different lengths, neither in whole layers."""
+    tube = pinched_tube(0.0722, 0.7, width=3e-3, centre=0.03)
+    straight = np.abs(tube.vertices[:, 2] - 0.03) > 0.012  # the round bore, but for exp(-16)
+    round_bore = pinched_tube(0.0722, 0.0)
+    return trimesh.Trimesh(
+        np.where(straight[:, None], round_bore.vertices, tube.vertices), tube.faces, process=False
+    )
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_copied_layers_of_straight_ends_are_those_that_would_be_cut(half):
+    """The same surface, narrower by up to 1e-7 of itself, has no layers that can be copied."""
+    tube, spacing = long_tube(), (2 * BORE / 16, 2 * BORE / 16, 4.3e-4)
+    narrowing = tube.copy()
+    narrowing.vertices[:, :2] *= 1.0 - 1e-7 * narrowing.vertices[:, 2:] / 0.0722
+    assert len(set(_shortened(np.asarray(narrowing.triangles), spacing[2])[1])) == 169
+    assert len(set(_shortened(np.asarray(tube.triangles), spacing[2])[1])) < 75
+    copied, cut = (cut_cells(each, spacing, half=half) for each in (tube, narrowing))
+    assert copied.shape == cut.shape
+    assert copied.length == cut.length
+    for name in ("volume_fraction", "open_x", "open_y", "open_z"):
+        np.testing.assert_allclose(getattr(copied, name), getattr(cut, name), atol=1e-5)
+
+
+def test_sharing_is_the_same_without_repeated_layers():
+    """The cells of a long straight end borrow as those of a short one do."""
+    cells = with_straight_ends(cut_cells(pinched_tube(0.02, 0.7), 2 * BORE / 24), 40, 40)
+    short, layers = without_repeated_layers(cells, 3)
+    assert short.shape[2] < cells.shape[2] - 60
+    for name in ("volume_fraction", "open_x", "open_y"):
+        np.testing.assert_array_equal(getattr(short, name)[..., layers], getattr(cells, name))
+    whole = with_straight_ends(share_small_volumes(short), 0, None)
+    shared = share_small_volumes(cells)
+    np.testing.assert_array_equal(shared.volume_fraction, whole.volume_fraction[..., layers])
+    np.testing.assert_array_equal(shared.open_z[..., :-1], whole.open_z[..., layers])

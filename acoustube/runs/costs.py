@@ -8,8 +8,8 @@ from acoustube.runs.config.si import SIPress, SISettings
 
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
 # the estimate in the first line only.
-FIXED_SECONDS, FIXED_GIGABYTES = 30.0, 0.6
-STEPS_PER_LAYER = 2 * 3.9  # time steps per axial layer, for both source ends
+FIXED_SECONDS, FIXED_GIGABYTES = 20.0, 0.6
+STEPS_PER_LAYER = 3.9  # time steps per axial layer, for both source ends; half of them are silent
 SCATTERING_STEPS = 8 * 8000.0  # of eight runs of 12 ms, per cell in a mm
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
 SPECTRAL_SECONDS = 1.5

@@ -8,7 +8,7 @@ from math import ceil
 from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import Air
 from acoustube.base.checks import DURATION, LENGTH, PLACE, Either, Optional, Reals, Several, checked
@@ -27,6 +27,8 @@ from acoustube.waves.scheme.problem import FarEnd, Setup, SourceEnd, prepare
 from acoustube.waves.scheme.pulse import check_pulse
 
 Signal = Callable[[Array], ArrayLike]
+CONE_MARGIN = 32
+"""Layers that are advanced beyond those that sound can have reached."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +184,8 @@ def propagate(
         source = launching_source(samples, setup, air)
     else:
         source = samples[1:]
-    _, pressure = march(setup, setup.state, source, progress=progress)
+    layers = audible_layers(setup, air, n_steps, n_samples)
+    _, pressure = march(setup, setup.state, source, layers=layers, progress=progress)
     silence = np.zeros((len(setup.probes), 1))
     return Recording(
         time=time[:n_samples],
@@ -190,6 +193,42 @@ def propagate(
         time_step=setup.time_step, probes=setup.probes, spacing=cells.spacing,
         shape=setup.cells.shape,
     )  # fmt: skip
+
+
+def audible_layers(setup: Setup, air: Air, n_steps: int, n_samples: int) -> NDArray[np.int64]:
+    """Return how many layers matter in each step of a march that starts in silence.
+
+    Sound from the source has not reached those beyond yet, or does not reach a probe from them
+    within the recording any more.
+
+    Parameters
+    ----------
+    setup : Setup
+        The discrete problem.
+    air : Air
+        Gas in the lumen.
+    n_steps : int
+        Steps of the march.
+    n_samples : int
+        Recorded samples, the first at rest.
+
+    Returns
+    -------
+    ndarray
+        Number of layers from the first, (n_steps,).
+
+    Notes
+    -----
+    `CONE_MARGIN` layers are added: no wave of the scheme that is resolved is faster than sound,
+    but a discrete front has a tail before it.
+    """
+    courant = air.sound_speed * setup.time_step / setup.cells.spacing[2]
+    step = np.arange(1, n_steps + 1)
+    reached = setup.source_layer + courant * step
+    heard = int(np.max(setup.scheme.probe_layers)) + courant * np.maximum(n_samples - step, 0)
+    layers = np.ceil(np.minimum(reached, heard)).astype(np.int64) + CONE_MARGIN
+    n_layers = setup.cells.shape[2]
+    return layers.clip(min(setup.source_layer + CONE_MARGIN, n_layers), n_layers)
 
 
 def launching_source(wave: Array, setup: Setup, air: Air) -> Array:

@@ -138,7 +138,7 @@ class WaveSettings(Section):
             "spectral solver, joined to straight tube",
         ),
     )
-    resolution: int = setting(32, Number(8, 256, "", "grid cells across the bore", whole=True))
+    resolution: int = setting(24, Number(8, 256, "", "grid cells across the bore", whole=True))
     source_end: Literal["release", "absorbing"] = setting(
         "release",
         Choice(("release", "absorbing"), "boundary condition at the source end after the pulse"),

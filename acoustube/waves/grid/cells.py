@@ -23,12 +23,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.checks import FLAG, Reals, checked
 from acoustube.waves.grid.polyhedron import SNAP, Array, Fractions, cut_polyhedron
 
 Spacing = tuple[float, float, float]
+Indices = NDArray[np.intp]
+STRAIGHT_LAYERS = 4
+"""Number of layers of a straight end that are cut; further ones are copies."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,20 +110,62 @@ def cut_cells(
     """
     steps = np.broadcast_to(np.asarray(spacing, dtype=float), (3,))
     _check(surface, steps)
-    length = float(surface.bounds[1, 2])
+    triangles, layers = _shortened(np.asarray(surface.triangles), float(steps[2]))
+    length = float(triangles[..., 2].max())
     reach = np.ceil(np.abs(surface.bounds).max(axis=0)[:2] / steps[:2] - SNAP)
     half_x, half_y = 2 * int(np.ceil(reach[0] / 2)), int(np.ceil(reach[1]))
-    shape = (half_x * (1 if half else 2), 2 * half_y, int(np.ceil(length / steps[2] + 0.5 - SNAP)))
+    shape = (half_x * (1 if half else 2), 2 * half_y, int(layers[-1]) + 1)
     origin = steps * (0.0 if half else -half_x, -half_y, -0.5)
-    parts = cut_polyhedron(np.asarray(surface.triangles), origin, steps, shape)
+    parts = cut_polyhedron(triangles, origin, steps, shape)
     if half:
         parts.open_x[0] = 0.0
     _complete_first_layer(parts)
-    return CutCells(
+    cells = CutCells(
         spacing=_triple(steps), origin=_triple(origin), length=length,
         volume_fraction=parts.volume, open_x=parts.open_x, open_y=parts.open_y,
         open_z=parts.open_z,
     )  # fmt: skip
+    return replace(select_layers(cells, layers), length=float(surface.bounds[1, 2]))
+
+
+def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
+    """Return a tube without most of its straight ends, and which of its layers each layer equals.
+
+    Parameters
+    ----------
+    triangles : ndarray
+        (n, 3, 3) in m.
+    step : float
+        Thickness of a layer in m.
+
+    Returns
+    -------
+    triangles : ndarray
+        Whole layers shorter; those of the ends may have no area.
+    layers : ndarray of int
+        Indices of layers of the shorter tube, one for each layer of the tube.
+    """
+    z = triangles[..., 2]
+    length = float(z.max())
+    n_layers = int(np.ceil(length / step + 0.5 - SNAP))
+    # A facet along the axis has a normal without z component, exactly: its coordinates repeat.
+    (ux, uy), (vx, vy) = ((triangles[:, i, :2] - triangles[:, 0, :2]).T for i in (1, 2))
+    cap = np.all(z == z[:, :1], axis=1) & ((z[:, 0] == z.min()) | (z[:, 0] == length))
+    shaped = z[(ux * vy - uy * vx != 0.0) & ~cap]
+    first, last = (shaped.min(), shaped.max()) if len(shaped) else (length / 2, length / 2)
+    before = max(int(first / step) - STRAIGHT_LAYERS, 0)
+    after = max(int((length - last) / step) - STRAIGHT_LAYERS, 0)
+    moved = triangles.copy()
+    moved[..., 2] = np.clip(z, before * step if before else None, length - after * step)
+    moved[..., 2] -= before * step
+    # Each layer that is left out equals the first one, or the last but two, which ends wholly
+    # within the tube.
+    short = np.arange(n_layers - before - after)
+    behind = max(len(short) - 2, 1)
+    layers = np.concatenate(
+        [np.zeros(before), short[:behind], np.full(after, behind - 1), short[behind:]]
+    )
+    return moved, layers.astype(np.intp)
 
 
 def _check(surface: trimesh.Trimesh, steps: Array) -> None:
@@ -148,6 +193,25 @@ def _triple(values: Array) -> Spacing:
     """Return three plain floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def select_layers(cells: CutCells, layers: Indices) -> CutCells:
+    """Return a grid of some layers, each with its lower face.
+
+    Parameters
+    ----------
+    cells : CutCells
+        The grid.
+    layers : ndarray of int
+        (n,); the last is the grid's last, whose upper face is kept.
+
+    Returns
+    -------
+    CutCells
+    """
+    parts = {n: getattr(cells, n)[..., layers] for n in ("volume_fraction", "open_x", "open_y")}
+    length = cells.length + (len(layers) - cells.shape[2]) * cells.spacing[2]
+    return replace(cells, length=length, open_z=cells.open_z[..., [*layers, -1]], **parts)
 
 
 def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCells:

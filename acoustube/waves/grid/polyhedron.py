@@ -70,6 +70,7 @@ def cut_polyhedron(
     grid = (np.asarray(triangles, dtype=float) - np.asarray(origin)) / np.asarray(spacing)
     nearest = np.rint(grid)
     pieces = np.where(np.abs(grid - nearest) < SNAP, nearest, grid)
+    pieces = pieces[(pieces[:, :, 0] > 0.0).any(axis=1)]
     for axis in range(3):
         pieces = _split_at_planes(pieces, axis)
     area = 0.5 * _twice_area(pieces)

@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.waves.grid.cells import CutCells
+from acoustube.waves.grid.cells import CutCells, select_layers
 from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.grid.repeated_layers import without_repeated_layers
 
 CLOSED_FRACTION = 1e-6
 """Volume fraction up to which a cell is closed: its ratio of faces to volume is undefined."""
@@ -78,12 +79,16 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     by up to 90 %, is 0.93 to 0.94 of the uncut grid's, of which 0.98 is the safety factor and
     0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
     """
+    length = cells.length
+    # A round reaches as far as the neighbouring layer.
+    cells, layers = without_repeated_layers(cells, BORROWING_ROUNDS + 1)
     cells = _without_closed_cells(cells)
     for _ in range(BORROWING_ROUNDS):
         cells = _borrow(cells)
     floor = _cfl_volume(cells) / PADDING_RATIO
     volume = np.where(cells.volume_fraction > 0.0, np.maximum(cells.volume_fraction, floor), 0.0)
-    return replace(cells, volume_fraction=volume)
+    shared = select_layers(replace(cells, volume_fraction=volume), layers)
+    return replace(shared, length=length)
 
 
 def _sides(cells: CutCells) -> list[_Side]:

@@ -272,10 +272,10 @@ def _probe(ends, field, x, y, recorded):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _lossless_column(problem, q, following, c, x, y):  # type: ignore[no-untyped-def]
+def _lossless_column(problem, q, following, c, x, y, limit):  # type: ignore[no-untyped-def]
     columns, operator, _, fields = problem[:4]
     for s in range(columns.first[c], columns.first[c + 1]):
-        begin, end = columns.spans[s, 0], columns.spans[s, 1]
+        begin, end = columns.spans[s, 0], min(columns.spans[s, 1], limit)
         if columns.spans[s, 2] == CORE:
             _lossless_core(operator, q, following, fields.change, x, y, begin, end)
         else:
@@ -283,11 +283,11 @@ def _lossless_column(problem, q, following, c, x, y):  # type: ignore[no-untyped
 
 
 @_compiled
-def _lossy_column(problem, q, following, integral, later, work, c, x, y):  # type: ignore[no-untyped-def]
+def _lossy_column(problem, q, following, integral, later, work, c, x, y, limit):  # type: ignore[no-untyped-def]
     columns, operator, lossy, fields = problem[:4]
     moved, middle = work[0], work[1]
     for s in range(columns.first[c], columns.first[c + 1]):
-        begin, end, kind = columns.spans[s, 0], columns.spans[s, 1], columns.spans[s, 2]
+        begin, end, kind = columns.spans[s, 0], min(columns.spans[s, 1], limit), columns.spans[s, 2]
         if kind == CORE:
             _core_force(operator, q, moved, x, y, begin, end)
         else:
@@ -302,8 +302,8 @@ def _lossy_column(problem, q, following, integral, later, work, c, x, y):  # typ
 
 
 @_compiled
-def _step(problem, now, begin, end, sample, work, recorded):  # type: ignore[no-untyped-def]
-    """Advance some columns by one step."""
+def _step(problem, now, begin, end, sample, limit, work, recorded):  # type: ignore[no-untyped-def]
+    """Advance some columns by one step, up to a layer."""
     columns, operator, lossy, fields, before, behind, ends = problem
     q, following = fields.ahead[now], fields.ahead[1 - now]
     integral, later = fields.integral[now], fields.integral[1 - now]
@@ -312,11 +312,12 @@ def _step(problem, now, begin, end, sample, work, recorded):  # type: ignore[no-
     for c in range(begin, end):
         x, y = columns.place[c, 0], columns.place[c, 1]
         if lossy.decay.size > 0:
-            _lossy_column(problem, q, following, integral, later, work, c, x, y)
+            _lossy_column(problem, q, following, integral, later, work, c, x, y, limit)
         else:
-            _lossless_column(problem, q, following, c, x, y)
+            _lossless_column(problem, q, following, c, x, y, limit)
         _pml_step(operator, before, q, following, fields.change, _NONE, x, y)
-        _pml_step(operator, behind, q, following, fields.change, last, x, y)
+        if limit > last:
+            _pml_step(operator, behind, q, following, fields.change, last, x, y)
         if lossy.decay.size > 0:
             added = _source_increment(ends, fields.pressure, x, y, sample)
             fields.pressure[x + _ONE, y + _ONE, layer] += added
@@ -328,7 +329,7 @@ def _step(problem, now, begin, end, sample, work, recorded):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def advance(problem, thread, now, samples, work, recorded, counter):  # type: ignore[no-untyped-def]
+def advance(problem, thread, now, samples, limits, work, recorded, counter):  # type: ignore[no-untyped-def]
     """Advance a thread's columns by several steps, synchronised with the other threads.
 
     Parameters
@@ -342,6 +343,8 @@ def advance(problem, thread, now, samples, work, recorded, counter):  # type: ig
         Index of the present in `Fields.ahead` and `Fields.integral`, 0 or 1.
     samples : ndarray
         Source signal, one sample per step, (n,).
+    limits : ndarray
+        Number of layers that each step advances, of uint64, (n,).
     work : ndarray
         For intermediate values, (n_threads, 2, nz).
     recorded : ndarray
@@ -354,7 +357,8 @@ def advance(problem, thread, now, samples, work, recorded, counter):  # type: ig
     n_threads = bounds.size - 1
     for step in range(samples.size):
         begin, end = bounds[thread], bounds[thread + 1]
-        _step(problem, now, begin, end, samples[step], work[thread], recorded[thread, step])
+        sample, limit = samples[step], limits[step]
+        _step(problem, now, begin, end, sample, limit, work[thread], recorded[thread, step])
         now = 1 - now
         if n_threads > 1:
             _barrier_wait(counter, n_threads * (step + 1))

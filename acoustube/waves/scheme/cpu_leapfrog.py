@@ -83,13 +83,15 @@ class CompiledMarcher:
     def _fields(self) -> Fields:
         return self._problem[3]
 
-    def advance(self, source: ArrayLike) -> Array:
+    def advance(self, source: ArrayLike, layers: ArrayLike | None = None) -> Array:
         """Advance by as many steps as the source has samples.
 
         Parameters
         ----------
         source : array_like
             (n,).
+        layers : array_like of int, optional
+            Number of layers that each step advances, from the first, (n,); all by default.
 
         Returns
         -------
@@ -104,12 +106,14 @@ class CompiledMarcher:
         change, columns = self._fields.change, self._problem[0]
         n_threads = len(columns.bounds) - 1
         samples = _copy(source, change.dtype)
+        limits = np.empty(len(samples), np.uint64)
+        limits[:] = change.shape[2] if layers is None else layers
         work = np.empty((n_threads, 2, change.shape[2]), change.dtype)
         recorded = np.zeros((n_threads, len(samples), len(self._order)), change.dtype)
         counter = np.zeros(1, np.int64)
 
         def run(thread: int) -> None:
-            advance(self._problem, thread, self._now, samples, work, recorded, counter)
+            advance(self._problem, thread, self._now, samples, limits, work, recorded, counter)
 
         if n_threads == 1:
             run(0)

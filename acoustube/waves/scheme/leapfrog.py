@@ -78,6 +78,7 @@ def march(
     state: State,
     source: Array,
     *,
+    layers: NDArray[np.integer[Any]] | None = None,
     progress: Progress | None = None,
     compiled: bool | None = None,
 ) -> tuple[State, Array]:
@@ -91,6 +92,10 @@ def march(
         Initial state.
     source : ndarray
         Source signal: the values to which the source layer is set, or increments, (n,).
+    layers : ndarray of int, optional
+        Number of layers, from the first, that have to be advanced in each step, (n,), as from
+        `audible_layers`; all by default. Only compiled columns leave the others out, whose state
+        is then that of an earlier step.
     progress : callable, optional
         Called with the finished fraction after each chunk.
     compiled : bool, optional
@@ -113,8 +118,8 @@ def march(
     records = []
     for begin in range(0, len(source), CHUNK):
         piece = source[begin : begin + CHUNK]
-        records.append(marcher.advance(piece))
         end = begin + len(piece)
+        records.append(marcher.advance(piece, None if layers is None else layers[begin:end]))
         if not marcher.is_finite():
             raise SimulationError(
                 f"waves: the pressure diverged between steps {begin} and {end}; "
@@ -129,7 +134,7 @@ def march(
 class Marcher(Protocol):
     """State that is advanced in place."""
 
-    def advance(self, source: Array) -> Array:
+    def advance(self, source: Array, layers: NDArray[np.integer[Any]] | None = None) -> Array:
         """Advance by one step per sample; return the pressures at the probes, (n, n_probes)."""
 
     def is_finite(self) -> bool:
@@ -157,7 +162,7 @@ class _TracedMarcher:
     def __init__(self, setup: Setup, state: State) -> None:
         self._setup, self._state = setup, state
 
-    def advance(self, source: Array) -> Array:
+    def advance(self, source: Array, layers: NDArray[np.integer[Any]] | None = None) -> Array:  # noqa: ARG002
         piece = jnp.asarray(source, self._state.change.dtype)
         self._state, record = run_chunk(
             self._state, self._setup.scheme, piece, source_layer=self._setup.source_layer
