@@ -69,7 +69,7 @@ def test_layer_yields_to_the_tube_and_is_flat_beside_it():
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_drawing_of_a_run_shows_what_its_settings_say(tmp_path):
+def test_drawing_of_a_run_shows_what_its_settings_say():
     """The pictures of a rod, a yawed rod, a sphere, a punch and a layer all differ."""
     along = np.array([0.0, 0.0, REACH])
     wall = rings(RADIUS) + along
@@ -90,8 +90,7 @@ def test_drawing_of_a_run_shows_what_its_settings_say(tmp_path):
             | {"true_distance": REACH},
             attrs={"configuration": json.dumps(parts)},
         )
-        data.to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
-        images = scene.draw(tmp_path / "run.nc")
+        images = scene.draw(data)
         assert images is not None
         pictures.append(images["close_up"].astype(int))
     for i, one in enumerate(pictures):

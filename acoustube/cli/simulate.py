@@ -104,7 +104,7 @@ def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
     from acoustube.reports.figures import run as run_figure
     from acoustube.reports.scenes import tube as tube_scene
 
-    images = tube_scene.draw(folder / "run.nc")
+    images = tube_scene.draw(dataset)
     figure = folder / "figure.png"
     write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
     return images is not None

@@ -15,7 +15,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from acoustube.base.units import CM, MM, MM2, PERCENT
-from acoustube.reports.scenes.tube import STRIP_MAGNIFICATION, STRIP_PIXELS, Image
+from acoustube.reports.scenes.offscreen import Image
+from acoustube.reports.scenes.tube import STRIP_MAGNIFICATION, STRIP_PIXELS
 
 AREA, SIGNAL, ENVELOPE, SEND, RETURN, PRESS = (
     "#4f8fc0", "#b8bec6", "#22405c", "#3a7d44", "#c1443c", "#777777",

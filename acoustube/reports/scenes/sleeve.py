@@ -1,7 +1,7 @@
 """A sleeve in three dimensions: arm, tubes, dead zones and contacts, drawn by VTK off screen.
 
 Run as a program of its own, ``python -m acoustube.reports.scenes.sleeve PICTURE.pkl FIGURE.png``,
-for the reason that :mod:`acoustube.reports.scenes.tube` gives.
+for the reason that :mod:`acoustube.reports.scenes.offscreen` gives.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.base.writing import write
-from acoustube.reports.scenes.tube import TIME_LIMIT
+from acoustube.reports.scenes.offscreen import TIME_LIMIT
 from acoustube.sleeve.helix import Helix
 
 PIXELS = (1800, 1000)

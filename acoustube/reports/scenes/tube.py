@@ -1,27 +1,19 @@
-"""The pressed tube in three dimensions, drawn by VTK off screen.
-
-Run as a program of its own, ``python -m acoustube.reports.scenes.tube RUN.nc IMAGE.npz``: VTK ends
-the process where the libraries for drawing without a screen are missing, and must not take a
-finished simulation with it.
-"""
+"""The pressed tube in three dimensions."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
+import json
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from acoustube.reports.scenes.offscreen import Image, Mesh, View, rendered
+
 if TYPE_CHECKING:  # the solvers, which a command that draws nothing does not need
     from acoustube.indentation import Indenter
-
-Image = NDArray[np.uint8]
 
 LAYER = "#cfdccb"
 WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", "#e9e9e9"
@@ -29,31 +21,32 @@ STRIP_PIXELS = (2400, 260)
 CLOSE_UP_PIXELS = (1800, 760)
 STRIP_MAGNIFICATION = 3.0
 """Magnification of the tube's cross-section over its length in the strip."""
-TIME_LIMIT = 120.0
 
 
-def draw(run: Path) -> dict[str, Image] | None:
+def draw(dataset: xr.Dataset) -> dict[str, Image] | None:
     """Draw the tube of a run in a separate process.
 
     Parameters
     ----------
-    run : path
-        The run's netCDF file.
+    dataset : xarray.Dataset
+        A run.
 
     Returns
     -------
     dict of images of shape (height, width, 3), or None
         ``close_up`` and ``strip``; None if VTK cannot draw on this machine.
     """
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            images = Path(folder) / "images.npz"
-            command = [sys.executable, "-m", __name__, str(run), str(images)]
-            subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
-            with np.load(images) as file:
-                return {name: file[name] for name in file.files}
-    except (subprocess.SubprocessError, OSError):
-        return None  # the figure is drawn without the tube, and says so
+    from acoustube.runs.config import Mechanics, configured
+    from acoustube.runs.config.si import press_in_si
+
+    settings = json.loads(dataset.attrs["configuration"])
+    config = configured({name: settings[name] for name in ("tube", "indentation")}, Mechanics)
+    press = press_in_si(config)
+    thickness = None if press.layer is None else press.layer.thickness
+    walls = half_walls(dataset)
+    return rendered(
+        {"close_up": close_up(dataset, walls, press.indenter, thickness), "strip": strip(walls)}
+    )
 
 
 def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
@@ -94,58 +87,69 @@ def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
     return np.concatenate([points for points, _ in meshes]), np.concatenate(faces)
 
 
-def _plotter(dataset: xr.Dataset, pixels: tuple[int, int], magnification: float) -> Any:
-    """Return an off-screen plotter with the opened tube; the tube's axis is z."""
-    import pyvista
-
-    plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(pixels))
-    plotter.set_background("white")
-    scale, parts = [magnification, magnification, 1], half_walls(dataset)
-    for name, colour in (("outer", WALL), ("inner", LUMEN), ("cut", SECTION)):
-        points, faces = parts[name]
-        mesh = pyvista.PolyData.from_regular_faces(points * scale, faces)
-        plotter.add_mesh(mesh, color=colour, smooth_shading=name != "cut", ambient=0.25)
-    plotter.enable_anti_aliasing(aa_type="ssaa")
-    return plotter
+def _walls(walls: dict[str, tuple[Any, Any]], magnification: float) -> list[Mesh]:
+    """Return the opened tube with its cross-section magnified; its axis is z."""
+    scale = [magnification, magnification, 1.0]
+    return [
+        Mesh(
+            points=walls[name][0] * scale,
+            faces=walls[name][1],
+            look={"color": colour, "smooth_shading": name != "cut", "ambient": 0.25},
+        )
+        for name, colour in (("outer", WALL), ("inner", LUMEN), ("cut", SECTION))
+    ]
 
 
-def close_up(dataset: xr.Dataset, press: Indenter, layer: float | None = None) -> Image:
-    """Draw the pressed part in true proportions, with the indenter and the ground.
+def close_up(
+    dataset: xr.Dataset,
+    walls: dict[str, tuple[Any, Any]],
+    press: Indenter,
+    layer: float | None = None,
+) -> View:
+    """Return the pressed part in true proportions, with the indenter and the ground.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         A run.
+    walls : dict
+        Its :func:`half_walls`.
     press : Indenter
     layer : float, optional
         Thickness of the elastic layer under the tube in m, if there is one.
     """
-    import pyvista
-
-    plotter = _plotter(dataset, CLOSE_UP_PIXELS, 1.0)
     position = float(dataset["true_distance"])
     outer = dataset["outer_wall"].values - [0.0, 0.0, position]
     size = float(np.ptp(outer[0, :, 1]))
-    moved = [0.0, 0.0, position]
+    shaded = {"smooth_shading": True, "split_sharp_edges": True}
     points, faces = tool_behind(press, outer)
-    tool = pyvista.PolyData.from_regular_faces(points + moved, faces)
-    plotter.add_mesh(tool, color=ROD, smooth_shading=True, split_sharp_edges=True, ambient=0.35)
+    moved = [0.0, 0.0, position]
+    tool = Mesh(points=points + moved, faces=faces, look={"color": ROD, "ambient": 0.35, **shaded})
     side, far = (-1.4 * size, 0.4 * size), 6 * size
     if layer is None:
-        near, end = position - far, position + far
-        floor: Any = pyvista.Box((*side, -0.56 * size, -0.5 * size, near, end))
-        plotter.add_mesh(floor, color=GROUND)
+        points, faces = _slab(*side, -0.56 * size, -0.5 * size, far)
+        look: dict[str, Any] = {"color": GROUND}
     else:
         sheets = layer_sheets(outer, side, far, -0.5 * size - min(layer, size))
         points, faces = _joined([_strip(sheet) for sheet in sheets])
-        floor = pyvista.PolyData.from_regular_faces(points + moved, faces)
-        plotter.add_mesh(floor, color=LAYER, smooth_shading=True, split_sharp_edges=True)
-    plotter.camera.focal_point = (0, 0.25 * size, position)
-    plotter.camera.position = (6.0 * size, 2.6 * size, position - 3.6 * size)
-    plotter.camera.up = (0, 1, 0)
-    plotter.camera.view_angle = 21
-    plotter.camera.clipping_range = (0.1 * size, 40 * size)
-    return np.asarray(plotter.screenshot(return_img=True))
+        look = {"color": LAYER, **shaded}
+    floor = Mesh(points=points + moved, faces=faces, look=look)
+    camera = {
+        "focal_point": (0, 0.25 * size, position),
+        "position": (6.0 * size, 2.6 * size, position - 3.6 * size),
+        "up": (0, 1, 0),
+        "view_angle": 21,
+        "clipping_range": (0.1 * size, 40 * size),
+    }
+    return View(pixels=CLOSE_UP_PIXELS, meshes=(*_walls(walls, 1.0), tool, floor), camera=camera)
+
+
+def _slab(left: float, right: float, bottom: float, top: float, far: float) -> tuple[Any, Any]:
+    """Return points and triangles of a box from -far to far along the tube."""
+    import trimesh
+
+    box = trimesh.creation.box(bounds=[[left, bottom, -far], [right, top, far]])
+    return np.asarray(box.vertices), np.asarray(box.faces)
 
 
 def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
@@ -195,30 +199,17 @@ def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: floa
     return [top, np.stack([top[:, -1], below])]
 
 
-def strip(dataset: xr.Dataset) -> Image:
-    """Draw the whole tube so that the picture's width is exactly the tube's length."""
-    plotter = _plotter(dataset, STRIP_PIXELS, STRIP_MAGNIFICATION)
-    length = float(dataset["outer_wall"].values[-1, 0, 2])
-    plotter.enable_parallel_projection()
-    plotter.camera.focal_point = (0, 0, length / 2)
-    # From a little above, at a right angle to the axis, so that distances along it are true.
-    plotter.camera.position = (length * np.cos(0.35), length * np.sin(0.35), length / 2)
-    plotter.camera.up = (0, 1, 0)
-    plotter.camera.parallel_scale = 0.5 * length * STRIP_PIXELS[1] / STRIP_PIXELS[0]
-    plotter.camera.clipping_range = (0.01 * length, 10 * length)
-    return np.asarray(plotter.screenshot(return_img=True))
-
-
-if __name__ == "__main__":
-    import json
-
-    from acoustube.runs.config import Mechanics, configured
-    from acoustube.runs.config.si import press_in_si
-
-    with xr.open_dataset(sys.argv[1], engine="h5netcdf") as run:
-        settings = json.loads(run.attrs["configuration"])
-        config = configured({n: settings[n] for n in ("tube", "indentation")}, Mechanics)
-        press = press_in_si(config)
-        thickness = None if press.layer is None else press.layer.thickness
-        picture = close_up(run, press.indenter, thickness)
-        np.savez(sys.argv[2], close_up=picture, strip=strip(run))
+def strip(walls: dict[str, tuple[Any, Any]]) -> View:
+    """Return the whole tube so that the picture's width is exactly the tube's length."""
+    length = float(walls["outer"][0][:, 2].max())
+    camera = {
+        "parallel_projection": True,
+        "focal_point": (0, 0, length / 2),
+        # From a little above, at a right angle to the axis, so that distances along it are true.
+        "position": (length * np.cos(0.35), length * np.sin(0.35), length / 2),
+        "up": (0, 1, 0),
+        "parallel_scale": 0.5 * length * STRIP_PIXELS[1] / STRIP_PIXELS[0],
+        "clipping_range": (0.01 * length, 10 * length),
+    }
+    meshes = tuple(_walls(walls, STRIP_MAGNIFICATION))
+    return View(pixels=STRIP_PIXELS, meshes=meshes, camera=camera)

@@ -1,0 +1,105 @@
+"""Views of triangle meshes, rendered by VTK off screen.
+
+Run as a program of its own, ``python -m acoustube.reports.scenes.offscreen VIEWS.pkl IMAGES.npz``:
+VTK ends the process where the libraries for drawing without a screen are missing, and must not take
+a finished simulation with it. That program loads no solver.
+"""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+TIME_LIMIT = 120.0
+"""Time in s after which a drawing is given up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """A surface in a view.
+
+    Attributes
+    ----------
+    points : ndarray
+        (n, 3) in m.
+    faces : ndarray of int
+        Triangles, (m, 3).
+    look : dict
+        Colour, shading and lighting, as ``pyvista.Plotter.add_mesh`` takes them.
+    """
+
+    points: NDArray[np.float64]
+    faces: NDArray[Any]
+    look: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """Surfaces and the camera that looks at them.
+
+    Attributes
+    ----------
+    pixels : tuple of int
+        Width and height of the picture.
+    meshes : tuple of Mesh
+    camera : dict
+        Attributes of ``pyvista.Camera``.
+    """
+
+    pixels: tuple[int, int]
+    meshes: tuple[Mesh, ...]
+    camera: dict[str, Any] = field(default_factory=dict)
+
+
+def rendered(views: Mapping[str, View]) -> dict[str, Image] | None:
+    """Render views in a separate process.
+
+    Parameters
+    ----------
+    views : mapping of str to View
+
+    Returns
+    -------
+    dict of images of shape (height, width, 3), or None
+        None if VTK cannot draw on this machine.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            content, images = Path(folder) / "views.pkl", Path(folder) / "images.npz"
+            content.write_bytes(pickle.dumps(dict(views)))
+            command = [sys.executable, "-m", __name__, str(content), str(images)]
+            subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
+            with np.load(images) as file:
+                return {name: file[name] for name in file.files}
+    except (subprocess.SubprocessError, OSError):
+        return None
+
+
+def _render(view: View) -> Image:
+    """Render a view."""
+    import pyvista
+
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(view.pixels))
+    plotter.set_background("white")
+    for mesh in view.meshes:
+        plotter.add_mesh(pyvista.PolyData.from_regular_faces(mesh.points, mesh.faces), **mesh.look)
+    plotter.enable_anti_aliasing(aa_type="ssaa")
+    for name, value in view.camera.items():
+        setattr(plotter.camera, name, value)
+    return np.asarray(plotter.screenshot(return_img=True))
+
+
+if __name__ == "__main__":
+    loaded: dict[str, View] = pickle.loads(Path(sys.argv[1]).read_bytes())
+    pictures: dict[str, Any] = {name: _render(view) for name, view in loaded.items()}
+    np.savez(sys.argv[2], **pictures)
