@@ -1,21 +1,28 @@
 """How right is the spectral solver on presses, and how honest its estimate?
 
-    OMP_NUM_THREADS=1 python benchmarks/spectral_presses.py [--depths 2 4 7.8] [--march 24]
+    OMP_NUM_THREADS=1 python benchmarks/spectral_presses.py [--depths 2 4 7.8]
+    OMP_NUM_THREADS=1 python benchmarks/spectral_presses.py --march 24 32 --rows march.jsonl
 
 The 25 mm rod on the default tube, 8 to 60 kHz every 100 Hz, modes symmetric about x = 0, at the
 default tolerance. The reference is a basis twice as rich: elements half as long, of degree 12 (14
 from 7.8 mm on), with more shifts, and with losses more directly solved frequencies. Each row:
 depth in mm, losses, processor seconds, largest difference of any coefficient (median, 95 %, maximum
 over the band), the solver's estimate (the same), how many per cent of the frequencies exceed it,
-and by how much at most. ``--march`` adds the differences of R00 and T00 from the time-domain solver
-on grids of so many cells across, and its processor seconds, 0.3 kHz and more from the cut-ons.
+and by how much at most.
+
+``--march`` gives the differences of R00 and T00 of the time-domain solver from the same reference
+instead, on grids of so many cells across, 0.3 kHz and more from the cut-ons: over the band and over
+36 to 48 kHz, with its processor seconds and how many frequencies are not settled. Each row is
+appended to ``--rows`` as soon as it is known, and rows that are there are not computed again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from time import process_time
 from typing import Any
 from unittest.mock import patch
@@ -46,6 +53,8 @@ OFF_CUT_ON = 300.0
 """Distance in Hz from the cut-ons from which the two methods are compared."""
 ALMOST_CLOSED = 7.8
 """Depth in mm from which the reference has a higher degree."""
+MIDDLE_BAND = 36e3, 48e3
+"""Band in Hz around the carrier of EchoTube."""
 N_SHIFTS = 26
 """Of the reference."""
 QUANTILES = 0.5, 0.95, 1.0
@@ -56,27 +65,65 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--depths", type=float, nargs="+", default=DEPTHS)
     parser.add_argument("--march", type=int, nargs="*", default=[], help="cells across the bore")
+    parser.add_argument("--rows", type=Path, default=Path("march.jsonl"), help="of the march")
     parser.add_argument("--losses", choices=("off", "on", "both"), default="both")
     given = parser.parse_args()
     depths = sorted(given.depths)
     press = indent(Tube(), Indenter(diameter=25 / MM), depth=[depth / MM for depth in depths])
-    lumens = [pressed_part(press, row) for row in press.rows_at([depth / MM for depth in depths])]
+    rows = press.rows_at([depth / MM for depth in depths])
+    lumens = {depth: pressed_part(press, row) for depth, row in zip(depths, rows, strict=True)}
+    losses = {"off": [False], "on": [True], "both": [False, True]}[given.losses]
+    if given.march:
+        compare_march(lumens, losses, given.march, given.rows)
+    else:
+        compare_estimate(lumens, losses)
+
+
+def compare_estimate(lumens: dict[float, Lumen], losses: list[bool]) -> None:
+    """Print the error of the solver and its estimate."""
     print("depth losses seconds | error median 95% max | estimate | exceeded % by")
-    for depth, lumen in zip(depths, lumens, strict=True):
-        for losses in {"off": [False], "on": [True], "both": [False, True]}[given.losses]:
-            found, seconds = timed(spectral_scattering, lumen, lossy=losses)
-            with richer(degree=12 if depth < ALMOST_CLOSED else 14):
-                reference, _ = timed(spectral_scattering, lumen, lossy=losses)
+    for depth, lumen in lumens.items():
+        for lossy_wall in losses:
+            found, seconds = timed(spectral_scattering, lumen, lossy=lossy_wall)
+            reference = reference_of(depth, lumen, lossy=lossy_wall)
             error = np.abs(found.s - reference.s).max(axis=(1, 2, 3, 4))
             over = error / found.error
             print(
-                f"{depth:g} {'on' if losses else 'off'} {seconds:.1f} | {spread(error)} | "
+                f"{depth:g} {'on' if lossy_wall else 'off'} {seconds:.1f} | {spread(error)} | "
                 f"{spread(found.error)} | {100 * np.mean(over > 1):.1f} {over.max():.1f}",
                 flush=True,
             )
-            for resolution in given.march:
-                marched, seconds = timed(march, lumen, resolution, lossy=losses)
-                print(f"   march {resolution}: {seconds:.0f} s | {apart(marched, reference)}")
+
+
+def compare_march(
+    lumens: dict[float, Lumen], losses: list[bool], resolutions: list[int], path: Path
+) -> None:
+    """Print and store the differences of the march from the reference."""
+    stored = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    rows = {(row["lossy"], row["cells"], row["depth"]): row for row in stored}
+    references: dict[tuple[bool, float], SpectralScattering] = {}
+    for lossy_wall, cells in [(a, b) for a in losses for b in resolutions]:
+        for depth, lumen in lumens.items():
+            key = lossy_wall, cells, depth
+            if key not in rows:
+                if (lossy_wall, depth) not in references:
+                    references[lossy_wall, depth] = reference_of(depth, lumen, lossy=lossy_wall)
+                # Compiles, so that the second run is one of the method.
+                march(lumen, cells, lossy=lossy_wall, longest=1e-4)
+                marched, seconds = timed(march, lumen, cells, lossy=lossy_wall)
+                rows[key] = {
+                    "lossy": lossy_wall, "cells": cells, "depth": depth, "seconds": seconds,
+                    **apart(marched, references[lossy_wall, depth]),
+                }  # fmt: skip
+                with path.open("a") as file:
+                    file.write(json.dumps(rows[key]) + "\n")
+            print(" ".join(f"{name}={shown(value)}" for name, value in rows[key].items()))
+
+
+def reference_of(depth: float, lumen: Lumen, *, lossy: bool) -> SpectralScattering:
+    """Return the scattering matrix in a basis twice as rich; depth in mm."""
+    with richer(degree=12 if depth < ALMOST_CLOSED else 14):
+        return spectral_scattering(lumen, lossy=lossy)
 
 
 def spectral_scattering(lumen: Lumen, *, lossy: bool) -> SpectralScattering:
@@ -85,10 +132,14 @@ def spectral_scattering(lumen: Lumen, *, lossy: bool) -> SpectralScattering:
     return scatter_spectral(wall, AIR, FREQUENCY, lossy=lossy, symmetric_only=True)
 
 
-def march(lumen: Lumen, resolution: int, *, lossy: bool) -> Scattering:
+def march(lumen: Lumen, resolution: int, **options: Any) -> Scattering:
     """Return the scattering matrix by finite differences."""
-    cells = cut_cells(lumen.surface, 2 * lumen.radius / resolution)
-    return scatter(cells, AIR, FREQUENCY, lossy=lossy, symmetric_only=True)
+    size, length = Tube().inner_diameter / resolution, 2 * lumen.position
+    cells = cut_cells(lumen.surface, (size, size, length / np.ceil(length / size)))
+    reference = (lumen.position, lumen.position)
+    return scatter(
+        cells, AIR, FREQUENCY, reference=reference, symmetric=True, symmetric_only=True, **options
+    )
 
 
 @contextmanager
@@ -117,15 +168,27 @@ def timed(work: Callable[..., Any], *given: Any, **settings: Any) -> tuple[Any, 
     return found, process_time() - start
 
 
-def apart(found: Scattering, reference: SpectralScattering) -> str:
-    """Return the differences of R00 and of T00."""
+def apart(found: Scattering, reference: SpectralScattering) -> dict[str, Any]:
+    """Return the spread of the differences of R00 and of T00, and the number not settled."""
     cut_ons = reference.cut_ons[reference.cut_ons > 0]
     off = (np.abs(FREQUENCY[:, None] - cut_ons) > OFF_CUT_ON).all(axis=1)
-    pairs = ((0, "R00"), (1, "T00"))
-    return ", ".join(
-        f"{name} {spread(np.abs(found.s - reference.s)[off, port, 0, 0, 0])}"
-        for port, name in pairs
-    )
+    low, high = MIDDLE_BAND
+    within = (FREQUENCY - low) * (FREQUENCY - high) <= 0
+    difference = np.abs(found.s - reference.s)
+    both: dict[str, Any] = {
+        f"{name}{where}": np.quantile(difference[here, port, 0, 0, 0], QUANTILES).tolist()
+        for port, name in ((0, "R00"), (1, "T00"))
+        for where, here in (("", off), (" 36-48", off & within))
+    }
+    unsettled = ~found.settled[:, :, 0, 0, 0].all(axis=1)
+    return both | {"unsettled": int(unsettled.sum())}
+
+
+def shown(value: Any) -> str:
+    """Return a value of a row."""
+    if isinstance(value, list):
+        return "/".join(f"{number:.1e}" for number in value)
+    return f"{value:.4g}"
 
 
 def spread(values: np.ndarray) -> str:

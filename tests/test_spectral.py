@@ -356,61 +356,6 @@ def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():
 
     flat = spectral.analytic_wall(lines, ends=(0.0, 1e-3), radius=a, n_points=240)
     points = boundary.wall_points(flat, axial_rule(np.array([0.0, 1e-3]), 1, np.zeros(0)))
-    width = layers.gap_widths(points.contours, points.boxes, True, 1e-3)[0]
+    width = layers.gap_widths(points.contours, points.boxes, True, np.array([True]))[0]
     np.testing.assert_allclose(width[0], 2 * b, rtol=1e-3)
     assert width.min() == pytest.approx(2 * b**2 / a, rel=0.1)
-
-
-@pytest.mark.parametrize("case", ["A", "E"])
-def test_derivative_by_depth_is_that_of_differences(case):
-    """By the share h by which the lumen is pinched, all modes symmetric about x = 0."""
-    frequency = np.array([12e3, 30e3, 41e3, 56e3])
-    w = CASES[case][1]
-
-    def velocity(z, t):
-        f = np.where(np.abs(z) < w, 0.5 * (1 + np.cos(np.pi * z / w)), 0.0)
-        x, y = RADIUS * np.sin(t), -RADIUS * np.cos(t)
-        if case == "A":
-            return 0.45 * x * f, -(y + RADIUS) * f
-        return -x * f, -y * f
-
-    found = scattered(wall(case), frequency, velocity=velocity, symmetric_only=True).derivative
-    expected = differences(lambda h: wall(case, deeper=h), 1e-3, frequency, tolerance=1e-6)
-    size = np.abs(expected).max(axis=(1, 2, 3, 4), keepdims=True)
-    np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
-
-
-def differences(wall_at, step, frequency, **options):
-    """Return central differences of S of the fourth order, whose own error is below 1e-6."""
-    less, more = (
-        [
-            scattered(wall_at(sign * n * step), frequency, symmetric_only=True, **options).s
-            for n in (1, 2)
-        ]
-        for sign in (-1, 1)
-    )
-    return (8 * (more[0] - less[0]) - (more[1] - less[1])) / (12 * step)
-
-
-def test_derivative_by_the_motion_of_rings_is_that_of_differences():
-    """A lumen as a press leaves it, moved as between two depths; a splined wall has corners."""
-    frequency = np.array([20e3, 42e3, 56e3])
-    shallow, deep = rings("E"), rings("E", deeper=0.02)
-
-    def wall_at(share):
-        moved = shallow.rings + share * (deep.rings - shallow.rings)
-        return spectral.wall_of(SimpleNamespace(**{**vars(shallow), "rings": moved}))
-
-    step = 0.05
-    motion = spectral.wall_motion(wall_at(-step), wall_at(step), 2 * step)
-    found = scattered(wall_at(0.0), frequency, velocity=motion, symmetric_only=True).derivative
-    expected = differences(wall_at, step, frequency, tolerance=1e-5)
-    size = np.abs(expected).max(axis=(1, 2, 3, 4), keepdims=True)
-    np.testing.assert_allclose(found / size, expected / size, atol=1e-5)
-
-
-def test_derivative_with_losses_is_refused():
-    with pytest.raises(ConfigError, match="without losses"):
-        spectral.scatter_spectral(
-            wall("A"), AIR, np.array([2e4]), velocity=lambda z, t: (0 * z * t, 0 * z * t)
-        )

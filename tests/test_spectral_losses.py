@@ -127,7 +127,7 @@ def test_gap_much_lower_than_the_points_are_apart_has_its_own_height():
 
     flat = spectral.analytic_wall(lines, ends=(0.0, 1e-3), radius=a, n_points=96)
     points = boundary.wall_points(flat, axial_rule(np.array([0.0, 1e-3]), 1, np.zeros(0)), 3)
-    width = layers.gap_widths(points.contours, points.boxes, True, 1e-3)[0]
+    width = layers.gap_widths(points.contours, points.boxes, True, np.array([True]))[0]
     x = points.contours.x[0]
     inner = np.abs(x) < 0.8 * a
     np.testing.assert_allclose(width[inner], 2 * b * np.sqrt(1 - (x[inner] / a) ** 2), rtol=1e-2)

@@ -3,12 +3,12 @@
 Reading order: `polynomials`, `walls`, `lumens` and `sections` (what is integrated over), `assembly`
 (stiffness and mass), `ports` and `ends` (modes of the ends), `elimination` (direct solution along
 the tube), `discretisation` (a basis and a richer one), `reduction` (many frequencies at once),
-`boundary`, `layers` and `lossy` (losses), `derivatives`, and `partition`, `first_basis`, `band` and
-`solver` (what is chosen, and the error).
+`boundary`, `layers` and `lossy` (losses), `motion`, `derivatives` and `lossy_derivatives`, and
+`partition`, `first_basis`, `band` and `solver` (what is chosen, and the error).
 """
 
-from acoustube.waves.spectral.derivatives import wall_motion
 from acoustube.waves.spectral.lumens import wall_of
+from acoustube.waves.spectral.motion import wall_motion
 from acoustube.waves.spectral.result import SpectralScattering
 from acoustube.waves.spectral.sections import SurfaceRings, rings_of_surface
 from acoustube.waves.spectral.solver import scatter_spectral

@@ -39,8 +39,10 @@ def swept(
     responses: dict[float, list[Response]],
     k: Array,
     tolerance: float,
-) -> tuple[list[Reduced], Complex, Array, list[int]]:
+) -> tuple[list[Reduced], Complex, tuple[Array, Array], list[int]]:
     """Return the largest basis per parity, S, its errors, and basis sizes before the last shifts.
+
+    The errors are what the corrections change, and the error of the shifts, (n,) each.
 
     Notes
     -----
@@ -82,7 +84,7 @@ def swept(
         for space, side in zip(spaces, sides, strict=True)
     ]
     richest = scattering_at(system, spaces, k)
-    return spaces, richest, difference(system, richest, now, k) + doubt, sizes
+    return spaces, richest, (difference(system, richest, now, k), doubt), sizes
 
 
 def _extended(

@@ -1,11 +1,12 @@
 """Derivatives of a scattering matrix by motions of the wall.
 
 For a wall that moves outwards by v_n per parameter, Hadamard's formula [1]_ gives, with the fields
-x of the ports' loads,
+x of the ports' loads C,
 
-    dZ = -int v_n (grad x . grad x^T - k^2 x x^T) dS
+    dZ = dC^T x + x^T dC - int v_n (grad x . grad x^T - k^2 x x^T) dS
 
-over the wall, without a new solution; dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
+over the wall, without a new solution. The loads change, and so do the ends' axial wavenumbers k_z,
+where the ends move; dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
 
 References
 ----------
@@ -15,61 +16,113 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
+from acoustube.waves.spectral.assembly import element_boxes
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
-from acoustube.waves.spectral.discretisation import Discretisation
+from acoustube.waves.spectral.discretisation import Discretisation, far_matrices, far_modes
+from acoustube.waves.spectral.elimination import product
+from acoustube.waves.spectral.ends import end_functions, section_of
+from acoustube.waves.spectral.motion import Motion
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.ports import Complex, changed_scattering
+from acoustube.waves.spectral.ports import Complex, PortModes, changed_scattering
 from acoustube.waves.spectral.reduction import Reduced, projected, ritz
 from acoustube.waves.spectral.walls import Wall
 
-Velocity = Callable[[Array, Array], tuple[Array, Array]]
-"""From z (n, 1) in m and t (n_points,) to how x and y of the wall move per parameter."""
+
+class Changes(NamedTuple):
+    """Derivatives of a discretisation by a parameter, in the enriched basis's polynomials.
+
+    Attributes
+    ----------
+    stiffness, mass : ndarray
+        (n_elements, size, size).
+    load : ndarray
+        Of the modes of all ports, (n_elements, size, n_ports n_modes).
+    """
+
+    stiffness: Array
+    mass: Array
+    load: Array
 
 
-def wall_motion(before: Wall, after: Wall, change: float) -> Velocity:
-    """Return the motion of a wall per unit of a parameter, from the walls at two of its values.
+def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: float) -> Changes:
+    """Return the derivatives of stiffness, mass and loads, without the boundary layers.
 
     Parameters
     ----------
-    before, after : Wall
-        Their lines have the same numbers of points, as those of one press at two depths.
-    change : float
-        Of the parameter between them. For values on either side of that of the wall that moves, the
-        error is of the second order in the change.
-
-    Returns
-    -------
-    callable
-        For the argument `velocity` of :func:`scatter_spectral`.
+    system : Discretisation
+    wall : Wall
+    motion : Motion
+    wavenumber : float
+        The highest of interest in 1/m, of which `system` was made.
     """
+    points = wall_points(wall, system.rule)
+    x, y = motion.velocity(points.rule.z[:, None], points.contours.t)
+    outwards = x * points.normal[0] + y * points.normal[1]
+    functions = wall_functions(points, system.functions)
+    stiffness, mass = wall_matrices(points, functions, system.layout, outwards)
+    load = np.zeros_like(system.load)
+    if motion.ends:
+        _add_ends(Changes(stiffness, mass, load), system, wall, motion, wavenumber)
+    return Changes(stiffness, mass, load)
 
-    def velocity(z: Array, t: Array) -> tuple[Array, Array]:
-        moved = [
-            (there - here) / change
-            for here, there in zip(before.lines(z[:, 0])[:2], after.lines(z[:, 0])[:2], strict=True)
-        ]
-        turn = 2 * np.pi * np.arange(moved[0].shape[1] + 1) / moved[0].shape[1]
-        x, y = (
-            CubicSpline(turn, np.concatenate([part, part[:, :1]], 1), axis=1, bc_type="periodic")(t)
-            for part in moved
-        )
-        return x, y
 
-    return velocity
+def _add_ends(
+    changes: Changes, system: Discretisation, wall: Wall, motion: Motion, wavenumber: float
+) -> None:
+    """Add what changes as the ends move: the loads and the impedance of the far modes."""
+    _, first, last = element_boxes(wall, system.rule)
+    far = far_modes(wall, wavenumber, system.functions.odd)
+    n, layout = len(system.modes), system.layout
+    places = [(-1, 1, last, slice(-n, None))]
+    if not system.halved:
+        places.append((0, 0, first, slice(None, n)))
+    for element, end, box, columns in places:
+        found = []
+        for moved in (motion.less, motion.more):
+            near, beyond = modes_like(moved, system.modes, far, system.functions.odd)
+            outer = end_functions(moved, beyond, system.functions, box)
+            found.append((
+                *far_matrices(outer, beyond, moved.radius, wavenumber),
+                end_functions(moved, near, system.functions, box),
+            ))  # fmt: skip
+        change = [(b - a) / motion.step for a, b in zip(*found, strict=True)]
+        at = layout.end(end)
+        changes.stiffness[element][np.ix_(at, at)] += change[0]
+        changes.mass[element][np.ix_(at, at)] += change[1]
+        changes.load[element, at, columns] += change[2]
+
+
+def modes_like(
+    wall: Wall, near: PortModes, far: PortModes, odd: bool | None
+) -> tuple[PortModes, PortModes]:
+    """Return the modes of a displaced wall's ends, as many as those of the wall."""
+    if wall.circular:
+        return near, far
+    modes = section_of(wall, odd).modes
+    return modes.part(slice(len(near))), modes.part(slice(len(near), len(near) + len(far)))
+
+
+def changed_wavenumbers(system: Discretisation, motion: Motion, kz: Complex) -> Complex:
+    """Return the derivative of the axial wavenumbers kz (n, n_modes) without losses, in 1/m."""
+    transverse = [
+        modes_like(wall, system.modes, system.modes, system.functions.odd)[0].zeros / wall.radius
+        for wall in (motion.less, motion.more)
+    ]
+    change = (transverse[1] ** 2 - transverse[0] ** 2) / (2 * motion.step)
+    return -np.divide(change, kz, out=np.zeros_like(kz), where=np.abs(kz) > 0)
 
 
 def moved_scattering(
     system: Discretisation,
     spaces: list[Reduced],
-    wall: Wall,
-    velocity: Velocity,
+    changes: Changes,
     k: Array,
     kz: Complex,
+    drift: Complex,
 ) -> list[Complex]:
     """Return the derivative of S of each side.
 
@@ -77,38 +130,47 @@ def moved_scattering(
     ----------
     system : Discretisation
     spaces : list of Reduced
-    wall : Wall
-    velocity : callable
+    changes : Changes
     k : ndarray
         In 1/m, (n,).
-    kz : ndarray
-        Of the modes of all ports in 1/m, (n, n_ports n_modes).
+    kz, drift : ndarray
+        Axial wavenumbers of the modes of all ports in 1/m, and their derivatives,
+        (n, n_ports n_modes).
 
     Returns
     -------
     list of ndarray
         At the ports, (n, n_ports n_modes, n_ports n_modes), per unit of the parameter.
     """
-    points = wall_points(wall, system.rule)
-    x, y = velocity(points.rule.z[:, None], points.contours.t)
-    outwards = x * points.normal[0] + y * points.normal[1]
-    functions = wall_functions(points, system.functions)
-    parts = wall_matrices(points, functions, system.layout, outwards)
     found = []
     for space in spaces:
-        stiffness, mass = (projected(system, part, space) for part in parts)
-        response, change = _changed_impedance(space, stiffness, mass, k)
-        found.append(changed_scattering(response, change, kz))
+        response, change = _changed_impedance(system, space, changes, k)
+        found.append(changed_scattering(response, change, kz, drift))
     return found
 
 
+def reduced_changes(
+    system: Discretisation, space: Reduced, changes: Changes
+) -> tuple[Array, Array, Array]:
+    """Return the derivatives of stiffness, mass and ports of a projection."""
+    stiffness, mass = (projected(system, part, space) for part in (changes.stiffness, changes.mass))
+    n = system.layout.n_basis
+    ports = np.concatenate([
+        product(space.fields, changes.load[:, :n]), product(space.corrections, changes.load[:, n:]),
+    ])  # fmt: skip
+    return stiffness, mass, ports
+
+
 def _changed_impedance(
-    space: Reduced, stiffness: Array, mass: Array, k: Array
+    system: Discretisation, space: Reduced, changes: Changes, k: Array
 ) -> tuple[Array, Array]:
     """Return Z and its derivative, (n, n_ports n_modes, n_ports n_modes)."""
     square, vector = ritz(space.stiffness, space.mass)
     ports = vector.T @ space.ports
     fields = ports / (square - k[:, None] ** 2)[:, :, None]
+    stiffness, mass, loads = reduced_changes(system, space, changes)
     stiffness, mass = (vector.T @ part @ vector for part in (stiffness, mass))
     pushed = stiffness @ fields - k[:, None, None] ** 2 * (mass @ fields)
-    return np.matmul(ports.T, fields), -np.matmul(fields.swapaxes(1, 2), pushed)
+    loaded = np.matmul((vector.T @ loads).T, fields)
+    change = loaded + loaded.swapaxes(1, 2) - np.matmul(fields.swapaxes(1, 2), pushed)
+    return np.matmul(ports.T, fields), change

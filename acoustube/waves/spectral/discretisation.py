@@ -187,8 +187,7 @@ def discretise(
     rule = axial_rule(edges, order + 1, wall.knots)
     elements = assemble(wall, rule, basis, layout)
     reach = MARGIN + wavenumber * wall.radius
-    modes = end_modes(wall, reach, odd)
-    far = end_modes(wall, reach + FARTHEST, odd, lowest=reach)
+    modes, far = end_modes(wall, reach, odd), far_modes(wall, wavenumber, odd)
     boxes = [elements.last] if halved else [elements.first, elements.last]
     places = ((-1, 1),) if halved else ((0, 0), (-1, 1))
     for (element, end), box in zip(places, boxes, strict=True):
@@ -253,11 +252,25 @@ def _add_far_modes(
 ) -> None:
     """Add the impedance of strongly evanescent modes to a port, linearised in k^2."""
     element, end = place
+    stiffness, mass = far_matrices(functions, modes, radius, wavenumber)
+    elements.stiffness[element][np.ix_(end, end)] += stiffness
+    elements.mass[element][np.ix_(end, end)] += mass
+
+
+def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
+    """Return the modes of the ends that are too far below their cut-on to be port modes."""
+    reach = MARGIN + wavenumber * wall.radius
+    return end_modes(wall, reach + FARTHEST, odd, lowest=reach)
+
+
+def far_matrices(
+    functions: Array, modes: PortModes, radius: float, wavenumber: float
+) -> tuple[Array, Array]:
+    """Return stiffness and mass of the impedance of far modes, (n, n), from their functions."""
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
-    stiff = (functions * (decay + middle / (2 * decay))) @ functions.T
-    elements.stiffness[element][np.ix_(end, end)] += stiff
-    elements.mass[element][np.ix_(end, end)] += (functions / (2 * decay)) @ functions.T
+    stiffness = (functions * (decay + middle / (2 * decay))) @ functions.T
+    return stiffness, (functions / (2 * decay)) @ functions.T
 
 
 def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]:

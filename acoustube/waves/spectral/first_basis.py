@@ -10,8 +10,11 @@ from acoustube.waves.spectral.ends import end_modes
 from acoustube.waves.spectral.partition import partition
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import axial_wavenumbers
+from acoustube.waves.spectral.quadrature import axial_rule
 from acoustube.waves.spectral.walls import Wall
 
+ELEMENT_DEGREE = 7
+"""Polynomial degree along an element."""
 LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
 """Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
@@ -36,9 +39,9 @@ ABOVE_CUT_ON = 1.1
 a mode changes fast, whose axial wavenumber has just become real."""
 CLOSEST = 0.2
 """Distance of such a shift from the others, relative to their largest, below which they suffice."""
-DERIVATIVE_DEGREES = 2
-"""Degrees more across the tube for derivatives: their error is of the first order in the field's,
-and that of the scattering matrix of the second."""
+DERIVATIVE_DEGREES = {False: 4, True: 2}
+"""Degrees more across the tube for derivatives, without and with losses: their error is of the
+first order in the field's, and that of the scattering matrix of the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +73,11 @@ def first_basis(
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
     edges = partition(wall, float(k[-1]))
-    _, y, *_ = wall.lines(edges)
+    # Where the matrices are integrated: the flattest section may be inside an element.
+    _, y, *_ = wall.lines(axial_rule(edges, ELEMENT_DEGREE + 1, wall.knots).z)
     if np.ptp(y, axis=1).min() < 2 * FLAT * wall.radius:
         degree += FLAT_DEGREES
-    degree += DERIVATIVE_DEGREES * moving
+    degree += DERIVATIVE_DEGREES[lossy] * moving
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
     waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi

@@ -89,6 +89,46 @@ def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
     return found
 
 
+class Gaps(NamedTuple):
+    """Air beside a wall, as wide as the greatest circles in its sections that touch it.
+
+    Attributes
+    ----------
+    width, roundness : ndarray
+        Diameter h of the circles in m, and b, (n_sections, n_points).
+    measured : ndarray of bool
+        Which sections' widths are measured point by point, (n_sections,).
+    sealed : ndarray of bool
+        Which gaps are pressed together, (n_sections, n_points).
+    """
+
+    width: Array
+    roundness: Array
+    measured: NDArray[np.bool_]
+    sealed: NDArray[np.bool_]
+
+
+def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> Gaps:
+    """Return the gaps at points of a wall.
+
+    Parameters
+    ----------
+    points : WallPoints
+    thickness : float
+        Of the thickest viscous layer, in m.
+    like : Gaps, optional
+        Gaps of nearly the same wall, of which the same are measured and sealed.
+    """
+    contours, boxes = points.contours, points.boxes
+    measured = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
+    if like is not None:
+        measured = like.measured
+    width = gap_widths(contours, boxes, points.halved, measured)
+    roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
+    sealed = width < points.sealing_gap if like is None else like.sealed
+    return Gaps(width, roundness, measured, sealed)
+
+
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
     """Return the wall's losses over a band.
 
@@ -99,27 +139,67 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
         In Hz, (n,), rising.
     air : Air
     """
-    sampled = frequency[:1]
-    if len(frequency) > 1:
-        sampled = np.geomspace(frequency[0], frequency[-1], SAMPLES)
+    sampled = _sampled(frequency)
+    gaps = gaps_of(points, _thickest(sampled, air))
+    return _series(points, gaps, _fillings(gaps, sampled, air), sampled, frequency, air)
+
+
+def changed_series(
+    points: WallPoints, shifted: tuple[WallPoints, WallPoints], step: float, frequency: Array,
+    air: Air,
+) -> LayerSeries:  # fmt: skip
+    """Return the derivative of the losses at points that move with a wall.
+
+    Parameters
+    ----------
+    points : WallPoints
+    shifted : tuple of WallPoints
+        The same points of the wall before and after.
+    step : float
+        Of the parameter, between these two.
+    frequency : ndarray
+        In Hz, (n,), rising.
+    air : Air
+    """
+    sampled = _sampled(frequency)
+    thickest = _thickest(sampled, air)
+    gaps = gaps_of(points, thickest)
+    less, more = (_fillings(gaps_of(part, thickest, gaps), sampled, air) for part in shifted)
+    return _series(points, gaps, (more - less) / step, sampled, frequency, air)
+
+
+def _sampled(frequency: Array) -> Array:
+    """Return the frequencies from which the functions of the place are derived."""
+    if len(frequency) == 1:
+        return frequency
+    return np.geomspace(frequency[0], frequency[-1], SAMPLES)
+
+
+def _thickest(sampled: Array, air: Air) -> float:
+    return float(np.abs(layer_thickness(sampled[:1], air)[0][0]))
+
+
+def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
+    """Return f of the viscous layers, and then of the thermal ones, (2 n_sampled, n_points)."""
+    width, roundness, sealed = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
-    width = gap_widths(
-        points.contours, points.boxes, points.halved, NARROW_SECTION * float(np.abs(layers[0][0]))
-    )
-    roundness = np.clip(_curvature(points.contours) * width / 2, 0.0, 1.0)
-    both = np.stack(
-        [filling(width.ravel(), roundness.ravel(), d) for layer in layers for d in layer[:, None]]
-    )
+    both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
     # The mean velocity of a lower slit, by its own function of the height.
-    sealed = width.ravel() < points.sealing_gap
-    half = LEAK * width.ravel()[sealed] / (2 * layers[0][:, None])
+    half = LEAK * width[sealed] / (2 * layers[0][:, None])
     both[: len(sampled), sealed] = np.tanh(half) / LEAK
-    rows = np.concatenate([both.real, both.imag])
+    return both
+
+
+def _series(
+    points: WallPoints, gaps: Gaps, values: Complex, sampled: Array, frequency: Array, air: Air
+) -> LayerSeries:
+    """Return values (2 n_sampled, n_points) of f, or their derivatives, as sums of products."""
+    rows = np.concatenate([values.real, values.imag])
     number = points.rule.element
-    of_element = np.repeat(number, width.shape[1])
+    of_element = np.repeat(number, gaps.width.shape[1])
     narrowest = np.full(number[-1] + 1, np.inf)
-    np.minimum.at(narrowest, number, width.min(axis=1))
-    wide = (narrowest > WIDE_GAP * float(np.abs(layers[0][0])))[of_element]
+    np.minimum.at(narrowest, number, gaps.width.min(axis=1))
+    wide = (narrowest > WIDE_GAP * _thickest(sampled, air))[of_element]
     functions, weights = _parts(rows, wide)
     halves = np.split(functions, 2)
     parts = (halves[0] + 1j * halves[1]).reshape(2, len(sampled), -1)
@@ -128,7 +208,7 @@ def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
         for part, d in zip(parts, layer_thickness(frequency, air), strict=True)
     ]
     return LayerSeries(
-        weights.reshape(-1, *width.shape), scaled[0], (air.heat_capacity_ratio - 1) * scaled[1]
+        weights.reshape(-1, *gaps.width.shape), scaled[0], (air.heat_capacity_ratio - 1) * scaled[1]
     )
 
 
@@ -162,13 +242,15 @@ def _curvature(contours: Contours) -> Array:
     return np.asarray(np.gradient(angle, contours.t, axis=1) / np.hypot(contours.x_t, contours.y_t))
 
 
-def gap_widths(contours: Contours, boxes: Boxes, halved: bool, narrow: float) -> Array:
+def gap_widths(
+    contours: Contours, boxes: Boxes, halved: bool, measured: NDArray[np.bool_]
+) -> Array:
     """Return the diameter in m of the largest inscribed circle tangent to the wall at each point.
 
-    Of sections wider and higher than `narrow` it is taken as the less of these two sizes.
+    Of sections that are not `measured`, (n_sections,), it is taken as the less of their two sizes.
     """
     width = np.tile(2 * np.minimum(boxes.a, boxes.b)[:, None], (1, contours.x.shape[1]))
-    for section in np.flatnonzero(width[:, 0] < narrow):
+    for section in np.flatnonzero(measured):
         here = np.stack([contours.x[section], contours.y[section]])
         inwards = np.stack([-contours.y_t[section], contours.x_t[section]])
         inwards /= np.hypot(*inwards)
@@ -284,5 +366,6 @@ def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
     """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
     contours, boxes = section.contours, section.boxes
     halved = section.basis.odd is not None
-    width = gap_widths(contours, boxes, halved, NARROW_SECTION * thickness)
+    measured = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
+    width = gap_widths(contours, boxes, halved, measured)
     return width[0], np.clip(_curvature(contours) * width / 2, 0.0, 1.0)[0]

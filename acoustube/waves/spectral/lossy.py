@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from scipy.ndimage import maximum_filter1d
 from acoustube.waves.spectral.assembly import Layout
 from acoustube.waves.spectral.boundary import (
     TangentialFunctions,
+    WallPoints,
     tangential_functions,
     tangential_matrices,
     wall_functions,
@@ -24,8 +26,10 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, scattering_of
 from acoustube.waves.spectral.quadrature import axial_rule
 from acoustube.waves.spectral.reduction import (
+    SAMPLE_TOLERANCE,
     LossyBand,
     LossyModel,
+    LossySolution,
     Reduced,
     lossy_fields,
     lossy_impedance,
@@ -40,8 +44,9 @@ LOSSY_BLOCKS = 3
 """Number of blocks of the Krylov space at each of them."""
 CHECKS = 12
 """Number of frequencies at which the error is estimated."""
-SPARSE = 6
-"""Every n-th sampled frequency contributes the fields of evanescent modes too."""
+MOVING_SAMPLES = 1e-3
+"""For derivatives, factor to the tolerance of the span of directly solved frequencies: their error
+is of the first order in the fields' error."""
 LAYER_DEGREE = 3
 """Degree that limits the number of points round the tube."""
 NO_KNOTS = np.zeros(0)
@@ -53,16 +58,21 @@ SAMPLE_GRADING = 1.6
 def with_layers(system: Discretisation, wall: Wall) -> Discretisation:
     """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
     rule = axial_rule(system.rule.edges, system.layout.order, NO_KNOTS)
-    points, n = wall_points(wall, rule, LAYER_DEGREE), system.layout.n
-    richer = tangential_functions(points, wall_functions(points, system.functions))
-    low = TangentialFunctions(*(part[:, :n] for part in richer))
+    points = wall_points(wall, rule, LAYER_DEGREE)
+    low = layer_functions(system, points)
     every = np.arange(len(rule.step))
-    even = tangential_matrices(points, low, _wall_layout(system), np.ones_like(points.area), every)
+    even = tangential_matrices(points, low, wall_layout(system), np.ones_like(points.area), every)
     stiffness, mass = (system.in_modes(part) for part in even)
     return replace(system, layers=Layers(points, low, stiffness, mass))
 
 
-def _wall_layout(system: Discretisation) -> Layout:
+def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:
+    """Return the functions of the basis at points of a wall."""
+    richer = tangential_functions(points, wall_functions(points, system.functions))
+    return TangentialFunctions(*(part[:, : system.layout.n] for part in richer))
+
+
+def wall_layout(system: Discretisation) -> Layout:
     """Return the layout that has the unknowns of a basis, and no others."""
     return Layout(system.layout.n, system.layout.n, system.layout.order - 1)
 
@@ -74,7 +84,7 @@ def wall_projections(
     series = layer_series(layers.points, frequency, air)
     found: list[list[tuple[Array, Array]]] = [[] for _ in spaces]
     fields = [system.in_polynomials(space.fields, space.corrections)[0] for space in spaces]
-    layout = _wall_layout(system)
+    layout = wall_layout(system)
     for weight in series.weights:
         where = np.unique(layers.points.rule.element[weight.any(axis=1)])
         parts = tangential_matrices(layers.points, layers.functions, layout, weight, where)
@@ -82,6 +92,38 @@ def wall_projections(
             stiffness, mass = (product(own[where], part @ own[where]) for part in parts)
             side.append((stiffness, mass))
     return series, found
+
+
+class LossySide(NamedTuple):
+    """Solution of one parity along z.
+
+    Attributes
+    ----------
+    model : LossyModel
+    band : LossyBand
+        With the fluxes of the modes of all ports.
+    solution : LossySolution
+    impedance : ndarray
+        In m, (n, n_ports n_modes, n_ports n_modes).
+    kz : ndarray
+        Of the modes of all ports in 1/m, (n, n_ports n_modes).
+    """
+
+    model: LossyModel
+    band: LossyBand
+    solution: LossySolution
+    impedance: Complex
+    kz: Complex
+
+    @property
+    def scattering(self) -> Complex:
+        """S at the ports, (n, n_ports n_modes, n_ports n_modes)."""
+        return scattering_of(self.impedance, self.kz)
+
+
+def both_ports(part: Complex, n_ports: int) -> Complex:
+    """Return matrices of the modes of all ports, from those of one, (n, n_modes, n_modes)."""
+    return np.stack([block_diag(*[one] * n_ports) for one in part])
 
 
 def lossy_scattering(
@@ -92,8 +134,10 @@ def lossy_scattering(
     frequency: Array,
     air: Air,
     sizes: list[int],
-) -> tuple[list[Complex], Complex, Array]:
-    """Return S of each side, the wavenumbers of the ends' modes, and the change in a smaller space.
+    *,
+    moving: bool = False,
+) -> tuple[list[LossySide], Complex, Array]:
+    """Return each side's solution, the ends' wavenumbers, and the change of S in a smaller space.
 
     Parameters
     ----------
@@ -107,11 +151,12 @@ def lossy_scattering(
     air : Air
     sizes : list of int
         How many of the first fields of each side make the poorer space.
+    moving : bool
+        Derivatives by a motion of the wall are asked for.
 
     Returns
     -------
-    s : list of ndarray
-        At the ports, (n, n_ports n_modes, n_ports n_modes).
+    sides : list of LossySide
     kz : ndarray
         In 1/m, (n, n_modes).
     lacking : ndarray
@@ -120,7 +165,7 @@ def lossy_scattering(
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
     kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)
     n_ports = len(system.ports)
-    flux = np.stack([block_diag(*[f] * n_ports) for f in flux])
+    flux = both_ports(flux, n_ports)
     kz_all = np.tile(kz, (1, n_ports))
     band = LossyBand(k, series.viscous, series.thermal, flux)
     travels = np.tile(k.real[:, None] * system.radius > system.modes.zeros, (1, n_ports))
@@ -130,14 +175,18 @@ def lossy_scattering(
         model = lossy_model(space, wall)
         sampled = _sampled(model, k, system.modes.zeros / system.radius)
         fields = lossy_fields(model, band.at(sampled), LOSSY_BLOCKS)
-        # Modes far below their cut-on respond almost alike at all frequencies.
         columns = [
             block[:, there]
             for blocks, there in zip(fields, travels[sampled], strict=True)
             for block in blocks
         ]
-        columns += list(fields[::SPARSE, 0])
-        s = scattering_of(lossy_impedance(model, band, np.concatenate(columns, axis=1)), kz_all)
+        # Of evanescent modes the response alone: they respond almost alike at all frequencies.
+        columns += list(fields[:, 0])
+        everything = np.concatenate(columns, axis=1)
+        least = SAMPLE_TOLERANCE * (MOVING_SAMPLES if moving else 1.0)
+        response, solution = lossy_impedance(model, band, everything, least)
+        found.append(LossySide(model, band, solution, response, kz_all))
+        s = found[-1].scattering
         # Where the fields sampled are farthest away.
         between = np.unique((sampled[:-1] + sampled[1:]) // 2)
         between = between if len(between) else sampled
@@ -149,7 +198,6 @@ def lossy_scattering(
         change = np.where(both, change, 0.0).max(axis=(1, 2))
         change = np.interp(frequency, frequency[few], maximum_filter1d(change, 3))
         lacking = np.maximum(lacking, change)
-        found.append(s)
     return found, kz, lacking
 
 

@@ -53,6 +53,10 @@ class PortModes:
     def __len__(self) -> int:
         return len(self.names)
 
+    def part(self, which: slice) -> PortModes:
+        """Return some of the modes."""
+        return PortModes(self.names[which], self.m[which], self.zeros[which], self.sine[which])
+
 
 def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
     """Return the modes with `lowest` < j'mn <= `highest`."""
@@ -129,9 +133,23 @@ def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
     return np.asarray(np.linalg.solve(one + q, q - one))
 
 
-def changed_scattering(response: Array, change: Array, kz: Complex) -> Complex:
-    """Return the first-order change of the scattering matrix for a change of the impedance."""
+def changed_scattering(
+    response: Complex | Array, change: Complex | Array, kz: Complex, drift: Complex | None = None
+) -> Complex:
+    """Return the first-order change of the scattering matrix.
+
+    Parameters
+    ----------
+    response, change : ndarray
+        Impedance matrix and its change, (n_frequencies, n, n).
+    kz, drift : ndarray
+        Axial wavenumbers and their change in 1/m, (n_frequencies, n); the latter is zero by
+        default. It has to be zero where kz is, at a cut-on.
+    """
     root = np.sqrt(1j * kz)
+    if drift is not None:
+        share = np.divide(drift, 2 * kz, out=np.zeros_like(kz), where=np.abs(kz) > 0)
+        change = change + share[:, :, None] * response + response * share[:, None, :]
     one = np.eye(response.shape[-1])
     inverse = np.linalg.inv(one + root[:, :, None] * response * root[:, None, :])
     return 2 * inverse @ (root[:, :, None] * change * root[:, None, :]) @ inverse

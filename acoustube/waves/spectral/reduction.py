@@ -168,6 +168,8 @@ class LossyModel(NamedTuple):
     ----------
     square : ndarray
         Squared wavenumbers of the modes in 1/m2, (r,).
+    vector : ndarray
+        The modes in the fields of the projection, (n_fields, r).
     ports : ndarray
         (r, n_ports n_modes).
     stiffness, mass : ndarray
@@ -175,6 +177,7 @@ class LossyModel(NamedTuple):
     """
 
     square: Array
+    vector: Array
     ports: Array
     stiffness: Array
     mass: Array
@@ -202,6 +205,13 @@ class LossyBand(NamedTuple):
         """Return the data of some frequencies."""
         return LossyBand(*(part[which] for part in self))
 
+    @property
+    def factors(self) -> Complex:
+        """Factors of K, M and of the wall's stiffness and mass, (n, 2 + 2 n_parts)."""
+        square = self.wavenumber[:, None] ** 2
+        one = np.ones_like(square)
+        return np.concatenate([one, -square, -self.viscous, -square * self.thermal], axis=1)
+
 
 def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel:
     """Return a lumen's matrices with boundary layers, from those without and its wall's (K, M)."""
@@ -209,7 +219,7 @@ def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel
     stiffness, mass = (
         np.stack([vector.T @ part @ vector for part in parts]) for parts in zip(*wall, strict=True)
     )
-    return LossyModel(square, vector.T @ reduced.ports, stiffness, mass)
+    return LossyModel(square, vector, vector.T @ reduced.ports, stiffness, mass)
 
 
 def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex:
@@ -238,7 +248,24 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
     return found
 
 
-def lossy_impedance(model: LossyModel, band: LossyBand, columns: Complex) -> Complex:
+class LossySolution(NamedTuple):
+    """Fields of the loads of the lossy modes, with test functions that are their own space.
+
+    Attributes
+    ----------
+    span : ndarray
+        Basis in the lossless modes, (r, n_span).
+    fields : ndarray
+        Coefficients in it, (n_frequencies, n_span, n_ports n_modes).
+    """
+
+    span: Complex
+    fields: Complex
+
+
+def lossy_impedance(
+    model: LossyModel, band: LossyBand, columns: Complex, tolerance: float = SAMPLE_TOLERANCE
+) -> tuple[Complex, LossySolution]:
     """Return the impedance matrix between the ports' lossy modes in m, (n_frequencies, n, n).
 
     Parameters
@@ -248,24 +275,25 @@ def lossy_impedance(model: LossyModel, band: LossyBand, columns: Complex) -> Com
     columns : ndarray
         Solutions at sample frequencies, (r, n_columns), which span the reduced basis of a
         Galerkin projection; the system matrix is symmetric, so that they serve as test functions.
+    tolerance : float
+        Singular value of the columns, relative to the largest, below which a direction is left out.
     """
     turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    span = turned[:, size > SAMPLE_TOLERANCE * size[0]]
+    span = turned[:, size > tolerance * size[0]]
     load = span.T @ model.ports
     one, own = span.T @ span, (span.T * model.square) @ span
     walls = np.stack([span.T @ part @ span for part in [*model.stiffness, *model.mass]])
     flat = np.concatenate([[own, one], walls]).reshape(2 + len(walls), -1)
-    square = band.wavenumber[:, None] ** 2
-    factors = np.concatenate(
-        [np.ones_like(square), -square, -band.viscous, -square * band.thermal], axis=1
-    )
+    factors = band.factors
     found = np.empty(band.flux.shape, complex)
+    fields = np.empty((len(found), *load.shape), complex)
     for start in range(0, len(found), MAX_MATRICES):
         few = slice(start, start + MAX_MATRICES)
         matrices = (factors[few] @ flat).reshape(-1, *one.shape)
         right = load @ band.flux[few]
-        found[few] = right.swapaxes(1, 2) @ np.linalg.solve(matrices, right)
-    return found
+        fields[few] = np.linalg.solve(matrices, right)
+        found[few] = right.swapaxes(1, 2) @ fields[few]
+    return found, LossySolution(span, fields)
 
 
 def impedance(reduced: Reduced, wavenumber: Array) -> Array:

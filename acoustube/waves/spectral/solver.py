@@ -29,7 +29,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from acoustube.waves.spectral.band import swept
-from acoustube.waves.spectral.derivatives import Velocity, moved_scattering
+from acoustube.waves.spectral.derivatives import (
+    changed_wavenumbers,
+    changes_of,
+    moved_scattering,
+)
 from acoustube.waves.spectral.discretisation import (
     Discretisation,
     Response,
@@ -37,8 +41,18 @@ from acoustube.waves.spectral.discretisation import (
     respond,
 )
 from acoustube.waves.spectral.ends import end_modes
-from acoustube.waves.spectral.first_basis import KRYLOV_BLOCKS, Basis, first_basis
-from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections, with_layers
+from acoustube.waves.spectral.first_basis import ELEMENT_DEGREE, KRYLOV_BLOCKS, Basis, first_basis
+from acoustube.waves.spectral.lossy import (
+    lossy_scattering,
+    wall_projections,
+    with_layers,
+)
+from acoustube.waves.spectral.lossy_derivatives import (
+    changed_ends,
+    moved_lossy_scattering,
+    wall_changes,
+)
+from acoustube.waves.spectral.motion import Motion, Velocity, motion_of
 from acoustube.waves.spectral.partition import split
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import (
@@ -47,12 +61,12 @@ from acoustube.waves.spectral.ports import (
     changed_scattering,
     of_both_ports,
 )
+from acoustube.waves.spectral.reduction import Reduced
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
+from acoustube.waves.spectral.truncation import excesses
 from acoustube.waves.spectral.walls import Wall
 
-ELEMENT_DEGREE = 7
-"""Polynomial degree along an element."""
 MAX_DEGREE = 16
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
 """Shifts at which the basis is adapted first, as fractions of the index range."""
@@ -83,7 +97,7 @@ class _Task:
     tolerance: float
     reference: tuple[float, float]
     lossy: bool
-    velocity: Velocity | None
+    motion: Motion | None
 
 
 class _Part(NamedTuple):
@@ -156,17 +170,14 @@ def scatter_spectral(
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     if not 1e-6 <= tolerance <= 0.1:
         raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
-    if velocity is not None and lossy:
-        raise ConfigError(
-            "derivatives by a motion of the wall are without losses; give lossy=False"
-        )
     k = 2 * np.pi * frequency / air.sound_speed
     parities: tuple[bool | None, ...] = (None,)
     if wall.symmetric:
         parities = (False,) if symmetric_only else (False, True)
     # Below the cut-on of (1,1) there is no antisymmetric mode.
     parities = tuple(odd for odd in parities if len(end_modes(wall, k[-1] * wall.radius, odd)))
-    task = _Task(wall, air, frequency, k, tolerance, reference, lossy, velocity)
+    motion = None if velocity is None else motion_of(wall, velocity)
+    task = _Task(wall, air, frequency, k, tolerance, reference, lossy, motion)
     return _joined([_part(task, odd) for odd in parities], task)
 
 
@@ -191,7 +202,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
         cut_ons=cut_ons,
         sound_speed=task.air.sound_speed,
         extent=(low - reference[0], high - reference[1]),
-        derivative=moved[:, :, order][..., order] if task.velocity is not None else None,
+        derivative=moved[:, :, order][..., order] if task.motion is not None else None,
         error=np.max([part.error for part in parts], axis=0),
         tolerance=task.tolerance,
         degree=max(part.basis.degree for part in parts),
@@ -204,7 +215,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
-    moving = task.velocity is not None
+    moving = task.motion is not None
     basis, wanted = (
         first_basis(wall, odd, k, lossy=task.lossy, moving=moving),
         FIRST_SHARE * tolerance,
@@ -212,42 +223,73 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     known = None
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = known = _adapted(task, odd, basis, wanted, known)
-        spaces, s, error, sizes = swept(system, basis, responses, k, tolerance)
+        spaces, s, (change, doubt), sizes = swept(system, basis, responses, k, tolerance)
+        excess = max(ERROR_SAFETY, _excess(system, _at_probes(responses, basis.shifts)))
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        error = _estimated(error, wall, ERROR_SAFETY)
+        error = _estimated(excess * change + ERROR_SAFETY * doubt, wall)
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
         # Resonances amplify errors that are small at the probes.
         wanted *= 0.5 * tolerance / typical
-    kz = axial_wavenumbers(k, system.modes.zeros, wall.radius)
     if task.lossy:
-        assert system.layers is not None
         # Without corrections: those of the lossless fields are not those of the fields with losses.
-        own = [space.first(space.fields.shape[-1]) for space in spaces]
-        series, walls = wall_projections(system, system.layers, own, task.frequency, task.air)
-        sides, kz, lacking = lossy_scattering(
-            system, own, walls, series, task.frequency, task.air, sizes
-        )
+        spaces = [space.first(space.fields.shape[-1]) for space in spaces]
+        s, moved, kz, drift, lacking = _with_losses(task, system, spaces, sizes)
         # What the basis lacks at the cut-ons, it lacks with losses too.
-        s, error = of_both_ports(sides), np.maximum(error, _estimated(lacking, wall, LOSSY_SAFETY))
-    moved = np.zeros_like(s)
-    if task.velocity is not None:
-        all_kz = np.tile(kz, (1, len(system.ports)))
-        moved = of_both_ports(moved_scattering(system, spaces, wall, task.velocity, k, all_kz))
-    s, moved, names, zeros = _at_reference(s, moved, kz, system, task)
+        error = np.maximum(error, _estimated(LOSSY_SAFETY * lacking, wall))
+    else:
+        moved, kz, drift = _without_losses(task, system, spaces)
+    s, moved, names, zeros = _at_reference(s, moved, kz, drift, system, task)
     n_fields = spaces[0].size
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 
-def _estimated(change: Array, wall: Wall, safety: float) -> Array:
-    """Return the estimated error at each frequency from the changes of S in richer spaces."""
+def _without_losses(
+    task: _Task, system: Discretisation, spaces: list[Reduced]
+) -> tuple[Complex, Complex, Complex]:
+    """Return the derivative of S, the axial wavenumbers of the ends' modes and their derivative."""
+    kz = axial_wavenumbers(task.k, system.modes.zeros, system.radius)
+    n, size = len(system.ports), len(system.ports) * len(system.modes)
+    if task.motion is None:
+        nothing = np.zeros((len(kz), size, size), complex)
+        return of_both_ports([nothing] * len(spaces)), kz, np.zeros_like(kz)
+    drift = changed_wavenumbers(system, task.motion, kz)
+    changes = changes_of(system, task.wall, task.motion, float(task.k[-1]))
+    moved = moved_scattering(
+        system, spaces, changes, task.k, np.tile(kz, (1, n)), np.tile(drift, (1, n))
+    )
+    return of_both_ports(moved), kz, drift
+
+
+def _with_losses(
+    task: _Task, system: Discretisation, spaces: list[Reduced], sizes: list[int]
+) -> tuple[Complex, Complex, Complex, Complex, Array]:
+    """Return S, its derivative, the ends' wavenumbers and their derivative, and what is lacking."""
+    assert system.layers is not None
+    frequency, air = task.frequency, task.air
+    series, walls = wall_projections(system, system.layers, spaces, frequency, air)
+    sides, kz, lacking = lossy_scattering(
+        system, spaces, walls, series, frequency, air, sizes, moving=task.motion is not None
+    )
+    s = of_both_ports([side.scattering for side in sides])
+    if task.motion is None:
+        return s, np.zeros_like(s), kz, np.zeros_like(kz), lacking
+    changes = changes_of(system, task.wall, task.motion, float(task.k[-1]))
+    ends = changed_ends(system, task.motion, sides[0].band.wavenumber, frequency, air)
+    changed = wall_changes(system, task.motion, spaces, series, frequency, air)
+    moved = moved_lossy_scattering(system, sides, spaces, changes, changed, ends)
+    return s, of_both_ports(moved), kz, ends[0], lacking
+
+
+def _estimated(error: Array, wall: Wall) -> Array:
+    """Return the estimated error at each frequency from what richer spaces say of it."""
     least = LEAST_ERROR if len(wall.knots) else 0.0
-    return least + safety * maximum_filter1d(change, 2 * ERROR_WINDOW + 1)
+    return least + maximum_filter1d(error, 2 * ERROR_WINDOW + 1)
 
 
 def _at_reference(
-    s: Complex, moved: Complex, kz: Complex, system: Discretisation, task: _Task
+    s: Complex, moved: Complex, kz: Complex, drift: Complex, system: Discretisation, task: _Task
 ) -> tuple[Complex, Complex, tuple[str, ...], Array]:
     """Return S and its derivative at the reference planes, and the names and j' of their modes."""
     reach = task.k * system.radius
@@ -255,11 +297,14 @@ def _at_reference(
     zeros = system.modes.zeros[:n]
     away = task.reference[0] - system.heights[0], system.heights[1] - task.reference[1]
     travels = reach[:, None] > zeros
-    kz = np.where(travels, kz[:, :n], 0.0)
+    kz, drift = (np.where(travels, part[:, :n], 0.0) for part in (kz, drift))
     turn = np.stack([np.where(travels, np.exp(1j * kz * d), 0.0) for d in away], axis=1)
     s, moved = (
         turn[..., None, None] * part[:, :, :n, :, :n] * turn[:, None, None] for part in (s, moved)
     )
+    # The phase between a port and its reference plane changes where the ends move.
+    turned = np.stack([1j * drift * d for d in away], axis=1)
+    moved = moved + turned[..., None, None] * s + s * turned[:, None, None]
     return s, moved, system.modes.names[:n], zeros
 
 
@@ -271,7 +316,7 @@ def _adapted(
     From a result before, whose responses have all shifts of the basis, or from the basis alone.
     """
     shifts = basis.shifts
-    probes = shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
+    probes = _probes(shifts)
     for _ in range(MAX_ADAPTATIONS):
         if known is not None:
             (system, _, responses), known = known, None
@@ -283,7 +328,7 @@ def _adapted(
                 system = with_layers(system, task.wall)
             blocks = KRYLOV_BLOCKS[task.lossy]
             responses = {float(shift): respond(system, float(shift), blocks) for shift in probes}
-        by_degree, by_element = _errors(system, {float(at): responses[float(at)] for at in probes})
+        by_degree, by_element = _errors(system, _at_probes(responses, shifts))
         too_low, too_long = by_degree > wanted, by_element.sum() > wanted
         if not (too_low or too_long):
             return system, basis, responses
@@ -296,6 +341,25 @@ def _adapted(
             break
         basis = Basis(degree, edges, shifts)
     return system, basis, responses
+
+
+def _probes(shifts: Array) -> Array:
+    """Return the shifts at which the basis is adapted first."""
+    return shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
+
+
+def _at_probes(
+    responses: dict[float, list[Response]], shifts: Array
+) -> dict[float, list[Response]]:
+    return {float(at): responses[float(at)] for at in _probes(shifts)}
+
+
+def _excess(system: Discretisation, responses: dict[float, list[Response]]) -> float:
+    """Return the ratio of the error of degree and elements to what the corrections change."""
+    by_degree, by_element = _errors(system, responses)
+    across, along = excesses(system, responses)
+    both = by_degree + by_element.sum()
+    return float((across * by_degree + along @ by_element) / both) if both > 0 else 1.0
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
