@@ -173,7 +173,7 @@ def _templates(twin: Twin, places: Array, temperature: float) -> Complex:
     gradient = shared[SHARED.index("temperature_gradient")]
     total: Complex = np.zeros((len(places), len(band.frequency)), complex)
     for f, image in ((band.frequency, False), (band.image, True))[: 1 + band.folded]:
-        pulse = zero._spectra(f, shared, np.zeros((1, len(LOCAL))))[0][0]
+        pulse = zero._spectra(f, shared, np.zeros((1, len(LOCAL))), slopes=False)[0][0]
         waves = wavenumbers(f, radius, air, model.humidity)
         lever = places**2 / 2 - model.middle * places
         phase = np.outer(places, waves.value) + gradient * np.outer(lever, waves.by_temperature)

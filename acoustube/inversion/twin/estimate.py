@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from math import log
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from acoustube.base.checks import LENGTH, RATE, SECONDS, Optional, Several, checked
 from acoustube.base.errors import ConfigError
@@ -168,16 +169,11 @@ def fit_twin(
     places = np.array([group.place for group in closed])
     middle = (length or float(places.max())) / 2
     best: Twin | None = None
+    temperatures = np.array([group.temperature for group in closed])
     for filtered in (True,) if band.frequency[-1] < 0.4 * rate else (True, False):
-        model = EchoModel(
-            band,
-            places,
-            np.array([group.temperature for group in closed]),
-            middle,
-            filtered,
-            humidity,
-        )
-        found = _fitted(model, values, used, dict(left_out), means, free, closed, show)
+        model = EchoModel(band, places, temperatures, middle, filtered, humidity)
+        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+            found = _fitted(model, values, used, dict(left_out), means, free, closed, show)
         if best is None or found.explained.mean() > best.explained.mean():
             best = found
     assert best is not None

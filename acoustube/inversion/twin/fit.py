@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from math import exp, log
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_FREQUENCY, SHARED, EchoModel
+from acoustube.inversion.twin.recorded import Band
 from acoustube.waves.scattering import Complex
 
 ITERATIONS, CONVERGED = 40, 1e-6
@@ -179,14 +181,15 @@ def maximise(
     for _ in range(iterations):
         step, local = solve(normal, prior, point, damping)
         trial = Point(*_bounded(point.shared + step, point.local + local))
-        there = normal_equations(model, data, trial)
-        found = objective(there.misfit, prior, trial)
+        left = data.values - model.value(*trial)
+        found = objective(float(np.sum(data.weights * np.abs(left) ** 2)), prior, trial)
         if not found < value:
             damping *= 8
             if damping > 1e8:
                 break
             continue
-        gained, point, normal, value = value - found, trial, there, found
+        gained, point, value = value - found, trial, found
+        normal = normal_equations(model, data, point)
         damping = max(damping / 6, LEAST_DAMPING)
         if gained < CONVERGED * max(1.0, 1e-4 * value):
             break
@@ -251,22 +254,28 @@ def _placed(model: EchoModel, data: Data, shared: Array) -> Point:
 
 def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
     """Return the delays in s of the echoes, and the share of their energy that is explained."""
-    values = model(shared, np.zeros((len(model.places), len(LOCAL)))).value
+    values = model.value(shared, np.zeros((len(model.places), len(LOCAL))))
     heard = np.where(data.segments == 1, data.values, 0)
     # Both basebands begin at the same time, so that their transforms share its phase.
     product = np.fft.fft(heard, axis=-1) * np.fft.fft(values, axis=-1).conj()
     delay = np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
-    turns = np.exp(2j * np.pi * np.outer(model.band.frequency, delay))
-    size = np.abs(product @ turns)
+    size = np.abs(product @ _shifts(model.band))
     best = size.argmax(axis=1)
     total = np.sum(np.abs(heard) ** 2, axis=1) * np.sum(np.abs(values) ** 2, axis=1)
     n = heard.shape[1]
     return delay[best], (size.max(axis=1) / n) ** 2 / np.maximum(total, 1e-300)
 
 
+@lru_cache(maxsize=2)
+def _shifts(band: Band) -> Complex:
+    """Return the spectra's factors that shift echoes by the delays sought, (n_f, n_delays)."""
+    delay = np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
+    return np.asarray(np.exp(2j * np.pi * np.outer(band.frequency, delay)))
+
+
 def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
     """Return a point with the gain, and the phases of the closures, that fit best."""
-    value = model(*point).value
+    value = model.value(*point)
     heard = np.where(data.segments == 1, 1.0, 0.0)
     product = np.sum(heard * data.values * value.conj(), axis=1)
     level = product / np.maximum(np.sum(heard * np.abs(value) ** 2, axis=1), 1e-300)
