@@ -13,6 +13,11 @@ from acoustube.base import cache
 os.environ.setdefault("JAX_NUMPY_RANK_PROMOTION", "raise")
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("PYVISTA_OFF_SCREEN", "true")
+# The processes of pytest-xdist share the cores. Threads of theirs, which poll for work, would take
+# three quarters of them from each other where the matrices are small.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+        os.environ.setdefault(f"{name}_NUM_THREADS", "1")
 # Presses, scattering and compiled code of the tests, apart from the user's, kept from run to run
 # and shared by all processes: the name of an entry holds the hash of the code that computed it. A
 # test that must compute sets a folder of its own. Removed by pytest --cache-clear.
