@@ -1,59 +1,67 @@
-"""How long does a press to 6 mm take, next to CalculiX at the same accuracy?
+"""What does a press to 8 mm cost at a given error of its force, next to CalculiX?
 
 The default tube, free on a rigid floor, under a 25 mm rod; quarter model, 60 mm long. Both codes
-get nodes from the same sweep. CalculiX has 20-node elements with reduced integration, and contact
-of surface with surface by a penalty as stiff as acoustube's. Its meshes and acoustube's each go
-from coarse to fine, so that times can be compared where the errors at 6 mm are about the same, and
-one sees how they grow with the number of unknowns. Errors are of the force, and of the height of
-the lumen at the deepest press, against an independent CalculiX 2.20 solution with 1056 C3D20R
-elements, itself good to 0.5 % at 2 and 4 mm and to 1 % and 0.005 mm at 6 mm. It is of the same kind
-of element as the peer here, and may share its errors. acoustube is warm, with nothing left to
-compile, but for the row that says so. CalculiX may use two threads:
-``python benchmarks/indentation_against_calculix.py``. Some five minutes on two idle cores.
+get nodes from the same sweep, in meshes from coarse to fine, and one thread. CalculiX has 20-node
+elements with reduced integration, and contact of surface with surface by a penalty as stiff as
+acoustube's; from the fold on, its lumen's roof and sole are in contact as well.
+
+The converged force at each depth is that to which acoustube's uniformly refined meshes tend: the
+elements through the wall, around and along grow in the same ratio, and Richardson's extrapolation
+takes the third power of their size. How sure it is, the last two meshes and CalculiX tell.
+Processor seconds are those to 7 mm, acoustube's without compilation, and set-up included.
+``python benchmarks/indentation_against_calculix.py FILE`` adds a line of JSON for each run that
+FILE lacks, and prints the tables; a run of CalculiX is ended after ten minutes of processor time.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
-import platform
 import re
-import resource
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterable
+from dataclasses import astuple
 from pathlib import Path
-from time import perf_counter, process_time
-from typing import NamedTuple
+from time import process_time, sleep
+from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.indentation import Indenter, MeshSize, indent
-from acoustube.indentation.assembly import indenter_force
 from acoustube.indentation.contact import CONTACT_STIFFNESS
 from acoustube.indentation.mesh import Mesh, sweep
-from acoustube.indentation.press import press_model
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
 
 TUBE, ROD, REACH = Tube(), Indenter(), 60e-3
-DEPTHS_MM = (2.0, 4.0, 6.0)
-REFERENCE_N = np.array([1.03047, 2.11272, 3.79888])
-REFERENCE_HEIGHT_MM = 1.94969
-SIZES = (
-    MeshSize(through_wall=1, around=12, along=10),
-    MeshSize(through_wall=2, around=18, along=9),
+DEPTHS_MM = (2.0, 4.0, 6.0, 7.0, 7.5, 8.0)
+TIMED = DEPTHS_MM.index(7.0)
+"""Number of the depth to which a run is timed."""
+REFINED = (
+    MeshSize(through_wall=1, around=10, along=7),
     MeshSize(),
+    MeshSize(through_wall=3, around=30, along=20),
+    MeshSize(through_wall=4, around=40, along=26),
 )
-CALCULIX_SIZES = (
+"""Meshes refined in the same ratio in all three directions."""
+OTHERS = (
     MeshSize(through_wall=1, around=12, along=10),
     MeshSize(through_wall=2, around=12, along=12),
-    MeshSize(),
+    MeshSize(through_wall=2, around=24, along=18),
 )
-THREADS = "2"
+ORDER = 3
+"""Assumed order of convergence of the force; 2 and 4 differ by 0.8 of the last difference, which is
+the uncertainty stated."""
+LIMIT = 600.0
+"""Seconds of processor time after which CalculiX is ended."""
+BEYOND = 1.25
+"""Ratio of processor time to that at 7 mm after which CalculiX is ended."""
+POLL = 0.05
+"""Seconds between looks at how far CalculiX is."""
 
 CORNERS = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
 EDGES = [(0, -1), (1, 0), (0, 1), (-1, 0)]
@@ -65,29 +73,6 @@ C3D20 = [
 """Local coordinates of the nodes in the order of CalculiX."""
 FACETS = 160
 """Of the rod's quarter in CalculiX: its surface is off by at most 0.2 um."""
-
-
-class Run(NamedTuple):
-    """A press by one of the codes."""
-
-    code: str
-    mesh: Mesh
-    force: Array
-    height: float
-    wall: float
-    processor: float
-
-    @property
-    def error(self) -> float:
-        """Of the force at the deepest press, in percent."""
-        return float(100 * (self.force[-1] / REFERENCE_N[-1] - 1))
-
-
-def roof_and_sole(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the numbers of the highest and the lowest node of the lumen at the press."""
-    x, y, z = mesh.points.T
-    inner = np.flatnonzero((mesh.sweep.layer == 0) & (x == 0) & (z == 0))
-    return inner[[np.argmax(y[inner]), np.argmin(y[inner])]]
 
 
 def lines(keyword: str, rows: Iterable[Iterable[object]]) -> str:
@@ -154,9 +139,15 @@ def deck(mesh: Mesh) -> str:
     local = [tuple(node) for node in mesh.reference.nodes.astype(int)]
     elements = mesh.elements[:, [local.index(node) for node in C3D20]] + 1
     points = 1e3 * mesh.points
-    outermost = np.arange(len(elements)).reshape(-1, mesh.sweep.shape[2])[:, -1] + 1
+    _, around, through = mesh.sweep.shape
+    across = np.arange(len(elements)).reshape(-1, around, through) + 1
+    # Not the sides of the lumen: there both walls meet in the fold.
+    faces = {
+        "OUTER": (across[:, :, -1], "S4"),
+        "SOLE": (across[:, : int(0.4 * around), 0], "S6"),
+        "ROOF": (across[:, -int(0.4 * around) :, 0], "S6"),
+    }
     planes = {"XPLANE": points[:, 0] == 0, "ZPLANE": points[:, 2] == 0}
-    lumen = roof_and_sole(mesh) + 1
     bottom = mesh.bottom[np.argmin(points[mesh.bottom, 2])] + 1
     n, m = len(points) + 1, len(elements) + 1
     mu, bulk = 1e-6 * TUBE.shear_modulus, 1e-6 * TUBE.bulk_modulus
@@ -165,11 +156,11 @@ def deck(mesh: Mesh) -> str:
         lines("NODE, NSET=TUBE", ((i + 1, *p) for i, p in enumerate(points)))
         + lines("ELEMENT, TYPE=C3D20R, ELSET=TUBE", (
             (i + 1, *e[:11], "\n" + ", ".join(map(str, e[11:]))) for i, e in enumerate(elements)))
-        + lines("ELSET, ELSET=OUTER", ([i] for i in outermost))
-        + lines("SURFACE, NAME=OUTER", [("OUTER", "S4")])
+        + "".join(lines(f"ELSET, ELSET={name}", ([i] for i in part.flat))
+                  + lines(f"SURFACE, NAME={name}", [(name, face)])
+                  for name, (part, face) in faces.items())
         + "".join(lines(f"NSET, NSET={name}", ([i + 1] for i in np.flatnonzero(on)))
                   for name, on in planes.items())
-        + lines("NSET, NSET=LUMEN", [lumen])
         + brick_strip(rod_profile(), n, m, "ROD")
         + brick_strip(floor_profile(), n + 4 * FACETS, m + FACETS, "FLOOR")
         + lines("ELEMENT, TYPE=SPRING1, ELSET=HOLD", [(m + FACETS + 100, bottom)])
@@ -181,96 +172,139 @@ def deck(mesh: Mesh) -> str:
         + "".join(f"*SOLID SECTION, ELSET={name}, MATERIAL=STEEL\n" for name in ("ROD", "FLOOR"))
         + "*SURFACE INTERACTION, NAME=SMOOTH\n"
         + f"*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR\n{penalty}\n"
-        + "".join(f"*CONTACT PAIR, INTERACTION=SMOOTH, TYPE=SURFACE TO SURFACE\nOUTER, {name}\n"
-                  for name in ("ROD", "FLOOR"))
+        + "".join(f"*CONTACT PAIR, INTERACTION=SMOOTH, TYPE=SURFACE TO SURFACE\n{pair}\n"
+                  for pair in ("OUTER, ROD", "OUTER, FLOOR", "ROOF, SOLE"))
         + "*BOUNDARY\nXPLANE, 1, 1\nZPLANE, 3, 3\nFLOOR, 1, 3\n"
         + lines("TIME POINTS, NAME=DEPTHS", ([depth] for depth in DEPTHS_MM))
         + f"*STEP, NLGEOM, INC=1000\n*STATIC\n0.05, {DEPTHS_MM[-1]}, 1e-6, 0.5\n"
         + f"*BOUNDARY\nROD, 1, 1\nROD, 3, 3\nROD, 2, 2, {-DEPTHS_MM[-1]}\n"
         + "*NODE PRINT, NSET=ROD, TOTALS=ONLY, TIME POINTS=DEPTHS\nRF\n"
-        + "*NODE PRINT, NSET=LUMEN, TIME POINTS=DEPTHS\nU\n*END STEP\n"
+        # Fills the buffer, so that the forces are written while CalculiX runs.
+        + "*NODE PRINT, NSET=ROD, TIME POINTS=DEPTHS\nU\n*END STEP\n"
     )  # fmt: skip
 
 
-def calculix(size: MeshSize) -> Run:
-    """Press with CalculiX; forces that it does not come to are NaN."""
+def calculix(size: MeshSize) -> dict[str, Any]:
+    """Return the record of a press with CalculiX, as far as it comes."""
     mesh = sweep(TUBE, REACH, size)
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "press.inp").write_text(deck(mesh))
-        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
-        subprocess.run(
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "press.inp").write_text(deck(mesh))
+        peer = subprocess.Popen(
             ["ccx", "press"],
             cwd=folder,
-            env={**os.environ, "OMP_NUM_THREADS": THREADS, "CCX_NPROC_EQUATION_SOLVER": THREADS},
-            stdout=(Path(folder) / "log").open("w"),
-            check=False,
+            env=os.environ | {"OMP_NUM_THREADS": "1", "CCX_NPROC_EQUATION_SOLVER": "1"},
+            stdout=(folder / "log").open("w"),
         )
-        wall, after = perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-        found = (Path(folder) / "press.dat").read_text()
-    force = np.full(len(DEPTHS_MM), np.nan)
-    for time, values in re.findall(r"force.*time\s+(\S+)\s+([^a-z]+)", found):
-        force[DEPTHS_MM.index(round(float(time), 6))] = -4 * float(values.split()[1])
-    height = np.nan
-    if np.isfinite(force[-1]):
-        moved = re.findall(r"displacements.*\n\s*\n((?:.+\n){2})", found)[-1]
-        at = {int(node): float(y) for node, _, y, _ in map(str.split, moved.splitlines())}
-        roof, sole = (at[node + 1] for node in roof_and_sole(mesh))
-        height = 1e3 * TUBE.inner_diameter + roof - sole
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Run("CalculiX", mesh, force, height, wall, used)
+        force: list[float] = []
+        used, limit, seconds = 0.0, LIMIT, np.nan
+        while peer.poll() is None and used < limit:
+            sleep(POLL)
+            used = _processor_seconds(peer.pid) or used
+            force = printed(folder / "press.dat")
+            if len(force) > TIMED and np.isnan(seconds):
+                seconds, limit = used, min(LIMIT, BEYOND * used)
+        peer.kill()
+        peer.wait()
+        force = printed(folder / "press.dat")
+        last = float((folder / "press.sta").read_text().splitlines()[-1].split()[-3])
+    return record("CalculiX", mesh, size, force, seconds) | {"last_mm": last, "used": used}
 
 
-def acoustube(size: MeshSize, *, code: str = "acoustube", compiled: bool = True) -> Run:
-    """Press with acoustube, with everything compiled before or not."""
-    mesh = sweep(TUBE, REACH, size)
-    if compiled:
-        indent(TUBE, ROD, depth=0.02e-3, support="free", mesh=mesh)
-    start, used = perf_counter(), process_time()
-    pressed = indent(TUBE, ROD, depth=1e-3 * np.array(DEPTHS_MM), support="free", mesh=mesh)
-    wall, used = perf_counter() - start, process_time() - used
-    with jax.enable_x64(True):
-        model = press_model(pressed)
-        at = [int(np.argmin(np.abs(pressed.depth - 1e-3 * depth))) for depth in DEPTHS_MM]
-        force = [indenter_force(model, pressed.displacement[i], pressed.bodies(i)[0]) for i in at]
-    roof, sole = 1e3 * pressed.position()[roof_and_sole(mesh), 1]
-    return Run(code, mesh, np.array(force), roof - sole, wall, used)
+def printed(path: Path) -> list[float]:
+    """Return the forces in N that CalculiX has printed, of the whole tube."""
+    found = path.read_text() if path.exists() else ""
+    rows = re.findall(r"force.*time\s+\S+\s+\S+\s+(\S+)\s+\S+\n", found)
+    return [-4 * float(value) for value in rows]
 
 
-def row(run: Run) -> str:
-    """Return a row of the table."""
-    shape = run.mesh.sweep.shape
-    forces = [
-        f"{force:.4f} ({100 * (force / exact - 1):+.2f} %)"
-        for force, exact in zip(run.force, REFERENCE_N, strict=True)
-    ]
-    height = f"{run.height:.4f} ({run.height - REFERENCE_HEIGHT_MM:+.4f} mm)"
-    numbers = f"{height} | {run.wall:.1f} | {run.processor:.1f}"
-    mesh = f"{shape[2]} x {shape[1]} x {shape[0]} | {run.mesh.points.size}"
-    return f"| {run.code} | {mesh} | {' | '.join(forces)} | {numbers} |"
+def _processor_seconds(process: int) -> float:
+    """Return the processor time of a running process, 0 if it has ended."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except FileNotFoundError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def acoustube(size: MeshSize) -> dict[str, Any]:
+    """Return the record of a press with acoustube, with everything compiled before."""
+    mesh, depths = sweep(TUBE, REACH, size), 1e-3 * np.array(DEPTHS_MM)
+    indent(TUBE, ROD, depth=0.02e-3, support="free", mesh=mesh)
+    seconds = np.nan
+    if size != REFINED[-1]:  # for the limit only
+        start = process_time()
+        indent(TUBE, ROD, depth=depths[: TIMED + 1], support="free", mesh=mesh)
+        seconds = process_time() - start
+    start = process_time()
+    press = indent(TUBE, ROD, depth=depths, support="free", mesh=mesh)
+    force = press.contact_force[press.rows_at(depths)].tolist()
+    more = {"last_mm": DEPTHS_MM[-1], "used": process_time() - start}
+    return record("acoustube", mesh, size, force, seconds) | more
+
+
+def record(
+    code: str, mesh: Mesh, size: MeshSize, force: list[float], seconds: float
+) -> dict[str, Any]:
+    """Return what a run gave: forces in N at the first depths, and processor seconds to 7 mm."""
+    return {
+        "code": code, "size": list(astuple(size)), "components": mesh.points.size,
+        "force": force, "seconds": seconds,
+    }  # fmt: skip
+
+
+CODES = {"acoustube": acoustube, "CalculiX": calculix}
+RUNS = [
+    *(("acoustube", size) for size in (*OTHERS, *REFINED)),
+    *(("CalculiX", size) for size in (*OTHERS, REFINED[1])),
+]
+
+
+def limit(known: list[dict[str, Any]]) -> tuple[Array, Array]:
+    """Return the forces in N to which acoustube's refined meshes tend, and their uncertainty.
+
+    From the two finest meshes with `ORDER`; the uncertainty is their difference.
+    """
+    sizes = [list(astuple(size)) for size in REFINED]
+    refined = [each for each in known if each["code"] == "acoustube" and each["size"] in sizes]
+    coarse, fine = sorted(refined, key=lambda each: int(each["components"]))[-2:]
+    ratio = fine["size"][1] / coarse["size"][1]
+    change = np.subtract(fine["force"], coarse["force"])
+    return fine["force"] + change / (ratio**ORDER - 1), np.abs(change)
+
+
+def padded(force: list[float]) -> Array:
+    """Return forces at all depths, NaN at those that were not reached."""
+    return np.append(force, np.full(len(DEPTHS_MM) - len(force), np.nan))
+
+
+def tables(known: list[dict[str, Any]]) -> str:
+    """Return the limit, and each run's time to 7 mm and errors against it."""
+    depths = " | ".join(f"{depth:g} mm" for depth in DEPTHS_MM)
+    exact, by = limit(known)
+    cells = [f"{force:.4f} +- {spread:.4f}" for force, spread in zip(exact, by, strict=True)]
+    lines = [f"| limit | {depths} |", "|" + "---|" * (len(DEPTHS_MM) + 1)]
+    lines.append(f"| N | {' | '.join(cells)} |")
+    lines += ["", f"| code | mesh | components | s to 7 mm | {depths} | ended at mm |"]
+    lines.append("|" + "---|" * (len(DEPTHS_MM) + 5))
+    for each in sorted(known, key=lambda each: (each["code"], each["components"])):
+        errors = [f"{error:+.2f} %" for error in 100 * (padded(each["force"]) / exact - 1)]
+        mesh = " x ".join(str(count) for count in each["size"][:3])
+        row = [each["code"], mesh, each["components"], f"{each['seconds']:.1f}", *errors]
+        lines.append(f"| {' | '.join(map(str, row))} | {each['last_mm']:.2f} |")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    load = f"load {os.getloadavg()[0]:.1f}"
-    print(f"{platform.machine()} x {os.cpu_count()}, {load}, jax {jax.__version__}, float64")
-    depths = " | ".join(f"N at {depth:g} mm" for depth in DEPTHS_MM)
-    print(f"| code | mesh | components | {depths} | height mm | wall s | processor s |")
-    print("|" + "---|" * 9)
-    print(row(acoustube(SIZES[-1], code="acoustube, compiling", compiled=False)), flush=True)
-    ours = []
-    for size in SIZES:
-        ours.append(acoustube(size))
-        print(row(ours[-1]), flush=True)
-    if shutil.which("ccx") is None:
-        print("ccx is not installed: CalculiX's rows are left out.")
-    peers = []
-    for size in CALCULIX_SIZES if shutil.which("ccx") else ():
-        peers.append(calculix(size))
-        print(row(peers[-1]), flush=True)
-    for peer in peers:
-        run = min(ours, key=lambda run: abs(abs(run.error) - abs(peer.error)))
-        print(
-            f"CalculiX with {peer.mesh.points.size} components ({peer.error:+.2f} %) took "
-            f"{peer.wall / run.wall:.2f} of the wall time and {peer.processor / run.processor:.2f} "
-            f"of the processor time of acoustube with {run.mesh.points.size} ({run.error:+.2f} %)."
-        )
-    print(f"load at the end {os.getloadavg()[0]:.1f}")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("file", type=Path, help="gets a line of JSON for each run")
+    asked = parser.parse_args()
+    old = asked.file.read_text().splitlines() if asked.file.exists() else []
+    known = [json.loads(line) for line in old]
+    done = [(each["code"], each["size"]) for each in known]
+    for code, size in RUNS:
+        if (code, list(astuple(size))) not in done:
+            known.append(CODES[code](size))
+            with asked.file.open("a") as file:
+                file.write(json.dumps(known[-1]) + "\n")
+    print(tables(known))

@@ -8,12 +8,13 @@ for each press; a second run presses those that FILE lacks, and prints what all 
 lists the options. A press depends on its number alone, and is given up after two minutes of
 processor time.
 
-Each press that reached its depth is checked: the residual, no crossing of the lumen's walls, a gap
-and volume ratios above zero, and the work of the force against the change of the whole potential
-energy, which are equal at a fixed ground whatever the contact. Where the wall snaps from one shape
-to another at a constant depth, energy is lost between two rows, and never gained. Intervals of
-depth in which work and energy differ are therefore pressed again at closer rows: an error of the
-cubics through the forces vanishes, and a snap remains in an interval however short.
+Each press that reached its depth is checked: at every row the residual, no crossing of the lumen's
+walls, a gap and volume ratios above zero; and the work of the force against the change of the whole
+potential energy, which are equal at a fixed ground whatever the contact. Where the wall snaps from
+one shape to another at a constant depth, energy is lost between two rows, and never gained.
+Intervals of depth in which work and energy differ are therefore pressed again at closer rows: an
+error of the cubics through the forces vanishes, and a snap remains in an interval however short.
+The closer rows are checked as well.
 """
 
 from __future__ import annotations
@@ -83,17 +84,8 @@ def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[li
 
     ``again`` presses anew to given depths.
     """
-    tube, found = press.tube, []
-    with jax.enable_x64(True):
-        model = press_model(press)
-        crossing = any(model.lumen.crosses_itself(press.position(row)) for row in (-2, -1))
-    if press.residual.max() > FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2:
-        found.append("residual")
-    if crossing or press.smallest_gap.min() <= 0:
-        found.append("gap")
-    if press.smallest_volume_ratio.min() <= 0:
-        found.append("J")
-    narrowest = NARROWEST * tube.inner_diameter
+    narrowest = NARROWEST * press.tube.inner_diameter
+    found = unsound(press)
     lost, allowed = losses(press)
     for _ in range(ROUNDS):
         wide = np.diff(press.depth) > narrowest
@@ -103,8 +95,8 @@ def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[li
         steps = np.diff(press.depth)[divided, None] * np.arange(1, PARTS) / PARTS
         between = press.depth[:-1][divided, None] + steps
         press = again(np.unique(np.union1d(press.depth[1:], between).round(12)))
+        found += [f"{what} at closer rows" for what in unsound(press)]
         lost, allowed = losses(press)
-    wide = np.diff(press.depth) > narrowest
     snapped = ~wide & (lost > allowed / len(lost))
     gained = -np.minimum(lost, 0.0)
     if gained.max() > allowed:
@@ -114,6 +106,22 @@ def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[li
         found.append(f"loses {lost[~snapped].sum():.3g} J beside snaps, {allowed:.3g} J allowed")
     at = [f"{MM * press.depth[i + 1]:.3f} mm: {lost[i]:.3g} J" for i in np.flatnonzero(snapped)]
     return found, "; ".join(at)
+
+
+def unsound(press: Indentation) -> list[str]:
+    """Return which of residual, gap and volume ratios are wrong at any row."""
+    found = []
+    with jax.enable_x64(True):
+        lumen = press_model(press).lumen
+        crossing = any(lumen.crosses_itself(press.position(row)) for row in range(len(press.depth)))
+    allowed = FORCE_TOLERANCE * press.tube.shear_modulus * press.tube.inner_diameter**2
+    if press.residual.max() > allowed:
+        found.append("residual")
+    if crossing or press.smallest_gap.min() <= 0:
+        found.append("gap")
+    if press.smallest_volume_ratio.min() <= 0:
+        found.append("J")
+    return found
 
 
 def losses(press: Indentation) -> tuple[Array, float]:

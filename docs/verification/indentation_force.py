@@ -33,7 +33,7 @@ expected_height = np.interp(DEPTHS, reference["depth_mm"], reference["lumen_heig
 # Compare
 # -------
 # One element through the wall is slightly too stiff; with the default two the force is within
-# 0.3 % up to 4 mm and 1.2 % at 6 mm (see the page of the stage).
+# 0.3 % of the same reference up to 4 mm and 1.2 % at 6 mm (see the page of the stage).
 force = press.contact_force[rows]
 height = np.array([1e3 * measure(press, row, np.zeros(1)).height[0] for row in rows])
 force_error = force / expected - 1
