@@ -123,7 +123,8 @@ def test_probe_sees_the_pulse_before_any_echo_alike_at_both_ends(dataset):
 
 
 def test_figure_shares_the_distance_and_marks_both_pulses(dataset):
-    images = tube_scene.draw(dataset)
+    with tube_scene.drawing(dataset) as drawn:
+        images = drawn()
     assert images is not None
     strip = images["strip"]
     assert strip.shape == (tube_scene.STRIP_PIXELS[1], tube_scene.STRIP_PIXELS[0], 3)

@@ -6,6 +6,7 @@ import trimesh
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 from wave_lumens import BORE, pinched_tube, straight_tube
 
+from acoustube.waves.grid import small_cells
 from acoustube.waves.grid.cells import _shortened, cut_cells, with_straight_ends
 from acoustube.waves.grid.polyhedron import cut_polyhedron
 from acoustube.waves.grid.repeated_layers import without_repeated_layers
@@ -182,14 +183,53 @@ def test_copied_layers_of_straight_ends_are_those_that_would_be_cut(half):
         np.testing.assert_allclose(getattr(copied, name), getattr(cut, name), atol=1e-5)
 
 
-def test_sharing_is_the_same_without_repeated_layers():
+def rectangular_duct(subdivisions):
+    """8 mm wide and high, 30 mm long, its walls on the planes of a grid of 0.5 mm."""
+    duct = trimesh.creation.box((8e-3, 8e-3, 30e-3))
+    duct.apply_translation((0, 0, 15e-3))
+    for _ in range(subdivisions):
+        duct = duct.subdivide()
+    return duct
+
+
+@pytest.mark.parametrize("subdivisions", [0, 5])
+def test_walls_on_grid_planes_close_the_cells_within(subdivisions):
+    """Whatever their facets are: of fine ones, some lie wholly in the layers that are copied."""
+    cells = cut_cells(rectangular_duct(subdivisions), 5e-4)
+    full = np.zeros(cells.shape)
+    full[:, :, :-1], full[:, :, -1] = 1.0, 0.5
+    inside = (np.abs(cells.centres(0)) < 4e-3)[:, None] & (np.abs(cells.centres(1)) < 4e-3)
+    np.testing.assert_allclose(cells.volume_fraction, full * inside[:, :, None], atol=1e-9)
+    np.testing.assert_allclose(cells.open_x[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(cells.open_x[1:-1], full[1:] * inside[1:, :, None], atol=1e-9)
+
+
+def test_facets_of_a_straight_wall_may_have_any_shape():
+    """Points on the walls of a duct, joined at random; in copied layers facets would be turned."""
+    rng = np.random.default_rng(3)
+    duct = rectangular_duct(4)
+    transverse, along = np.abs(duct.vertices[:, :2]), duct.vertices[:, 2:]
+    moved = (transverse.max(axis=1) > 3.99e-3) & (transverse.min(axis=1) < 3.99e-3)
+    moved &= np.abs(along[:, 0] - 15e-3) < 14.9e-3
+    shift = rng.uniform(-1e-4, 1e-4, (len(duct.vertices), 3))
+    shift[:, :2][transverse > 3.99e-3] = 0.0
+    duct.vertices = duct.vertices + np.where(moved[:, None], shift, 0.0)
+    cells, regular = cut_cells(duct, 5e-4), cut_cells(rectangular_duct(0), 5e-4)
+    np.testing.assert_allclose(cells.volume_fraction, regular.volume_fraction, atol=1e-9)
+
+
+def test_sharing_is_the_same_without_repeated_layers(monkeypatch):
     """The cells of a long straight end borrow as those of a short one do."""
     cells = with_straight_ends(cut_cells(pinched_tube(0.02, 0.7), 2 * BORE / 24), 40, 40)
     short, layers = without_repeated_layers(cells, 3)
     assert short.shape[2] < cells.shape[2] - 60
     for name in ("volume_fraction", "open_x", "open_y"):
         np.testing.assert_array_equal(getattr(short, name)[..., layers], getattr(cells, name))
-    whole = with_straight_ends(share_small_volumes(short), 0, None)
     shared = share_small_volumes(cells)
-    np.testing.assert_array_equal(shared.volume_fraction, whole.volume_fraction[..., layers])
-    np.testing.assert_array_equal(shared.open_z[..., :-1], whole.open_z[..., layers])
+    all_layers = np.arange(cells.shape[2])
+    monkeypatch.setattr(
+        small_cells, "without_repeated_layers", lambda cells, _: (cells, all_layers)
+    )
+    whole = share_small_volumes(cells)
+    np.testing.assert_array_equal(shared.volume_fraction, whole.volume_fraction)
+    np.testing.assert_array_equal(shared.open_z, whole.open_z)

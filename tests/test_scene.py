@@ -90,7 +90,8 @@ def test_drawing_of_a_run_shows_what_its_settings_say():
             | {"true_distance": REACH},
             attrs={"configuration": json.dumps(parts)},
         )
-        images = scene.draw(data)
+        with scene.drawing(data) as drawn:
+            images = drawn()
         assert images is not None
         pictures.append(images["close_up"].astype(int))
     for i, one in enumerate(pictures):

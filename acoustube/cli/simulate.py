@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,6 +25,8 @@ from acoustube.runs.config import Config, check_touched, load_config, to_toml
 if TYPE_CHECKING:
     import xarray as xr
     from rich.console import Console
+
+    from acoustube.reports.scenes.offscreen import Image
 
 
 @Parameter(name="*")
@@ -78,36 +82,40 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
         If a stage cannot finish.
     """
     from acoustube.base.netcdf import write_dataset
+    from acoustube.reports.scenes import tube as tube_scene
     from acoustube.runs.simulate import simulate as simulated
 
     started = time.perf_counter()
     with watched_interrupts() as check:
         _print_header(config, console)
-        with partial_folder(folder) as partial:
+        with partial_folder(folder) as partial, ExitStack() as drawing:
+            waiting: list[Callable[[], Mapping[str, Image] | None]] = []
+
+            def draw(walls: xr.Dataset) -> None:
+                waiting.append(drawing.enter_context(tube_scene.drawing(walls)))
+
             with ConsoleReporter(console).progress(check) as report:
-                dataset = simulated(config, report=report)
+                dataset = simulated(config, report=report, pressed=draw)
             write_dataset(dataset, partial / "run.nc")
             write(partial / "config.toml", to_toml(config))
-            drawn = _write_figure(dataset, partial)
+            images = waiting[0]()
+            _write_figure(dataset, images, partial)
             check()
             folder = publish(partial, folder)
     _print_results(dataset, config.signals.prominence, console)
-    if not drawn:
+    if images is None:
         note(console, "The tube could not be drawn in 3-D: see 'The figure' in the README.")
     elapsed = time.perf_counter() - started
     console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
     return folder
 
 
-def _write_figure(dataset: xr.Dataset, folder: Path) -> bool:
-    """Write the figure; return whether the tube is drawn in it."""
+def _write_figure(dataset: xr.Dataset, images: Mapping[str, Image] | None, folder: Path) -> None:
+    """Write the figure."""
     from acoustube.reports.figures import run as run_figure
-    from acoustube.reports.scenes import tube as tube_scene
 
-    images = tube_scene.draw(dataset)
     figure = folder / "figure.png"
     write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
-    return images is not None
 
 
 def _print_header(config: Config, console: Console) -> None:

@@ -86,7 +86,6 @@ def dataset(
         | _trusted(budget)
         | _checked(check)
         | {
-            "true_distance": variable("", lumen.position, "m", "distance of the press"),
             "sound_speed": variable("", settings.air.sound_speed, "m/s", "speed of sound"),
             "elapsed_time": variable("stage", list(seconds.values()), "s", "time of each stage"),
         }
@@ -106,6 +105,22 @@ def dataset(
     path = 2 * (lumen.position - next(iter(recordings.values())).probes[0])
     origin["accuracy"] = budget.in_words(path)
     return xr.Dataset(variables, coordinates, origin)
+
+
+def walls(config: Config, lumen: Lumen) -> xr.Dataset:
+    """Return the walls of a pressed tube as a dataset.
+
+    Parameters
+    ----------
+    config : Config
+    lumen : Lumen
+
+    Returns
+    -------
+    xarray.Dataset
+        ``inner_wall``, ``outer_wall`` and ``true_distance`` of :func:`dataset`.
+    """
+    return xr.Dataset(_rings(lumen), attrs={"configuration": _configuration(config)})
 
 
 def press_dataset(
@@ -270,13 +285,7 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
     faces = ring_faces(*lumen.rings.shape[:2])
     # A plane through the far cap itself cuts nothing.
     along = profile(lumen.rings.reshape(-1, 3), faces, np.minimum(z, length * (1 - 1e-12)))
-    return {
-        "inner_wall": variable(
-            "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"
-        ),
-        "outer_wall": variable(
-            "ring around xyz", lumen.outer_rings, "m", "rings of the outer wall"
-        ),
+    return _rings(lumen) | {
         "lumen_face": variable(
             "face vertex",
             faces,
@@ -287,6 +296,19 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
         "area_profile": variable("z", along.area, "m2", "cross-section of the lumen"),
         "height_profile": variable("z", along.height, "m", "height of the lumen"),
         "width_profile": variable("z", along.width, "m", "width of the lumen"),
+    }
+
+
+def _rings(lumen: Lumen) -> dict[str, Variable]:
+    """Return the walls of the whole tube, and the place of the press."""
+    return {
+        "inner_wall": variable(
+            "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"
+        ),
+        "outer_wall": variable(
+            "ring around xyz", lumen.outer_rings, "m", "rings of the outer wall"
+        ),
+        "true_distance": variable("", lumen.position, "m", "distance of the press"),
     }
 
 
@@ -386,7 +408,7 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
 
 def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
     """Return the origin of the data: version, settings, device, warnings."""
-    settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
+    settings = _configuration(config)
     return {
         "title": "One press of a soft acoustic waveguide",
         "source": "simulation",
@@ -398,3 +420,8 @@ def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str
         "precision": "float64 in the wall, float32 in the air",
         "warnings": "\n".join(warnings),
     }
+
+
+def _configuration(config: Config | Mechanics) -> str:
+    """Return the settings as JSON."""
+    return json.dumps(dataclasses.asdict(config), sort_keys=True)

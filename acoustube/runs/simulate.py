@@ -36,7 +36,12 @@ from acoustube.waves.budget import SpectralBudget
 
 
 @checked(config=Optional(Config))
-def simulate(config: Config | None = None, *, report: Report | None = None) -> xr.Dataset:
+def simulate(
+    config: Config | None = None,
+    *,
+    report: Report | None = None,
+    pressed: Callable[[xr.Dataset], None] | None = None,
+) -> xr.Dataset:
     """Simulate a press, a pulse in the lumen, and the localisation of the press by its echo.
 
     Parameters
@@ -46,6 +51,9 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         default.
     report : callable, optional
         Called with the name of a stage and the fraction of it that is done.
+    pressed : callable, optional
+        Called with the walls of the pressed tube, before the sound is computed: a dataset of
+        ``inner_wall``, ``outer_wall`` and ``true_distance``.
 
     Returns
     -------
@@ -77,6 +85,8 @@ def simulate(config: Config | None = None, *, report: Report | None = None) -> x
         indentation = press_to(settings, [settings.depth], progress, notes.append)
     with stage("lumen", seconds, report):
         space = lumen(indentation, settings.position)
+        if pressed is not None:
+            pressed(results.walls(config, space))
     budget: Budget | SpectralBudget
     with stage("waves", seconds, report) as progress:
         if settings.method == "full":

@@ -32,7 +32,7 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
     dataset : xarray.Dataset
         A run.
     images : mapping of str to image, optional
-        The three-dimensional pictures of :func:`acoustube.reports.scenes.tube.draw`.
+        The three-dimensional pictures of :func:`acoustube.reports.scenes.tube.drawing`.
 
     Returns
     -------

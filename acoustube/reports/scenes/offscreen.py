@@ -11,7 +11,8 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,27 +62,52 @@ class View:
     camera: dict[str, Any] = field(default_factory=dict)
 
 
-def rendered(views: Mapping[str, View]) -> dict[str, Image] | None:
-    """Render views in a separate process.
+@contextmanager
+def rendering(views: Mapping[str, View]) -> Iterator[Callable[[], dict[str, Image] | None]]:
+    """Render views in a separate process, while this one goes on.
 
     Parameters
     ----------
     views : mapping of str to View
 
-    Returns
-    -------
-    dict of images of shape (height, width, 3), or None
-        None if VTK cannot draw on this machine.
+    Yields
+    ------
+    callable
+        Waits for the pictures and returns them, of shape (height, width, 3), by name; None if VTK
+        cannot draw on this machine. The process ends with the context.
     """
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            content, images = Path(folder) / "views.pkl", Path(folder) / "images.npz"
-            content.write_bytes(pickle.dumps(dict(views)))
-            command = [sys.executable, "-m", __name__, str(content), str(images)]
-            subprocess.run(command, capture_output=True, check=True, timeout=TIME_LIMIT)
+    with tempfile.TemporaryDirectory() as folder:
+        content, images = Path(folder) / "views.pkl", Path(folder) / "images.npz"
+        content.write_bytes(pickle.dumps(dict(views)))
+        process = _started([sys.executable, "-m", __name__, str(content), str(images)])
+
+        def wait() -> dict[str, Image] | None:
+            try:
+                if process is None or process.wait(TIME_LIMIT):
+                    return None
+            except subprocess.TimeoutExpired:
+                return None
             with np.load(images) as file:
                 return {name: file[name] for name in file.files}
-    except (subprocess.SubprocessError, OSError):
+
+        try:
+            yield wait
+        finally:
+            if process is not None:
+                process.kill()
+                process.wait()
+
+
+def _started(command: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a process whose output nobody reads; None where that is not possible."""
+    try:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
         return None
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from acoustube.reports.scenes.offscreen import Image, Mesh, View, rendered
+from acoustube.reports.scenes.offscreen import Image, Mesh, View, rendering
 
 if TYPE_CHECKING:  # the solvers, which a command that draws nothing does not need
     from acoustube.indentation import Indenter
@@ -23,29 +25,30 @@ STRIP_MAGNIFICATION = 3.0
 """Magnification of the tube's cross-section over its length in the strip."""
 
 
-def draw(dataset: xr.Dataset) -> dict[str, Image] | None:
-    """Draw the tube of a run in a separate process.
+def drawing(walls: xr.Dataset) -> AbstractContextManager[Callable[[], dict[str, Image] | None]]:
+    """Draw the tube of a run in a separate process, while this one goes on.
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        A run.
+    walls : xarray.Dataset
+        A run, or its walls alone (:func:`acoustube.runs.results.walls`).
 
     Returns
     -------
-    dict of images of shape (height, width, 3), or None
-        ``close_up`` and ``strip``; None if VTK cannot draw on this machine.
+    context manager of a callable
+        As :func:`acoustube.reports.scenes.offscreen.rendering`, of the pictures ``close_up`` and
+        ``strip``.
     """
     from acoustube.runs.config import Mechanics, configured
     from acoustube.runs.config.si import press_in_si
 
-    settings = json.loads(dataset.attrs["configuration"])
+    settings = json.loads(walls.attrs["configuration"])
     config = configured({name: settings[name] for name in ("tube", "indentation")}, Mechanics)
     press = press_in_si(config)
     thickness = None if press.layer is None else press.layer.thickness
-    walls = half_walls(dataset)
-    return rendered(
-        {"close_up": close_up(dataset, walls, press.indenter, thickness), "strip": strip(walls)}
+    cut = half_walls(walls)
+    return rendering(
+        {"close_up": close_up(walls, cut, press.indenter, thickness), "strip": strip(cut)}
     )
 
 

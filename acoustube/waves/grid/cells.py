@@ -26,7 +26,14 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.checks import FLAG, Reals, checked
-from acoustube.waves.grid.polyhedron import SNAP, Array, Fractions, cut_polyhedron
+from acoustube.waves.grid.polyhedron import (
+    ROUNDING,
+    SNAP,
+    Array,
+    Fractions,
+    cut_polyhedron,
+    twice_area,
+)
 
 Spacing = tuple[float, float, float]
 Indices = NDArray[np.intp]
@@ -141,7 +148,7 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     Returns
     -------
     triangles : ndarray
-        Whole layers shorter; those of the ends may have no area.
+        Whole layers shorter, without those that have no area then.
     layers : ndarray of int
         Indices of layers of the shorter tube, one for each layer of the tube.
     """
@@ -157,7 +164,12 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     after = max(int((length - last) / step) - STRAIGHT_LAYERS, 0)
     moved = triangles.copy()
     moved[..., 2] = np.clip(z, before * step if before else None, length - after * step)
+    # Corners on either side of a facet along the axis may change places: its copy would be turned.
+    area, left = twice_area(triangles), twice_area(moved)
+    if np.any(np.sum(area * left, axis=1) < -ROUNDING * np.sum(area * area, axis=1)):
+        return triangles, np.arange(n_layers)
     moved[..., 2] -= before * step
+    moved = moved[np.any(left != 0.0, axis=1)]
     # Each layer that is left out equals the first one, or the last but two, which ends wholly
     # within the tube.
     short = np.arange(n_layers - before - after)

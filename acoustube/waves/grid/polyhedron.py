@@ -70,13 +70,16 @@ def cut_polyhedron(
     grid = (np.asarray(triangles, dtype=float) - np.asarray(origin)) / np.asarray(spacing)
     nearest = np.rint(grid)
     pieces = np.where(np.abs(grid - nearest) < SNAP, nearest, grid)
-    pieces = pieces[(pieces[:, :, 0] > 0.0).any(axis=1)]
+    x = pieces[:, :, 0]
+    pieces = pieces[(x > 0.0).any(axis=1) | (x == 0.0).all(axis=1)]
     for axis in range(3):
         pieces = _split_at_planes(pieces, axis)
-    area = 0.5 * _twice_area(pieces)
+    area = 0.5 * twice_area(pieces)
     cell = _owning_cell(pieces, area)
     inside = cell[:, 0] >= 0
     pieces, area, cell = pieces[inside], area[inside], cell[inside]
+    if np.any((cell < 0) | (cell >= shape)):
+        raise ValueError("the surface folds through itself in a plane of the grid; repair it first")
     flat = np.ravel_multi_index(tuple(cell.T), shape)
     walls = [_per_cell(flat, area[:, axis], shape) for axis in range(3)]
     faces = [_accumulate_from_above(wall, axis) for axis, wall in enumerate(walls)]
@@ -126,7 +129,7 @@ def _clip(triangles: Array, lower: Array, axis: int) -> Array:
     odd = (order[:, 1] - order[:, 0]) % 3 == 2
     parts = np.concatenate([_oriented(left_low, p, q, odd) for p, q in fan])
     # Parts without area, from corners on a plane, contribute nothing.
-    return parts[np.any(_twice_area(parts) != 0.0, axis=1)]
+    return parts[np.any(twice_area(parts) != 0.0, axis=1)]
 
 
 def _oriented(a: Array, b: Array, c: Array, odd: NDArray[np.bool_]) -> Array:
@@ -152,7 +155,7 @@ def _point(start: Array, end: Array, height: Array, axis: int) -> Array:
     return point
 
 
-def _twice_area(triangles: Array) -> Array:
+def twice_area(triangles: Array) -> Array:
     """Return twice the vector areas; written out, because numpy.cross is slower on many."""
     (ux, uy, uz), (vx, vy, vz) = (
         (triangles[:, i] - triangles[:, 0]).T for i in (1, 2)

@@ -80,8 +80,8 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
     """
     length = cells.length
-    # A round reaches as far as the neighbouring layer.
-    cells, layers = without_repeated_layers(cells, BORROWING_ROUNDS + 1)
+    # In a round a layer depends on two to either side: what a cell lends, on all that borrow from it.
+    cells, layers = without_repeated_layers(cells, 2 * BORROWING_ROUNDS + 1)
     cells = _without_closed_cells(cells)
     for _ in range(BORROWING_ROUNDS):
         cells = _borrow(cells)

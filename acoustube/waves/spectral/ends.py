@@ -32,6 +32,9 @@ from acoustube.waves.spectral.walls import Contours, Wall
 SECTION_DEGREE = 18
 """Total degree of the polynomials in which the modes of a section that is not round are found."""
 
+BESIDE_TOP = 0.02
+"""Distance from the middle plane, in half widths, at which odd modes are made positive."""
+
 
 @dataclass(frozen=True, eq=False)
 class Section:
@@ -155,6 +158,9 @@ def rim_of(wall: Wall, modes: PortModes, odd: bool | None) -> Rim:
 def section_of(wall: Wall, odd: bool | None) -> Section:
     """Return the section of a straight end with its modes of a symmetry.
 
+    That of a displaced wall is described in the bounding box of the unmoved one, and its modes have
+    the signs of the unmoved one's: they can be compared.
+
     Raises
     ------
     ConfigError
@@ -162,12 +168,8 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     """
     basis = polynomials(SECTION_DEGREE, odd)
     z = np.array([wall.ends[0]])
-    x, y, *_ = wall.lines(z)
-    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
-    (x0, y0), (a, b) = (low + high) / 2, (high - low) / 2
-    still = np.zeros(1)
-    x0 = 0.0 if wall.symmetric else x0
-    boxes = Boxes(still + x0, still + a, still + y0, still + b, still, still, still, still)
+    unmoved = None if wall.unmoved is None else section_of(wall.unmoved, odd)
+    boxes = _end_box(wall, z) if unmoved is None else unmoved.boxes
     contours = wall.contours(z, SECTION_DEGREE)
     mass, _, stiffness = (part[0] for part in section_matrices(contours, boxes, basis))
     try:
@@ -187,8 +189,24 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
         mirror = basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))
         sine = np.einsum("im,ij,jm->m", vectors, mass @ mirror.T, vectors) < 0
     names, m = _names(sine)
-    vectors = vectors * np.where(basis.values(np.zeros(1), np.ones(1))[:, 0] @ vectors < 0, -1, 1)
+    if unmoved is None:
+        # Odd modes vanish at the top itself.
+        top, beside = basis.values(np.array([0.0, BESIDE_TOP]), np.ones(2)).T
+        positive = np.where(sine, beside @ vectors, top @ vectors)
+    else:
+        positive = np.einsum("im,ij,jm->m", vectors, mass, unmoved.coefficients)
+    vectors = vectors * np.where(positive < 0, -1, 1)
     return Section(contours, boxes, basis, vectors, PortModes(names, m, zeros, sine))
+
+
+def _end_box(wall: Wall, z: Array) -> Boxes:
+    """Return the bounding box of a straight end at a height z (1,)."""
+    x, y, *_ = wall.lines(z)
+    low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
+    (x0, y0), (a, b) = (low + high) / 2, (high - low) / 2
+    still = np.zeros(1)
+    x0 = 0.0 if wall.symmetric else x0
+    return Boxes(still + x0, still + a, still + y0, still + b, still, still, still, still)
 
 
 def _names(sine: NDArray[np.bool_]) -> tuple[tuple[str, ...], Index]:

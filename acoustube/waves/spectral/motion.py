@@ -107,7 +107,8 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
         apart = max(np.abs(x - x[::-1]).max(), np.abs(y - y[::-1]).max())
         _require(apart <= same, "is symmetric about its middle")
     apart = max(np.abs(x[0] - x[-1]).max(), np.abs(y[0] - y[-1]).max())
-    _require(apart <= same, "has two ends alike")
+    if apart > same:
+        raise ConfigError("the motion of the wall must be alike at its two ends")
     t = 2 * np.pi * np.arange(n) / n
     widening = 0.0
     if wall.circular:
@@ -115,9 +116,17 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
         radius = np.hypot(there_x, there_y)
         outwards = (x[0] * there_x + y[0] * there_y) / radius
         widening = float(outwards.mean())
-        _require(np.abs(outwards - widening).max() <= same, "has round ends about its axis")
+        if np.abs(outwards - widening).max() > same:
+            raise ConfigError(
+                "the motion of the wall must keep round ends round; give a wall with circular=False"
+            )
     less, more = (
-        replace(wall, lines=_displaced(wall, velocity, t, by), radius=wall.radius + by * widening)
+        replace(
+            wall,
+            lines=_displaced(wall, velocity, t, by),
+            radius=wall.radius + by * widening,
+            unmoved=wall,
+        )
         for by in (-size, size)
     )
     ends = float(np.hypot(x[0], y[0]).max()) > same

@@ -76,6 +76,8 @@ class Wall:
         Gaps up to this height in m pass no sound, with losses.
     knots : ndarray
         Heights z in m between which the wall is smooth.
+    unmoved : Wall or None
+        The wall of which this one is a small displacement.
     """
 
     lines: Callable[[Array], tuple[Array, Array, Array, Array]]
@@ -88,6 +90,7 @@ class Wall:
     circular: bool = True
     sealing_gap: float = 0.0
     knots: Array = field(default_factory=lambda: np.zeros(0))
+    unmoved: Wall | None = None
 
     def contours(self, z: Array, degree: int) -> Contours:
         """Return the contours at heights z (n,) in m, as cubic splines through their points.
