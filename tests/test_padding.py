@@ -1,10 +1,10 @@
-"""Padding of element arrays, by which meshes of different size share compiled code."""
+"""Padding of arrays to few lengths and to blocks, by which all meshes share compiled code."""
 
 import numpy as np
 import pytest
 
 from acoustube.indentation import Indenter, MeshSize, indent
-from acoustube.indentation.padding import padded, padded_count
+from acoustube.indentation.padding import counts_of_blocks, in_blocks, padded, padded_count
 from acoustube.tube import Tube
 
 
@@ -23,10 +23,20 @@ def test_last_row_is_repeated():
     assert len(padded(rows)) == 64
 
 
-def test_meshes_of_like_size_are_pressed_by_the_same_compiled_code(compilations):
-    """Of 64 and of 60 elements, both of which are padded to 64."""
+@pytest.mark.parametrize("count", [1, 64, 65, 200])
+def test_blocks_hold_every_row_once_and_repeat_the_last(count):
+    rows = np.arange(2 * count).reshape(count, 2)
+    blocks, counts = in_blocks(rows), counts_of_blocks(count)
+    assert blocks.shape == (len(counts), 64, 2)
+    kept = [block[:n] for block, n in zip(blocks, counts, strict=True)]
+    np.testing.assert_array_equal(np.concatenate(kept), rows)
+    assert np.all(blocks[-1, counts[-1] :] == rows[-1])
+
+
+def test_meshes_of_other_blocks_are_pressed_by_the_same_compiled_code(compilations):
+    """Of 64 and of 66 elements: of one block and of two; their points are padded to one count."""
     tool = Indenter(diameter=21e-3)
-    for around, along in ((8, 8), (10, 6)):
+    for around, along in ((8, 8), (11, 6)):
         compilations.clear()
         indent(
             Tube(), tool, depth=0.2e-3, mesh=MeshSize(through_wall=1, around=around, along=along)

@@ -2,8 +2,8 @@
 
 Reading order: ``reference_element`` (shape functions and quadrature), ``mesh`` (the swept round
 tube), ``material`` (strain energies), ``element`` (energy, force and stiffness of an element),
-``padding`` (few lengths of arrays), ``contact`` (distances and contact laws), ``indenters`` (rods,
-punches, spheres and the ground), ``self_contact`` (the barrier between the lumen's walls),
+``padding`` (blocks of elements, few lengths of arrays), ``contact`` (distances and contact laws),
+``indenters`` (rods, punches, spheres and the ground), ``self_contact`` (the lumen's barrier),
 ``wrinkle_penalty`` (smooth folds), ``dissection`` (order of elimination), ``multifrontal`` and
 ``linear_solver`` (the sparse matrix and its factorisation), ``assembly`` (energy, residual and
 tangent of the whole tube), ``condensed_contact`` and ``negative_curvature`` (Newton steps),

@@ -29,6 +29,7 @@ from acoustube.indentation import contact
 from acoustube.indentation.assembly import Model, State
 from acoustube.indentation.contact import Body
 from acoustube.indentation.multifrontal import MultifrontalFactor
+from acoustube.indentation.padding import padded
 
 LARGEST_ZONE = 1000
 """Unknowns of the nodes whose contact changes, above which a step is linear in the contact too."""
@@ -143,14 +144,15 @@ class CondensedContact:
         """Return gaps and normals of the outer wall's points: (body, face, point), (..., 3)."""
         mesh = self.model.mesh
         faces = (mesh.points + displacement)[self._nodes]
-        gap, normal = _gaps(faces, mesh.face.shapes, self.bodies)
-        return np.asarray(gap), np.asarray(normal)
+        gap, normal = _gaps(padded(faces), mesh.face.shapes, self.bodies)
+        return np.asarray(gap)[:, : len(faces)], np.asarray(normal)[:, : len(faces)]
 
     def _laws(self, gap: Array) -> tuple[Array, Array]:
         """Return the points' contact forces in N, negative, and stiffnesses in N/m."""
-        slope, bend = _pressures(gap, self.bodies)
+        faces = np.moveaxis(gap, 1, 0)
+        slope, bend = _pressures(np.moveaxis(padded(faces), 0, 1), self.bodies)
         area = self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
-        return np.asarray(slope) * area, np.asarray(bend) * area
+        return np.asarray(slope)[:, : len(area)] * area, np.asarray(bend)[:, : len(area)] * area
 
     def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
         """Return the change of the gaps by a motion of the nodes, (body, face, point).

@@ -259,7 +259,8 @@ def _contracted(
         for q in range(n_points):
             g = gradients[e, q]
             for j in range(3):
-                across[:, 3 * q + j] = g[:, j]
+                for n in range(n_local):
+                    across[n, 3 * q + j] = g[n, j]
                 for b, (i, k) in enumerate(pairs):
                     m0, m1, m2 = (
                         moduli[i, j, k, 0, e, q],
@@ -275,7 +276,10 @@ def _contracted(
                     swelling[q, 3 * n + j] = c[0] * g[n, 0] + c[1] * g[n, 1] + c[2] * g[n, 2]
         blocks = across @ half
         slopes = weighted_modes @ swelling
-        result[e] = slopes.T @ (stiffness[e] @ slopes)
+        squeezed = slopes.T @ (stiffness[e] @ slopes)
+        for n in range(3 * n_local):
+            for m in range(3 * n_local):
+                result[e, n, m] = squeezed[n, m]
         for b, (i, k) in enumerate(pairs):
             for n in range(n_local):
                 for m in range(n_local):

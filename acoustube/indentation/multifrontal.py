@@ -303,7 +303,8 @@ def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: 
     pointers = np.zeros(n + 1, np.int64)
     for e in range(count):
         pointers[min(rows[e], columns[e]) + 1] += 1
-    pointers = np.cumsum(pointers)
+    for i in range(n):
+        pointers[i + 1] += pointers[i]
     fill, entry = pointers[:-1].copy(), np.empty(count, np.int64)
     for e in range(count):
         low = min(rows[e], columns[e])
@@ -314,7 +315,10 @@ def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: 
     for f in range(fronts):
         end, used = starts[f + 1], touched[f]
         if len(found) < used + n:
-            found = np.concatenate((found, np.empty(len(found) + n, np.int64)))
+            longer = np.empty(2 * len(found) + n, np.int64)
+            for p in range(used):
+                longer[p] = found[p]
+            found = longer
         for p in range(pointers[starts[f]], pointers[end]):
             high = max(rows[entry[p]], columns[entry[p]])
             if high >= end and seen[high] != f:
@@ -328,7 +332,7 @@ def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: 
                         seen[found[p]] = f
                         found[used] = found[p]
                         used += 1
-        found[touched[f] : used] = np.sort(found[touched[f] : used])
+        found[touched[f] : used].sort()
         touched[f + 1] = used
     return touched, found[: touched[-1]], pointers, entry
 

@@ -80,7 +80,7 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
     """
     length = cells.length
-    # In a round a layer depends on two to either side: what a cell lends, on all that borrow from it.
+    # In a round a layer depends on two to either side: a cell lends less if others borrow, too.
     cells, layers = without_repeated_layers(cells, 2 * BORROWING_ROUNDS + 1)
     cells = _without_closed_cells(cells)
     for _ in range(BORROWING_ROUNDS):

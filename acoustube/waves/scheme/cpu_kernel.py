@@ -302,30 +302,33 @@ def _lossy_column(problem, q, following, integral, later, work, c, x, y, limit):
 
 
 @_compiled
-def _step(problem, now, begin, end, sample, limit, work, recorded):  # type: ignore[no-untyped-def]
-    """Advance some columns by one step, up to a layer."""
-    columns, operator, lossy, fields, before, behind, ends = problem
+def _step(problem, thread, now, begin, end, sample, limit, work, recorded):  # type: ignore[no-untyped-def]
+    """Advance some columns by one step, up to a layer.
+
+    Without losses `work` is None, and what has losses is not compiled.
+    """
+    columns, operator, _, fields, before, behind, ends = problem
     q, following = fields.ahead[now], fields.ahead[1 - now]
     integral, later = fields.integral[now], fields.integral[1 - now]
     last = np.uint64(fields.change.shape[2] - behind.cells.shape[1])
     layer = np.uint64(ends.layer) + _TWO
     for c in range(begin, end):
         x, y = columns.place[c, 0], columns.place[c, 1]
-        if lossy.decay.size > 0:
-            _lossy_column(problem, q, following, integral, later, work, c, x, y, limit)
-        else:
+        if work is None:
             _lossless_column(problem, q, following, c, x, y, limit)
+        else:
+            _lossy_column(problem, q, following, integral, later, work[thread], c, x, y, limit)
         _pml_step(operator, before, q, following, fields.change, _NONE, x, y)
         if limit > last:
             _pml_step(operator, behind, q, following, fields.change, last, x, y)
-        if lossy.decay.size > 0:
+        if work is None:
+            following[x + _ONE, y + _ONE, layer] += _source_increment(ends, following, x, y, sample)
+            _probe(ends, following, x, y, recorded)
+        else:
             added = _source_increment(ends, fields.pressure, x, y, sample)
             fields.pressure[x + _ONE, y + _ONE, layer] += added
             following[x + _ONE, y + _ONE, layer] += added
             _probe(ends, fields.pressure, x, y, recorded)
-        else:
-            following[x + _ONE, y + _ONE, layer] += _source_increment(ends, following, x, y, sample)
-            _probe(ends, following, x, y, recorded)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -345,8 +348,8 @@ def advance(problem, thread, now, samples, limits, work, recorded, counter):  # 
         Source signal, one sample per step, (n,).
     limits : ndarray
         Number of layers that each step advances, of uint64, (n,).
-    work : ndarray
-        For intermediate values, (n_threads, 2, nz).
+    work : ndarray or None
+        For intermediate values with losses, (n_threads, 2, nz); None without.
     recorded : ndarray
         Receives the threads' contributions to the probes' pressures, (n_threads, n, n_probes);
         initially zero.
@@ -358,7 +361,8 @@ def advance(problem, thread, now, samples, limits, work, recorded, counter):  # 
     for step in range(samples.size):
         begin, end = bounds[thread], bounds[thread + 1]
         sample, limit = samples[step], limits[step]
-        _step(problem, now, begin, end, sample, limit, work[thread], recorded[thread, step])
+        part = recorded[thread, step]
+        _step(problem, thread, now, begin, end, sample, limit, work, part)
         now = 1 - now
         if n_threads > 1:
             _barrier_wait(counter, n_threads * (step + 1))

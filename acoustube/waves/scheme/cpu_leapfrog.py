@@ -108,7 +108,8 @@ class CompiledMarcher:
         samples = _copy(source, change.dtype)
         limits = np.empty(len(samples), np.uint64)
         limits[:] = change.shape[2] if layers is None else layers
-        work = np.empty((n_threads, 2, change.shape[2]), change.dtype)
+        lossy = self._problem[2].decay.size > 0
+        work = np.empty((n_threads, 2, change.shape[2]), change.dtype) if lossy else None
         recorded = np.zeros((n_threads, len(samples), len(self._order)), change.dtype)
         counter = np.zeros(1, np.int64)
 

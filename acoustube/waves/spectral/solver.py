@@ -147,8 +147,7 @@ def scatter_spectral(
         Of a lumen symmetric about x = 0, compute the modes that are so too.
     velocity : callable, optional
         Takes z (n, 1) in m and t (n_points,) and returns how x and y of the wall move there per
-        unit of a parameter; the result then has the derivative of S by it, without losses. The
-        motion has the symmetries of the wall.
+        unit of a parameter; the result then has the derivative of S by it.
 
     Returns
     -------
@@ -157,8 +156,8 @@ def scatter_spectral(
     Raises
     ------
     ConfigError
-        If the frequencies do not rise, the tolerance is outside 1e-6 to 0.1, or a derivative is
-        asked for with losses.
+        If the frequencies do not rise, the tolerance is outside 1e-6 to 0.1, or the motion lacks a
+        symmetry of the wall.
 
     Notes
     -----
