@@ -19,9 +19,11 @@ copyright = f"2026, {author}"
 release = acoustube.__version__
 
 extensions = [
-    "myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.viewcode",
+    "myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
 ]  # fmt: skip
+if os.environ.get("GALLERY") != "no":
+    extensions.append("sphinx.ext.viewcode")  # as many pages again, of sources
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "verification/*.rst"]

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -14,11 +10,11 @@ import xarray as xr
 
 from acoustube.base.netcdf import Variable, flag, variable
 from acoustube.base.units import MM
-from acoustube.base.version import __version__
 from acoustube.indentation import Indentation, Mesh
 from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.runs.config import Config, Mechanics
 from acoustube.runs.config.si import SISettings
+from acoustube.runs.provenance import configuration, provenance
 from acoustube.runs.sound import SpectralCheck
 from acoustube.signals import Ranging
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
@@ -94,14 +90,11 @@ def dataset(
         "depth": variable("depth", indentation.depth, "m", DEPTH),
         "stage": variable("stage", list(seconds), "1", "stage of the chain"),
         "source_end": variable(
-            "source_end",
-            list(recordings),
-            "1",
-            "boundary condition after the pulse",
+            "source_end", list(recordings), "1", "boundary condition after the pulse"
         ),
         "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
     }
-    origin = _provenance(config, warnings, device)
+    origin = provenance(config, warnings, device)
     path = 2 * (lumen.position - next(iter(recordings.values())).probes[0])
     origin["accuracy"] = budget.in_words(path)
     return xr.Dataset(variables, coordinates, origin)
@@ -120,7 +113,7 @@ def walls(config: Config, lumen: Lumen) -> xr.Dataset:
     xarray.Dataset
         ``inner_wall``, ``outer_wall`` and ``true_distance`` of :func:`dataset`.
     """
-    return xr.Dataset(_rings(lumen), attrs={"configuration": _configuration(config)})
+    return xr.Dataset(_rings(lumen), attrs={"configuration": configuration(config)})
 
 
 def press_dataset(
@@ -169,7 +162,7 @@ def press_dataset(
         "z": found.pop("z"),
         "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
     }
-    origin = _provenance(config, warnings, device) | {
+    origin = provenance(config, warnings, device) | {
         "title": "A press of a soft tube",
         "precision": "float64",
         "closed": (
@@ -404,24 +397,3 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
         "peak_amplitude": variable(dims, rows[1], "1", "height of each peak"),
         "peak_prominence": variable(dims, rows[2], "1", "prominence of each peak"),
     }
-
-
-def _provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
-    """Return the origin of the data: version, settings, device, warnings."""
-    settings = _configuration(config)
-    return {
-        "title": "One press of a soft acoustic waveguide",
-        "source": "simulation",
-        "acoustube_version": __version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "configuration": settings,
-        "configuration_hash": hashlib.sha256(settings.encode()).hexdigest()[:16],
-        "device": device,
-        "precision": "float64 in the wall, float32 in the air",
-        "warnings": "\n".join(warnings),
-    }
-
-
-def _configuration(config: Config | Mechanics) -> str:
-    """Return the settings as JSON."""
-    return json.dumps(dataclasses.asdict(config), sort_keys=True)
