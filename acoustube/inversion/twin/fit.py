@@ -258,19 +258,22 @@ def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
     heard = np.where(data.segments == 1, data.values, 0)
     # Both basebands begin at the same time, so that their transforms share its phase.
     product = np.fft.fft(heard, axis=-1) * np.fft.fft(values, axis=-1).conj()
-    delay = np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
     size = np.abs(product @ _shifts(model.band))
     best = size.argmax(axis=1)
     total = np.sum(np.abs(heard) ** 2, axis=1) * np.sum(np.abs(values) ** 2, axis=1)
     n = heard.shape[1]
-    return delay[best], (size.max(axis=1) / n) ** 2 / np.maximum(total, 1e-300)
+    return _delays_sought()[best], (size.max(axis=1) / n) ** 2 / np.maximum(total, 1e-300)
 
 
 @lru_cache(maxsize=2)
 def _shifts(band: Band) -> Complex:
     """Return the spectra's factors that shift echoes by the delays sought, (n_f, n_delays)."""
-    delay = np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
-    return np.asarray(np.exp(2j * np.pi * np.outer(band.frequency, delay)))
+    return np.asarray(np.exp(2j * np.pi * np.outer(band.frequency, _delays_sought())))
+
+
+def _delays_sought() -> Array:
+    """Return the delays in s among which an echo's is sought, (n_delays,)."""
+    return np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
 
 
 def _levelled(model: EchoModel, data: Data, point: Point) -> Point:

@@ -170,8 +170,8 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
         return triangles, np.arange(n_layers)
     moved[..., 2] -= before * step
     moved = moved[np.any(left != 0.0, axis=1)]
-    # Each layer that is left out equals the first one, or the last but two, which ends wholly
-    # within the tube.
+    # Each layer that is left out equals the first one, or the last but two: the last ones may end
+    # beyond the tube.
     short = np.arange(n_layers - before - after)
     behind = max(len(short) - 2, 1)
     layers = np.concatenate(

@@ -120,13 +120,16 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
         Gaps of nearly the same wall, of which the same are measured and sealed.
     """
     contours, boxes = points.contours, points.boxes
-    measured = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
-    if like is not None:
-        measured = like.measured
+    measured = _narrow(boxes, thickness) if like is None else like.measured
     width = gap_widths(contours, boxes, points.halved, measured)
     roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
     sealed = width < points.sealing_gap if like is None else like.sealed
     return Gaps(width, roundness, measured, sealed)
+
+
+def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
+    """Return which sections are so narrow that their gaps are measured point by point."""
+    return 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
 
 
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
@@ -366,6 +369,5 @@ def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
     """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
     contours, boxes = section.contours, section.boxes
     halved = section.basis.odd is not None
-    measured = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
-    width = gap_widths(contours, boxes, halved, measured)
+    width = gap_widths(contours, boxes, halved, _narrow(boxes, thickness))
     return width[0], np.clip(_curvature(contours) * width / 2, 0.0, 1.0)[0]
