@@ -157,6 +157,7 @@ def test_area_far_from_the_press_is_the_bores_although_the_tube_tilts(pressed_lu
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("calculix")  # whose press it is
 def test_area_along_a_deep_press_is_that_of_calculix():
     """4 mm deep, slices z = const of the tilted wall, from the press to 54 mm beside it: 0.1 mm2.
 

@@ -207,10 +207,7 @@ def train(
     scales = fit_scaler(x, y, fold, count)
     n_out = y.shape[1] * (2 if loss == "laplace" else 1)
     widths = (x.shape[1], *hidden, n_out)
-    keys = jax.random.split(jax.random.key(seed), count)
-    layers = jax.vmap(partial(initial, widths=widths))(keys)
-    step = optimiser(learning_rate, weight_decay)
-    state = jax.vmap(step.init)(layers)
+    layers, state = _start(seed, count, widths, learning_rate, weight_decay)
     # Single precision would lose differences of large values: subtract the mean before rounding.
     shift = Scaler(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
     near = Scaler(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
@@ -231,6 +228,16 @@ def train(
             progress(epoch + 1, *(float(np.mean(c[:, epoch])) for c in curves))
     plain = [(np.asarray(w), np.asarray(b)) for w, b in layers]
     return FittedNetworks(plain, scales, *curves)
+
+
+@partial(jax.jit, static_argnums=(1, 2, 3, 4))
+def _start(
+    seed: int, count: int, widths: tuple[int, ...], learning_rate: float, weight_decay: float
+) -> Any:
+    """Return the initial layers of all folds, and the state of the optimiser."""
+    keys = jax.random.split(jax.random.key(seed), count)
+    layers = jax.vmap(partial(initial, widths=widths))(keys)
+    return layers, jax.vmap(optimiser(learning_rate, weight_decay).init)(layers)
 
 
 @partial(jax.jit, static_argnames=("loss", "learning_rate", "weight_decay"), donate_argnums=(0, 1))
