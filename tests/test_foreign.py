@@ -271,7 +271,8 @@ def test_what_a_user_supplies_is_no_markup_in_the_terminal(capsys):
     assert "\x1b[31m" not in told.out + told.err
 
 
-def test_written_path_is_told_as_it_is():
+def test_written_path_is_told_as_it_is(monkeypatch):
+    monkeypatch.setattr("acoustube.reports.scenes.sleeve.draw", lambda *_: True)
     told = run_here("sleeve", "--forearm", 25, 17, 26, "--loops", 9, "--out", "[red]a[/b")
     assert told.returncode == 0
     assert "Written to " in told.stdout

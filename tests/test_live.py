@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boards import CYCLES, DISTANCES, FRAMES, SPEED, TIME, Board, burst, cycles_at
+from commands import run_here
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
@@ -544,7 +545,7 @@ def test_silent_and_foreign_lines_are_told(board):
     ],
 )
 def test_wrong_words_are_refused(words, part):
-    result = subprocess.run([COMMAND, "live", *words], capture_output=True, text=True, check=False)
+    result = run_here("live", *words)
     assert result.returncode == 2, result.stderr
     assert part in " ".join(result.stderr.split())
     assert "Traceback" not in result.stderr

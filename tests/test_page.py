@@ -452,6 +452,8 @@ def test_command_writes_the_page(sweep, capsys):
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 DRAWN = "() => document.body.dataset.drawn === '%d %d'"
+FITTED = """() => [...document.querySelectorAll('.js-plotly-plot')].every(
+  one => Math.abs(one._fullLayout.width - one.clientWidth) < 2)"""
 
 
 @pytest.fixture(scope="module")
@@ -614,7 +616,9 @@ def test_controls_are_reached_by_tab_and_show_the_focus(opened):
 @pytest.mark.parametrize("size", [(390, 844), (820, 1180), (1440, 900)])
 def test_page_fits_phone_tablet_and_desktop(opened, size):
     opened.set_viewport_size({"width": size[0], "height": size[1]})
-    opened.wait_for_timeout(3000)  # the plots follow the window's width in their own time
+    # The plots follow the window's width in their own time.
+    opened.wait_for_function(FITTED, timeout=20_000)
+    opened.wait_for_timeout(200)
     assert opened.evaluate("document.documentElement.scrollWidth") <= size[0]
     for name in ("tube", "section", "area", "spectrum", "signal"):
         box = opened.locator(f"#{name}").bounding_box()
