@@ -163,7 +163,8 @@ def test_any_number_of_folds_compiles_one_step(compilations):
 def test_same_seed_trains_the_same_network_and_another_another():
     x, y = forces(ROWS)
     one, same, other = (
-        ForceNetwork(epochs=2, n_folds=4, seed=seed).fit(x, y).predict(x[:5]) for seed in (1, 1, 2)
+        ForceNetwork(epochs=2, n_folds=4, seed=seed).fit(x, y).predict(x[:5])
+        for seed in (1, 1, 2**32 - 1)
     )
     assert np.array_equal(one, same)
     assert not np.allclose(one, other)

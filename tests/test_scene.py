@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from acoustube.indentation import Indenter
+from acoustube.reports.scenes import offscreen
 from acoustube.reports.scenes import tube as scene
 from acoustube.runs.config import Mechanics, load_config
 
@@ -97,3 +98,37 @@ def test_drawing_of_a_run_shows_what_its_settings_say():
     for i, one in enumerate(pictures):
         for other in pictures[:i]:
             assert np.mean(np.abs(one - other).max(axis=-1) > 20) > 0.005
+
+
+def a_view():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    mesh = offscreen.Mesh(points=points, faces=np.array([[0, 1, 2]]), look={})
+    return {"triangle": offscreen.View(pixels=(40, 30), meshes=(mesh,))}
+
+
+def test_pictures_that_cannot_be_drawn_cost_nothing_but_themselves(monkeypatch, tmp_path):
+    """A process that fails, and a folder for temporary files that does not exist."""
+    monkeypatch.setattr(offscreen.sys, "executable", "/bin/false")
+    with offscreen.rendering(a_view()) as drawn:
+        assert drawn() is None
+    monkeypatch.setattr(offscreen.tempfile, "tempdir", str(tmp_path / "none"))
+    with offscreen.rendering(a_view()) as drawn:
+        assert drawn() is None
+
+
+def test_drawing_ends_with_its_context(monkeypatch, tmp_path):
+    """Whatever ends that: an interrupt while the sound is computed, for example."""
+    started = []
+    real = offscreen.subprocess.Popen
+
+    def sleeping(_command, **streams):
+        started.append(real(["sleep", "100"], **streams))
+        return started[-1]
+
+    monkeypatch.setattr(offscreen.subprocess, "Popen", sleeping)
+    monkeypatch.setattr(offscreen.tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(KeyboardInterrupt), offscreen.rendering(a_view()):
+        assert started[0].poll() is None
+        raise KeyboardInterrupt
+    assert started[0].poll() is not None
+    assert not list(tmp_path.iterdir())

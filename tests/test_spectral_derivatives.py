@@ -93,9 +93,14 @@ def test_derivative_by_the_bore_is_that_of_differences(monkeypatch, case, lossy)
     assert_alike(found, expected, TOLERANCE[lossy])
 
 
-def test_derivative_by_the_bore_of_an_ellipse_is_that_of_differences(monkeypatch):
-    """Ends that are not round have numerical modes; those odd in x take part."""
-    w, lines, frequency = CASES["E"][1], shape("E"), np.array([30e3, 41e3])
+@pytest.mark.parametrize("lossy", [False, True])
+def test_derivative_by_the_bore_of_an_ellipse_is_that_of_differences(monkeypatch, lossy):
+    """Ends that are not round have numerical modes; those odd in x take part.
+
+    With losses the differences are 5e-5 off at 30 kHz, where (1,1) is 4 kHz above its cut-on.
+    """
+    w, lines = CASES["E"][1], shape("E")
+    frequency = np.array([41e3] if lossy else [30e3, 41e3])
 
     def squeezed(z, t):
         x, y, x_z, y_z = lines(z, t)
@@ -117,11 +122,24 @@ def test_derivative_by_the_bore_of_an_ellipse_is_that_of_differences(monkeypatch
         x, y, *_ = squeezed(z, t)
         return x, y
 
-    options = {"lossy": False, "frequency": frequency, "symmetric_only": False}
+    options = {"lossy": lossy, "frequency": frequency, "symmetric_only": False}
     found = scattered(wall_at(0.0), velocity=velocity, **options)
     assert "11s" in found.modes
     expected = differences(ports_at_the_same_heights, STEP, tolerance=1e-6, **options)
-    assert_alike(found.derivative, expected, TOLERANCE[False])
+    assert_alike(found.derivative, expected, TOLERANCE[lossy])
+
+
+def test_motion_of_ends_with_two_modes_of_one_cut_on_is_refused():
+    """A round bore of which nobody says that it is round or symmetric: (1,1) exists twice."""
+    lines = shape("E")
+    known = spectral.analytic_wall(lines, ends=(-CASES["E"][1], CASES["E"][1]), radius=RADIUS)
+    unknown = replace(known, circular=False, symmetric=False)
+
+    def velocity(z, t):
+        return tuple(lines(z, t)[:2])
+
+    with pytest.raises(ConfigError, match="same frequency"):
+        scattered(unknown, lossy=False, frequency=np.array([30e3]), velocity=velocity)
 
 
 @pytest.mark.parametrize("lossy", [False, True])

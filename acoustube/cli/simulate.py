@@ -89,16 +89,17 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
     with watched_interrupts() as check:
         _print_header(config, console)
         with partial_folder(folder) as partial, ExitStack() as drawing:
-            waiting: list[Callable[[], Mapping[str, Image] | None]] = []
+            pictures: Callable[[], Mapping[str, Image] | None] = lambda: None  # noqa: E731
 
             def draw(walls: xr.Dataset) -> None:
-                waiting.append(drawing.enter_context(tube_scene.drawing(walls)))
+                nonlocal pictures
+                pictures = drawing.enter_context(tube_scene.drawing(walls))
 
             with ConsoleReporter(console).progress(check) as report:
                 dataset = simulated(config, report=report, pressed=draw)
             write_dataset(dataset, partial / "run.nc")
             write(partial / "config.toml", to_toml(config))
-            images = waiting[0]()
+            images = pictures()
             _write_figure(dataset, images, partial)
             check()
             folder = publish(partial, folder)

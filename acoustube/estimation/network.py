@@ -207,7 +207,8 @@ def train(
     scales = fit_scaler(x, y, fold, count)
     n_out = y.shape[1] * (2 if loss == "laplace" else 1)
     widths = (x.shape[1], *hidden, n_out)
-    layers, state = _start(seed, count, widths, learning_rate, weight_decay)
+    key = jax.random.key(seed)  # not in compiled code, where integers have 32 bits
+    layers, state = _start(key, count, widths, learning_rate, weight_decay)
     # Single precision would lose differences of large values: subtract the mean before rounding.
     shift = Scaler(x.mean(axis=0), 0.0, y.mean(axis=0), 0.0)
     near = Scaler(*((s - t).astype(np.float32) for s, t in zip(scales, shift, strict=True)))
@@ -232,10 +233,10 @@ def train(
 
 @partial(jax.jit, static_argnums=(1, 2, 3, 4))
 def _start(
-    seed: int, count: int, widths: tuple[int, ...], learning_rate: float, weight_decay: float
+    key: Any, count: int, widths: tuple[int, ...], learning_rate: float, weight_decay: float
 ) -> Any:
     """Return the initial layers of all folds, and the state of the optimiser."""
-    keys = jax.random.split(jax.random.key(seed), count)
+    keys = jax.random.split(key, count)
     layers = jax.vmap(partial(initial, widths=widths))(keys)
     return layers, jax.vmap(optimiser(learning_rate, weight_decay).init)(layers)
 

@@ -219,7 +219,7 @@ def _descended(
     lower = None if curved is None else moved(curved.step)
     if not saddle:
         return moved(tangent.step(state)) if lower is None else lower
-    # At a loose tolerance the saddle may be farther away than the step ends: beyond it, too.
+    # At a loose tolerance the saddle may lie beyond the step's end: also descend from behind it.
     beyond = _below_saddle(model, state, tangent.indefinite, tangent.solve, bodies, curved)
     found = [each for each in (lower, beyond) if each is not None and each.energy < state.energy]
     return min(found, key=lambda each: each.energy, default=None)

@@ -85,8 +85,8 @@ def simulate(
         indentation = press_to(settings, [settings.depth], progress, notes.append)
     with stage("lumen", seconds, report):
         space = lumen(indentation, settings.position)
-        if pressed is not None:
-            pressed(results.walls(config, space))
+    if pressed is not None:
+        pressed(results.walls(config, space))
     budget: Budget | SpectralBudget
     with stage("waves", seconds, report) as progress:
         if settings.method == "full":

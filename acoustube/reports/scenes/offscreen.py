@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,41 +74,43 @@ def rendering(views: Mapping[str, View]) -> Iterator[Callable[[], dict[str, Imag
     ------
     callable
         Waits for the pictures and returns them, of shape (height, width, 3), by name; None if VTK
-        cannot draw on this machine. The process ends with the context.
+        cannot draw on this machine, or there is no space for them. The process ends with the
+        context.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        content, images = Path(folder) / "views.pkl", Path(folder) / "images.npz"
-        content.write_bytes(pickle.dumps(dict(views)))
-        process = _started([sys.executable, "-m", __name__, str(content), str(images)])
-
-        def wait() -> dict[str, Image] | None:
-            try:
-                if process is None or process.wait(TIME_LIMIT):
-                    return None
-            except subprocess.TimeoutExpired:
-                return None
-            with np.load(images) as file:
-                return {name: file[name] for name in file.files}
-
+    with ExitStack() as opened:
         try:
-            yield wait
-        finally:
-            if process is not None:
-                process.kill()
-                process.wait()
+            folder = opened.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+            content, images = Path(folder) / "views.pkl", Path(folder) / "images.npz"
+            content.write_bytes(pickle.dumps(dict(views)))
+            command = [sys.executable, "-m", __name__, str(content), str(images)]
+            process = opened.enter_context(_started(command))
+        except OSError:
+            yield lambda: None
+            return
+        yield lambda: _pictures(process, images)
 
 
-def _started(command: list[str]) -> subprocess.Popen[bytes] | None:
-    """Start a process whose output nobody reads; None where that is not possible."""
+def _pictures(process: subprocess.Popen[bytes], path: Path) -> dict[str, Image] | None:
+    """Wait for the pictures that a process draws."""
     try:
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError:
+        if process.wait(TIME_LIMIT):
+            return None
+        with np.load(path) as file:
+            return {name: file[name] for name in file.files}
+    except (subprocess.TimeoutExpired, OSError):
         return None
+
+
+@contextmanager
+def _started(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """Start a process whose output nobody reads; it is killed at the end of the context."""
+    none = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdin=none, stdout=none, stderr=none)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _render(view: View) -> Image:

@@ -164,7 +164,7 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     after = max(int((length - last) / step) - STRAIGHT_LAYERS, 0)
     moved = triangles.copy()
     moved[..., 2] = np.clip(z, before * step if before else None, length - after * step)
-    # Corners on either side of a facet along the axis may change places: its copy would be turned.
+    # Clipping may turn a facet of irregular shape to face the other way within its plane.
     area, left = twice_area(triangles), twice_area(moved)
     if np.any(np.sum(area * left, axis=1) < -ROUNDING * np.sum(area * area, axis=1)):
         return triangles, np.arange(n_layers)

@@ -75,6 +75,7 @@ def cut_polyhedron(
     for axis in range(3):
         pieces = _split_at_planes(pieces, axis)
     area = 0.5 * twice_area(pieces)
+    pieces, area = (part[np.any(area != 0.0, axis=1)] for part in (pieces, area))
     cell = _owning_cell(pieces, area)
     inside = cell[:, 0] >= 0
     pieces, area, cell = pieces[inside], area[inside], cell[inside]

@@ -27,9 +27,14 @@ from acoustube.waves.spectral.elimination import product
 from acoustube.waves.spectral.ends import end_functions, section_of
 from acoustube.waves.spectral.motion import Motion
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.ports import Complex, PortModes, changed_scattering
+from acoustube.waves.spectral.ports import Complex, PortModes, changed_scattering, port_modes
 from acoustube.waves.spectral.reduction import Reduced, projected, ritz
+from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
+
+LEAST_OVERLAP = 0.9
+"""Overlap of a displaced wall's mode with the unmoved wall's under which they are not the same."""
+NO_MODES = port_modes(-1.0, None)
 
 
 class Changes(NamedTuple):
@@ -99,17 +104,29 @@ def _add_ends(
 def modes_like(
     wall: Wall, near: PortModes, far: PortModes, odd: bool | None
 ) -> tuple[PortModes, PortModes]:
-    """Return the modes of a displaced wall's ends, as many as those of the wall."""
+    """Return the modes of a displaced wall's ends, as many as those of the wall.
+
+    Raises
+    ------
+    ConfigError
+        If they are not those of the wall: two that cut on together may be combined differently.
+    """
     if wall.circular:
         return near, far
-    modes = section_of(wall, odd).modes
+    section = section_of(wall, odd)
+    if np.any(section.alike[: len(near) + len(far)] < LEAST_OVERLAP):
+        raise ConfigError(
+            "two modes of the wall's ends cut on at the same frequency, so that S has no "
+            "derivative by a motion of the ends; give a motion of the lumen alone"
+        )
+    modes = section.modes
     return modes.part(slice(len(near))), modes.part(slice(len(near), len(near) + len(far)))
 
 
 def changed_wavenumbers(system: Discretisation, motion: Motion, kz: Complex) -> Complex:
     """Return the derivative of the axial wavenumbers kz (n, n_modes) without losses, in 1/m."""
     transverse = [
-        modes_like(wall, system.modes, system.modes, system.functions.odd)[0].zeros / wall.radius
+        modes_like(wall, system.modes, NO_MODES, system.functions.odd)[0].zeros / wall.radius
         for wall in (motion.less, motion.more)
     ]
     change = (transverse[1] ** 2 - transverse[0] ** 2) / (2 * motion.step)

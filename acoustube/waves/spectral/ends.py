@@ -45,19 +45,25 @@ class Section:
     contours : Contours
         Of one section.
     boxes : Boxes
-        Of one section.
+        Of the polynomials: the bounding box, or that of the unmoved wall's section.
+    extent : Boxes
+        Bounding box of the section itself.
     basis : Polynomials
     coefficients : ndarray
         Of the modes, normalised to a unit integral of the square, (n, n_modes).
     modes : PortModes
         All that the basis resolves.
+    alike : ndarray
+        Overlap of each mode with that of the same number of the unmoved wall, (n_modes,).
     """
 
     contours: Contours
     boxes: Boxes
+    extent: Boxes
     basis: Polynomials
     coefficients: Array
     modes: PortModes
+    alike: Array
 
     def chosen(self, modes: PortModes) -> Array:
         """Return the coefficients of some of the modes, (n, n_modes)."""
@@ -158,8 +164,8 @@ def rim_of(wall: Wall, modes: PortModes, odd: bool | None) -> Rim:
 def section_of(wall: Wall, odd: bool | None) -> Section:
     """Return the section of a straight end with its modes of a symmetry.
 
-    That of a displaced wall is described in the bounding box of the unmoved one, and its modes have
-    the signs of the unmoved one's: they can be compared.
+    The modes of a displaced wall's end have the coordinates and the signs of those of the unmoved
+    end, so that their difference is a derivative where `Section.alike` is about one.
 
     Raises
     ------
@@ -169,7 +175,8 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     basis = polynomials(SECTION_DEGREE, odd)
     z = np.array([wall.ends[0]])
     unmoved = None if wall.unmoved is None else section_of(wall.unmoved, odd)
-    boxes = _end_box(wall, z) if unmoved is None else unmoved.boxes
+    extent = _end_box(wall, z)
+    boxes = extent if unmoved is None else unmoved.boxes
     contours = wall.contours(z, SECTION_DEGREE)
     mass, _, stiffness = (part[0] for part in section_matrices(contours, boxes, basis))
     try:
@@ -196,7 +203,9 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     else:
         positive = np.einsum("im,ij,jm->m", vectors, mass, unmoved.coefficients)
     vectors = vectors * np.where(positive < 0, -1, 1)
-    return Section(contours, boxes, basis, vectors, PortModes(names, m, zeros, sine))
+    alike = np.ones(len(zeros)) if unmoved is None else np.abs(positive)
+    modes = PortModes(names, m, zeros, sine)
+    return Section(contours, boxes, extent, basis, vectors, modes, alike)
 
 
 def _end_box(wall: Wall, z: Array) -> Boxes:

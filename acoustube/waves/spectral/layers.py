@@ -367,7 +367,7 @@ def lossy_ends(
 
 def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
     """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
-    contours, boxes = section.contours, section.boxes
-    halved = section.basis.odd is not None
-    width = gap_widths(contours, boxes, halved, _narrow(boxes, thickness))
+    contours, halved = section.contours, section.basis.odd is not None
+    measured = _narrow(section.boxes, thickness)
+    width = gap_widths(contours, section.extent, halved, measured)
     return width[0], np.clip(_curvature(contours) * width / 2, 0.0, 1.0)[0]

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.waves.spectral.boundary import tangential_matrices, wall_points
-from acoustube.waves.spectral.derivatives import Changes, modes_like, reduced_changes
+from acoustube.waves.spectral.derivatives import NO_MODES, Changes, modes_like, reduced_changes
 from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.elimination import product
 from acoustube.waves.spectral.ends import rim_of
@@ -123,7 +123,7 @@ def changed_ends(
     found = []
     odd = system.functions.odd
     for wall in (motion.less, motion.more):
-        modes, _ = modes_like(wall, system.modes, system.modes, odd)
+        modes, _ = modes_like(wall, system.modes, NO_MODES, odd)
         rim = rim_of(wall, modes, odd)
         found.append(lossy_ends(k, modes, wall.radius, rim, frequency, air))
     drift, flux = ((after - before) / motion.step for before, after in zip(*found, strict=True))

@@ -108,7 +108,9 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
         _require(apart <= same, "is symmetric about its middle")
     apart = max(np.abs(x[0] - x[-1]).max(), np.abs(y[0] - y[-1]).max())
     if apart > same:
-        raise ConfigError("the motion of the wall must be alike at its two ends")
+        raise ConfigError(
+            "the motion of the wall must be alike at its two ends; give one that ends between them"
+        )
     t = 2 * np.pi * np.arange(n) / n
     widening = 0.0
     if wall.circular:
@@ -118,7 +120,8 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
         widening = float(outwards.mean())
         if np.abs(outwards - widening).max() > same:
             raise ConfigError(
-                "the motion of the wall must keep round ends round; give a wall with circular=False"
+                "the motion of the wall must keep round ends round about the axis; give a wall "
+                "with circular=False, or a motion of the lumen alone"
             )
     less, more = (
         replace(

@@ -163,7 +163,7 @@ def scatter_spectral(
     Notes
     -----
     Where a resonance is so narrow that the best basis tried does not meet the tolerance, the
-    result's `error` exceeds it.
+    result's `error` exceeds it. BLAS has one thread meanwhile, in the whole process.
     """
     frequency = np.asarray(frequency, float)
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
