@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from acoustube.base.checks import Optional, Reals, checked
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
+from acoustube.inversion.spline_sums import between
 from acoustube.waves.scattering import Complex
 
 SPACING = 1e-3
@@ -63,25 +65,17 @@ class Clutter:
             (n, n_f), per m and per K.
         """
         assert self.behind is not None
-        assert self.warmer is not None
         n_t, n_z, _ = self.behind.shape
-        z = np.clip(place / CELL, 0, n_z - 1.000001)
-        t = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)
-        j, i = z.astype(int), t.astype(int)
-        z, t = (z - j)[:, None], (t - i)[:, None]
-        # Linear over the places, Hermite's cubics over the temperatures.
-        ends = []
-        for table in (self.behind, self.warmer):
-            for row in (i, i + 1):
-                low, high = table[row, j].astype(complex), table[row, j + 1].astype(complex)
-                ends.append((low + z * (high - low), (high - low) / CELL))
-        (a, a_z), (b, b_z), (p, p_z), (q, q_z) = ends
-        h = (1 + 2 * t) * (1 - t) ** 2, t**2 * (3 - 2 * t), t * (1 - t) ** 2, t**2 * (t - 1)
-        g = 6 * t * (t - 1), 6 * t * (1 - t), (1 - t) * (1 - 3 * t), t * (3 * t - 2)
-        value = h[0] * a + h[1] * b + WARM_STEP * (h[2] * p + h[3] * q)
-        by_place = h[0] * a_z + h[1] * b_z + WARM_STEP * (h[2] * p_z + h[3] * q_z)
-        by_heat = (g[0] * a + g[1] * b) / WARM_STEP + g[2] * p + g[3] * q
-        return value, by_place, by_heat
+        columns = np.clip(place / CELL, 0, n_z - 1.000001)
+        rows = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)
+        value, by_column, by_row = between(self.behind, self.warmer_by_row, rows, columns)
+        return value, by_column / CELL, by_row / WARM_STEP
+
+    @cached_property
+    def warmer_by_row(self) -> NDArray[np.complex64]:
+        """Derivative by temperature in steps of the table."""
+        assert self.warmer is not None
+        return np.asarray(WARM_STEP * self.warmer, np.complex64)
 
 
 @checked(base=Baseband)
@@ -118,6 +112,51 @@ def measured_clutter(
     ring-down is fitted by weighted least squares. Where there is nothing but clutter within the
     resolution of the band, its posterior covariance is that of the noise of the mean.
     """
+    return reflectors(base, counts).clutter(at or base)
+
+
+@dataclass(frozen=True, eq=False)
+class Reflectors:
+    """Reflectors along a tube that sound as its untouched cycles do.
+
+    Attributes
+    ----------
+    places : ndarray
+        In m, rising, (n,).
+    strength : ndarray
+        Reflection coefficients, (n,).
+    ring, covariance : ndarray
+        As of :class:`Clutter`.
+    """
+
+    places: Array
+    strength: Complex
+    ring: Complex
+    covariance: Complex
+
+    def clutter(self, at: Baseband) -> Clutter:
+        """Return the clutter at the temperature of a baseband.
+
+        Reflector by reflector at the face, then summed from the far end to each place.
+        """
+        first = np.searchsorted(self.places, np.arange(0, at.length + CELL, CELL))
+        waves, heated = at.k[:, 0], at.k_by_temperature[:, 0]
+        field = self.strength * np.exp(-2j * np.outer(waves, self.places))
+        slope = -2j * np.outer(heated, self.places)
+        field, turn = field * np.exp(-WARM * slope), np.exp(WARM_STEP * slope)
+        n_t = round(2 * WARM / WARM_STEP) + 1
+        tables = np.zeros((2, n_t, len(first), len(waves)), np.complex64)
+        filled = first < len(self.places)
+        for i in range(n_t):
+            for table, kept in zip(tables, (field, field * slope), strict=True):
+                cells = np.add.reduceat(kept, first[filled], axis=1)
+                table[i, filled] = np.cumsum(cells[:, ::-1], axis=1)[:, ::-1].T
+            field = field * turn
+        return Clutter(tables[0], tables[1], self.ring, self.covariance)
+
+
+def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
+    """Return the reflectors that :func:`measured_clutter` estimates."""
     places, shapes = _reflectors(base)
     mean, variance = base.of_cycles(counts)
     noise = variance * np.eye(len(mean))
@@ -127,25 +166,9 @@ def measured_clutter(
     weight = (shape.conj() @ inverse @ shape).real
     level = shape.conj() @ inverse @ mean / weight if weight > 0 else 0.0
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
-    # Reflector by reflector at the face, then summed from the far end to each place.
-    edges = np.arange(0, base.length + CELL, CELL)
-    first = np.searchsorted(places, edges)
-    there = at or base
-    waves, heated = there.k[:, 0], there.k_by_temperature[:, 0]
     scale = strength * base.reflector_scale(places)
-    field = scale * np.exp(-2j * np.outer(waves, places))
-    slope = -2j * np.outer(heated, places)
-    field, turn = field * np.exp(-WARM * slope), np.exp(WARM_STEP * slope)
-    behind: list[Complex] = []
-    warmer: list[Complex] = []
-    for _ in range(round(2 * WARM / WARM_STEP) + 1):
-        for kept, table in ((field, behind), (field * slope, warmer)):
-            total = np.concatenate([np.zeros((len(waves), 1)), np.cumsum(kept[:, ::-1], 1)], 1)
-            table.append(total[:, len(places) - first].T.astype(np.complex64))
-        field = field * turn
     known = shapes @ strength
-    covariance = prior - prior @ inverse @ prior
-    return Clutter(np.array(behind), np.array(warmer), mean - known, covariance)
+    return Reflectors(places, scale, mean - known, prior - prior @ inverse @ prior)
 
 
 def _reflectors(base: Baseband) -> tuple[Array, Complex]:

@@ -200,7 +200,7 @@ class Inverter:
                 best = _sought_again(builder, best)
                 likelier = best.deviance + FEWER < chain[-1].deviance
             chain.append(best)
-            if number > 1 and not likelier:
+            if not likelier:
                 break
             beam = [best, *_others(best, found)] if best.error > GOOD else [best]
         return _pruned(builder, chain)

@@ -30,6 +30,8 @@ RINGING, RINGING_SHARE = 0.5e-3, 0.05
 CONVERGED = 0.02
 """Decrease of the cost in an iteration that ends the iterations."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
+AT_ONCE = 4
+"""Sets of parameters whose scattering is computed at once: some MB, which a cache holds."""
 PATIENCE, FAR_WORSE = 3, 1e3
 """Iterations after which starting points are given up, and the excess of their cost over the least,
 halved with each iteration more."""
@@ -255,6 +257,22 @@ def _quadratic(
     whiten: Weights,
 ) -> tuple[Array, Array, Array]:
     """Return cost (n,), half its gradient (n, p) and half its Gauss-Newton Hessian (n, p, p)."""
+    parts = [
+        _few_quadratic(model, tools, parameters[i : i + AT_ONCE], samples, whiten)
+        for i in range(0, len(parameters), AT_ONCE)
+    ]
+    cost, gradient, information = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return cost, gradient, information
+
+
+def _few_quadratic(
+    model: ForwardModel,
+    tools: tuple[int, ...],
+    parameters: Array,
+    samples: Complex,
+    whiten: Weights,
+) -> tuple[Array, Array, Array]:
+    """Return the same of a few sets of parameters, whose matrices stay in the cache."""
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)

@@ -13,7 +13,7 @@ from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, unknown_clutter
 from acoustube.inversion.network import Waves, echo
-from acoustube.inversion.tables import Matrices, ToolTable
+from acoustube.inversion.tables import Matrices, table_of
 from acoustube.inversion.tools import Library
 from acoustube.waves.scattering import Complex
 
@@ -99,7 +99,7 @@ class ForwardModel:
         speed = library.sound_speed / base.speed
         self.stretch = speed - 1
         self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
-        self.tables = [ToolTable(tool, base.frequency, modes) for tool in library.tools]
+        self.tables = [table_of(tool, base.frequency.tobytes(), modes) for tool in library.tools]
         self.modes = modes
 
     def baseband(

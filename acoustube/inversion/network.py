@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
+from acoustube.inversion.network_sums import MODES, echoes
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
@@ -67,83 +68,27 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
         Its value is that of (p - 1) / (1 + face), with the pressure p at the face of the plane
         wave.
     """
-    blocks = [_blocks(press.value) for press in presses]
     lengths = np.diff(places, axis=1, prepend=0.0)
-    paths = [np.exp(-1j * waves.k * lengths[:, i, None, None]) for i in range(len(presses))]
-    eye = np.eye(waves.k.shape[-1])
-    # From the last press to the face: the reflection before each press and what it loops with.
-    loads: list[Complex] = []
-    loops: list[tuple[Complex, Complex] | None] = []
-    behind: Complex | None = None
-    for (r1, t12, t21, r2), path in zip(blocks[::-1], paths[::-1], strict=True):
-        if behind is None:
-            reflection, loop = r1, None
-        else:
-            loop = np.linalg.inv(eye - behind @ r2), behind
-            reflection = r1 + t12 @ (loop[0] @ (behind @ t21))
-        behind = path[..., :, None] * reflection * path[..., None, :]
-        loads.insert(0, behind)
-        loops.insert(0, loop)
-    inverse: Complex = np.asarray(np.linalg.inv(eye - face * loads[0]), complex)
-    left: Complex = np.asarray(inverse[..., 0, :], complex)
-    right: Complex = np.asarray(inverse[..., :, 0], complex)
-    value = _between(left, loads[0][..., :, :1], np.ones_like(right[..., :1]))
-    by_length, by_depth = [], []
-    heated, stretched = np.zeros_like(value), np.zeros_like(value)
-    for i, (_, t12, t21, r2) in enumerate(blocks):
-        onwards, back = _apply(loads[i], right), _apply_left(left, loads[i])
-        by_length.append(-1j * _sum(waves.k, left * onwards + back * right))
-        by_heat = _sum(waves.by_temperature, left * onwards + back * right)
-        heated += -1j * lengths[:, i, None] * by_heat
-        left, right = np.asarray(left * paths[i]), np.asarray(paths[i] * right)
-        loop = loops[i]
-        if loop is None:
-            out, into, next_left, next_right = None, None, left, right
-        else:
-            # Waves between this press and the next, towards the face and away from it.
-            inner, load = loop
-            sent = _apply(t21, right)
-            into = _apply(inner, _apply(load, sent))
-            out = _apply_left(_apply_left(_apply_left(left, t12), inner), load)
-            next_left = _apply_left(_apply_left(left, t12), inner)
-            next_right = sent + _apply(r2, into)
-        by_depth.append(_moved(presses[i].by_depth, left, right, out, into))
-        stretched += _moved(presses[i].by_stretch, left, right, out, into)
-        left, right = next_left, next_right
-    lengthened = np.stack(by_length, axis=1)
+    m = waves.k.shape[-1]
+    k, heat = np.zeros((2, *waves.k.shape[:-1], MODES), complex)
+    k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
+    path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
+    before = [_stacked([press[i] for press in presses[:-1]], k.shape[:2]) for i in range(3)]
+    last = [_stacked([part], k.shape[:2])[0] for part in presses[-1]]
+    value, by_length, by_depth, heated, stretched = echoes(
+        *before, *last, lengths, path, k, heat, complex(face)
+    )
     # A place is the end of its own section and the start of the next.
-    following = np.concatenate([lengthened[:, 1:], np.zeros_like(lengthened[:, :1])], axis=1)
-    return Echo(value, lengthened - following, np.stack(by_depth, axis=1), heated, stretched)
+    following = np.concatenate([by_length[:, 1:], np.zeros_like(by_length[:, :1])], axis=1)
+    return Echo(value, by_length - following, by_depth, heated, stretched)
 
 
-def _blocks(s: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return the reflection at port 1, transmission 2 to 1 and 1 to 2, reflection at port 2."""
-    return s[..., 0, :, 0, :], s[..., 0, :, 1, :], s[..., 1, :, 0, :], s[..., 1, :, 1, :]
-
-
-def _moved(
-    change: Complex, left: Complex, right: Complex, out: Complex | None, into: Complex | None
-) -> Complex:
-    """Return the change of the echo for a change of a press's matrix."""
-    r1, t12, t21, r2 = _blocks(change)
-    found = _between(left, r1, right)
-    if out is not None and into is not None:
-        found = found + _between(left, t12, into) + _between(out, t21, right)
-        found = found + _between(out, r2, into)
+def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
+    """Return matrices of presses filled up to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
+    if len(parts) == 1 and parts[0].shape[-1] == MODES:
+        return np.ascontiguousarray(parts[0])[None]
+    found = np.zeros((len(parts), *shape, 2, MODES, 2, MODES), complex)
+    for full, part in zip(found, parts, strict=True):
+        m = part.shape[-1]
+        full[..., :m, :, :m] = part
     return found
-
-
-def _apply(matrix: Complex, vector: Complex) -> Complex:
-    return np.asarray((matrix @ vector[..., None])[..., 0])
-
-
-def _apply_left(vector: Complex, matrix: Complex) -> Complex:
-    return np.asarray((vector[..., None, :] @ matrix)[..., 0, :])
-
-
-def _between(left: Complex, matrix: Complex, right: Complex) -> Complex:
-    return np.asarray(_sum(left, _apply(matrix, right)))
-
-
-def _sum(a: Complex, b: Complex) -> Complex:
-    return np.asarray((a * b).sum(axis=-1))

@@ -1,6 +1,12 @@
-"""Sums of tensor-product splines over depth and frequency, compiled."""
+"""Sums of splines over depth and frequency, and over place and temperature, compiled.
+
+Complex coefficients over depth are given as twice as many real ones, of which the processor takes
+several at once.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numba
 import numpy as np
@@ -9,69 +15,108 @@ from numpy.typing import NDArray
 from acoustube.base.types import Array
 from acoustube.waves.scattering import Complex
 
+OPTIONS: dict[str, Any] = {
+    "cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"},
+}  # fmt: skip
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+
+@numba.njit(**OPTIONS)
 def sums(
-    values: NDArray[np.complex64],
-    slopes: NDArray[np.complex64],
-    interval: NDArray[np.int64],
-    hermite: Array,
-    rates: Array,
-    first: NDArray[np.int64],
-    weights: Array,
-    tilts: Array,
-) -> Complex:
+    values: NDArray[np.float32],
+    slopes: NDArray[np.float32],
+    depths: Array,
+    depth: Array,
+    places: Array,
+) -> Array:
     """Return a spline's values and its derivatives by depth and by frequency, in steps.
+
+    Hermite's cubics over the depths, B-splines over the frequencies.
 
     Parameters
     ----------
     values, slopes : ndarray
         Coefficients over frequency and their slopes by depth, at the depths, (n_depths, n_c, q).
-    interval : ndarray
-        Number of the interval of depths, (n,).
-    hermite, rates : ndarray
-        Weights of the values and slopes at its ends, and their derivatives by depth, (n, 4).
-    first : ndarray
-        Number of the first of four coefficients over frequency, (n, n_f).
-    weights, tilts : ndarray
-        Of these four, and their derivatives, (n, n_f, 4).
+    depths : ndarray
+        (n_depths,).
+    depth : ndarray
+        Wanted, (n,).
+    places : ndarray
+        Of the frequencies wanted among the coefficients, rising, (n, n_f).
 
     Returns
     -------
     ndarray
         (3, n, n_f, q).
     """
-    n, n_f = first.shape
+    n, n_f = places.shape
     count, q = values.shape[1:]
-    found = np.zeros((3, n, n_f, q), np.complex128)
-    here = np.empty((2, count, q), np.complex128)
+    found = np.empty((3, n, n_f, q))
+    here, moved = np.empty((2, count, q))
     for a in range(n):
-        i = interval[a]
-        w, r = hermite[a], rates[a]
-        low, high = first[a].min(), first[a].max() + 4
-        for f in range(low, high):
+        i = min(max(np.searchsorted(depths, depth[a], side="right") - 1, 0), len(depths) - 2)
+        step = depths[i + 1] - depths[i]
+        x = (depth[a] - depths[i]) / step
+        y = 1 - x
+        a0, a1 = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y)
+        b0, b1 = step * x * y**2, -step * x**2 * y
+        c1, d0, d1 = 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)
+        first = min(max(int(np.floor(places[a, 0])), 1), count - 3) - 1
+        last = min(max(int(np.floor(places[a, -1])), 1), count - 3) + 3
+        for f in range(first, last):
             for c in range(q):
-                v0, v1 = values[i, f, c], values[i + 1, f, c]
-                s0, s1 = slopes[i, f, c], slopes[i + 1, f, c]
-                here[0, f, c] = w[0] * v0 + w[1] * v1 + w[2] * s0 + w[3] * s1
-                here[1, f, c] = r[0] * v0 + r[1] * v1 + r[2] * s0 + r[3] * s1
+                v0, v1 = np.float64(values[i, f, c]), np.float64(values[i + 1, f, c])
+                s0, s1 = np.float64(slopes[i, f, c]), np.float64(slopes[i + 1, f, c])
+                here[f, c] = a0 * v0 + a1 * v1 + b0 * s0 + b1 * s1
+                moved[f, c] = c1 * (v1 - v0) + d0 * s0 + d1 * s1
         for k in range(n_f):
-            j = first[a, k]
-            w0, w1, w2, w3 = weights[a, k]
-            t0, t1, t2, t3 = tilts[a, k]
+            j = min(max(int(np.floor(places[a, k])), 1), count - 3)
+            u = places[a, k] - j
+            v = 1 - u
+            w0, w1 = v**3 / 6, 2 / 3 - u**2 + u**3 / 2
+            w2, w3 = 2 / 3 - v**2 + v**3 / 2, u**3 / 6
+            t0, t1, t2, t3 = -(v**2) / 2, -2 * u + 1.5 * u**2, 2 * v - 1.5 * v**2, u**2 / 2
+            x0, x1, x2, x3 = here[j - 1], here[j], here[j + 1], here[j + 2]
+            y0, y1, y2, y3 = moved[j - 1], moved[j], moved[j + 1], moved[j + 2]
             for c in range(q):
-                x0, x1, x2, x3 = (
-                    here[0, j, c],
-                    here[0, j + 1, c],
-                    here[0, j + 2, c],
-                    here[0, j + 3, c],
-                )
-                found[0, a, k, c] = w0 * x0 + w1 * x1 + w2 * x2 + w3 * x3
-                found[2, a, k, c] = t0 * x0 + t1 * x1 + t2 * x2 + t3 * x3
-                found[1, a, k, c] = (
-                    w0 * here[1, j, c]
-                    + w1 * here[1, j + 1, c]
-                    + w2 * here[1, j + 2, c]
-                    + w3 * here[1, j + 3, c]
-                )
+                found[0, a, k, c] = w0 * x0[c] + w1 * x1[c] + w2 * x2[c] + w3 * x3[c]
+                found[1, a, k, c] = w0 * y0[c] + w1 * y1[c] + w2 * y2[c] + w3 * y3[c]
+                found[2, a, k, c] = t0 * x0[c] + t1 * x1[c] + t2 * x2[c] + t3 * x3[c]
+    return found
+
+
+@numba.njit(**OPTIONS)
+def between(
+    values: NDArray[np.complex64], slopes: NDArray[np.complex64], rows: Array, columns: Array
+) -> Complex:
+    """Return values, their derivatives by column and by row, of even tables, (3, n, n_f).
+
+    Hermite's cubics over the rows, linear over the columns; all lengths in steps.
+
+    Parameters
+    ----------
+    values, slopes : ndarray
+        Values and their derivatives by row, (n_rows, n_columns, n_f).
+    rows, columns : ndarray
+        Wanted, within the tables, (n,).
+    """
+    n_f = values.shape[2]
+    found = np.empty((3, len(rows), n_f), np.complex128)
+    for a in range(len(rows)):
+        i, j = int(rows[a]), int(columns[a])
+        x, z = rows[a] - i, columns[a] - j
+        y = 1 - x
+        h0, h1, h2, h3 = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y), x * y**2, -(x**2) * y
+        g1, g2, g3 = 6 * x * y, y * (1 - 3 * x), x * (3 * x - 2)
+        for f in range(n_f):
+            low, high = values[i, j, f], values[i + 1, j, f]
+            low_step = values[i, j + 1, f] - low
+            high_step = values[i + 1, j + 1, f] - high
+            rate, late = slopes[i, j, f], slopes[i + 1, j, f]
+            rate_step = slopes[i, j + 1, f] - rate
+            late_step = slopes[i + 1, j + 1, f] - late
+            found[1, a, f] = h0 * low_step + h1 * high_step + h2 * rate_step + h3 * late_step
+            low, high = low + z * low_step, high + z * high_step
+            rate, late = rate + z * rate_step, late + z * late_step
+            found[0, a, f] = h0 * low + h1 * high + h2 * rate + h3 * late
+            found[2, a, f] = g1 * (high - low) + g2 * rate + g3 * late
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,20 @@ class Matrices(NamedTuple):
     value: Complex
     by_depth: Complex
     by_stretch: Complex
+
+
+@lru_cache(maxsize=8)
+def table_of(tool: Tool, frequency: bytes, modes: int) -> ToolTable:
+    """Return the splines of a tool, kept for other temperatures of the same recorder.
+
+    Parameters
+    ----------
+    tool : Tool
+    frequency : bytes
+        Of an array of doubles, in Hz.
+    modes : int
+    """
+    return ToolTable(tool, np.frombuffer(frequency), modes)
 
 
 class ToolTable:
@@ -101,16 +116,12 @@ class ToolTable:
             Whether nothing lies behind the press: all but the reflection at its front and the plane
             wave's transmission is zero then.
         """
-        given = np.asarray(depth, float)
-        nodes = self.tool.depth
-        i = np.clip(np.searchsorted(nodes, given, side="right") - 1, 0, len(nodes) - 2)
-        step = nodes[i + 1] - nodes[i]
-        hermite, rates = _hermite((given - nodes[i]) / step, step)
         values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
         place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
-        first = np.clip(np.floor(place).astype(np.int64), 1, self.count - 3)
-        weights, tilts = _b_spline(place - first)
-        parts = sums(values, slopes, i, hermite, rates, first - 1, weights, tilts)
+        parts = sums(
+            values.view(np.float32), slopes.view(np.float32), self.tool.depth,
+            np.asarray(depth, float), place,
+        ).view(complex)  # fmt: skip
         by_stretch = parts[2] * (self.frequency / self.step)[None, :, None]
         return Matrices(*(self._spread(part, last) for part in (parts[0], parts[1], by_stretch)))
 
@@ -143,22 +154,3 @@ def _refinement(given: Array, wanted: Array) -> Complex:
     known = covariance(given, given)
     known[np.diag_indices(len(given))] += ROUNDING**2 * power.sum()
     return np.asarray(np.linalg.solve(known.T, covariance(wanted, given).T).T)
-
-
-def _hermite(x: Array, step: Array) -> tuple[Array, Array]:
-    """Return the weights (n, 4) of values and slopes at both ends of an interval, and their rates.
-
-    Of the value at x, from 0 to 1 in an interval of a length, and of its derivative by length.
-    """
-    y = 1 - x
-    value = [(1 + 2 * x) * y**2, x**2 * (1 + 2 * y), step * x * y**2, -step * x**2 * y]
-    rate = [-6 * x * y / step, 6 * x * y / step, y * (1 - 3 * x), x * (3 * x - 2)]
-    return np.stack(value, -1), np.stack(rate, -1)
-
-
-def _b_spline(u: Array) -> tuple[Array, Array]:
-    """Return the four cubic B-splines that are not zero at u in 0 to 1, and slopes, (..., 4)."""
-    v = 1 - u
-    values = [v**3 / 6, 2 / 3 - u**2 + u**3 / 2, 2 / 3 - v**2 + v**3 / 2, u**3 / 6]
-    slopes = [-(v**2) / 2, -2 * u + 1.5 * u**2, 2 * v - 1.5 * v**2, u**2 / 2]
-    return np.stack(values, -1), np.stack(slopes, -1)

@@ -25,8 +25,8 @@ from acoustube.inversion import (
     Library,
     Priors,
     baseband_of,
-    measured_clutter,
 )
+from acoustube.inversion.clutter import Reflectors, reflectors
 from acoustube.ranging import Rangefinder
 from acoustube.runs.config import read_document
 from acoustube.runs.sensor_file import sensor_document, young_modulus
@@ -131,6 +131,7 @@ class RecordingInverter:
         self.tool_library, self.sensor, self.most = sensor.own(library), sensor, most
         self.untouched = untouched
         self._known: dict[tuple[Any, ...], tuple[float, Inverter]] = {}
+        self._reflectors: dict[tuple[Any, ...], Reflectors] = {}
 
     def groups(
         self, path: Path, data: xr.Dataset, size: int, check: Callable[[], None]
@@ -192,9 +193,11 @@ class RecordingInverter:
         check_band(self.tool_library, base)
         clutter = None
         if self.untouched:
-            cycles, free = self._untouched(path, data, rangefinder)
-            own = self._baseband(rangefinder, length, free, data.sizes["time"])
-            clutter = measured_clutter(own, cycles, base)
+            if key not in self._reflectors:
+                cycles, free = self._untouched(path, data, rangefinder)
+                own = self._baseband(rangefinder, length, free, data.sizes["time"])
+                self._reflectors[key] = reflectors(own, cycles)
+            clutter = self._reflectors[key].clutter(base)
         model = ForwardModel(self.tool_library, base, clutter, self.sensor.priors)
         inverter = Inverter(model, self.most)
         self._known[key] = air, inverter
