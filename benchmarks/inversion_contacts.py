@@ -3,8 +3,10 @@
 Recordings of the default rangefinder on the default tube: 25 mm rod, random places and depths,
 air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched cycles. Their scattering
 is computed at depths of its own, off the library's, by the spectral solver, by it from a wall on
-another mesh, or by the time-domain method. Every recording is a row of a CSV file; rows that are
-there are not computed again.
+another mesh, or by the time-domain method, or read from the files of `acoustube scatter` or of
+`spectral_presses.py` whose names end in ``_MM.nc``, MM the depth. With ``--changed`` tube, tool or
+sensor differ from what the inversion is told. Every recording is a row of a CSV file; rows that
+are there are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """
@@ -24,6 +26,7 @@ from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Priors
+from acoustube.inversion.estimate import MISFIT
 from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import calibrated
@@ -33,10 +36,13 @@ from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import PlacedScatterer
 from acoustube.waves.network import at_sound_speed
 
+QUANTITIES = ("cm", "cm", 100.0), ("mm", "mm", 1e3), ("n", "N", 1.0)
+"""Place, depth and force: names in the table, units, and these in SI units."""
+TOLD = "", "_sd", "_low68", "_high68", "_low", "_high"
 COLUMNS = (
-    "truth", "number", "cycles", "presses", "true_cm", "true_mm", "found", "cm", "cm_sd", "cm_low",
-    "cm_high", "mm", "mm_sd", "mm_low", "mm_high", "n_contacts", "ghosts", "misfit", "error",
-    "residual", "probability", "seconds", "peak_cm",
+    "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
+    "found", *(name + what for name, _, _ in QUANTITIES for what in TOLD), "n_contacts", "ghosts",
+    "misfit", "error", "residual", "probability", "seconds", "peak_cm",
 )  # fmt: skip
 NEAR = 0.05
 """Distance in m within which a press counts as found."""
@@ -54,50 +60,93 @@ FIRST, APART = 0.4, (0.145, 0.6)
 of the tube that are scattered are 14 cm long and must not meet."""
 
 
-CHANGES = {
-    "": {}, "gain -20 %": {"gain": 0.8}, "resonance +0.5 %": {"resonance": 1.005},
-    "quality +5 %": {"quality_factor": 1.05}, "thermometer +1 K": {},
+CHANGES: dict[str, tuple[dict, dict]] = {
+    "": ({}, {}), "gain -20 %": ({"gain": 0.8}, {}), "resonance +0.5 %": ({"resonance": 1.005}, {}),
+    "quality +5 %": ({"quality_factor": 1.05}, {}), "thermometer +1 K": ({}, {}),
+    "bore +1 %": ({}, {"inner_diameter_mm": ["7.979"]}),
+    "hardness +5 Shore A": ({}, {"shore_a": ["40"]}),
+    "yaw 10 deg": ({}, {"yaw_deg": ["10"]}),
+    "sphere": ({}, {"shape": ["sphere"]}),
 }  # fmt: skip
-"""What the sensor has otherwise than the inversion is told: factors of its parameters."""
+"""What is otherwise than the inversion is told: factors of the sensor's parameters, and settings of
+the press."""
 
 
-def truth_matrix(plan, path, depth, how):
-    """Return the scattering of the press at a depth in m, from the cache or computed."""
-    name = cache.key("scattering", {"benchmark": presses.cache_key(plan.settings, plan.pressed),
-                                    "depth": round(depth, 12), "how": how})  # fmt: skip
-    known = scattering_file.recall(name)
-    if known is None:
-        method, _, cells = how.partition("-")
-        band = sound.band_of(plan.settings.pulse)
-        known, _, note = sound.scattering_of(
-            pressed_part(path.at([depth])), air_at(20.0), band,
-            method="spectral" if method == "spectral" else "scattering", bore=7.9e-3,
-            resolution=int(cells or 16), lossy=True,
-        )  # fmt: skip
-        if note:
-            print(f"{1e3 * depth:.3f} mm: {note}")
-        scattering_file.keep(name, known, f"benchmark: {1e3 * depth:.3f} mm, {how}")
-    return known
+class Truth:
+    """Scattering and forces of presses, as a truth's name and changed settings tell.
+
+    Parameters
+    ----------
+    name : str
+        Of the truth.
+    changed : dict
+        Settings of the press.
+    """
+
+    def __init__(self, name, changed):
+        self.files = {}
+        for one in Path(name).glob("*.nc") if Path(name).is_dir() else ():
+            self.files[1e-3 * float(one.stem.rpartition("_")[2])] = scattering_file.read(one)
+        kind, _, mesh = name.partition("-")
+        mesh, self.how = (mesh, "spectral") if kind == "mesh" else ("usual", name)
+        settings = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"], "mesh": [mesh]} | changed
+        (self.plan,) = tool_plans(settings, 0.005)
+        self.path = DepthPath(presses.press_to(self.plan.settings, self.plan.pressed))
+        self.bore = self.plan.settings.tube.inner_diameter
+
+    def depths(self):
+        """Return the depths in m of the presses: those of the files, or some at random."""
+        if self.files:
+            return np.array(sorted(self.files))
+        forms = np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7)
+        if self.how.startswith("march"):
+            return forms[:9] if self.how.endswith("16") else forms[[0, 1, 5, 8]]
+        return forms
+
+    def force(self, depth):
+        """Return the force in N at a depth in m."""
+        return float(self.path.contact_force(depth))
+
+    def matrix(self, depth):
+        """Return the scattering of the press at a depth in m, from the cache or computed."""
+        if self.files:
+            return self.files[depth]
+        plan = self.plan
+        name = cache.key("scattering", {"benchmark": presses.cache_key(plan.settings, plan.pressed),
+                                        "depth": round(depth, 12), "how": self.how})  # fmt: skip
+        known = scattering_file.recall(name)
+        if known is None:
+            method, _, cells = self.how.partition("-")
+            part, band = pressed_part(self.path.at([depth])), sound.band_of(plan.settings.pulse)
+            known, _, note = sound.scattering_of(
+                part, air_at(20.0), band,
+                method="spectral" if method == "spectral" else "scattering", bore=self.bore,
+                resolution=int(cells or 16), lossy=True,
+            )  # fmt: skip
+            if note:
+                print(f"{1e3 * depth:.3f} mm: {note}")
+            scattering_file.keep(name, known, f"benchmark: {1e3 * depth:.3f} mm, {self.how}")
+        return known
 
 
-def cases(how, count, n_presses, seed):
-    """Yield number, places and depths in m of recordings."""
+def cases(forms, first, count, n_presses, seed):
+    """Yield number, places and depths in m of recordings, the depths of some forms."""
     rng = np.random.default_rng(seed)
-    forms = np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7)
-    if how.startswith("march"):
-        forms = forms[:9] if how.endswith("16") else forms[[0, 1, 5, 8]]
     for number in range(count):
         if n_presses == 1:
             places = rng.uniform(*PLACES, 1)
         else:
-            first = rng.uniform(PLACES[0], PLACES[0] + FIRST)
-            places = first + np.cumsum([0.0, *rng.uniform(*APART, n_presses - 1)])
-        yield number, places, rng.choice(forms, n_presses)
+            nearest = rng.uniform(PLACES[0], PLACES[0] + FIRST)
+            places = nearest + np.cumsum([0.0, *rng.uniform(*APART, n_presses - 1)])
+        depths = rng.choice(forms, n_presses)
+        if number >= first:
+            yield number, places, depths
 
 
 def rows(case, how, cycles, found, seconds, peak):
-    """Return a row for each true press of a case (number, places, depths)."""
-    number, places, depths = case
+    """Return a row for each true press of a case (number, places, depths, forces)."""
+    number, *true = case
+    places = true[0]
     given = np.array([contact.distance.value for contact in found.contacts])
     free, matched = list(range(len(given))), {}
     for i in np.argsort([np.abs(given - z).min(initial=np.inf) for z in places]):
@@ -106,22 +155,27 @@ def rows(case, how, cycles, found, seconds, peak):
             matched[i] = min(near, key=lambda j: abs(given[j] - places[i]))
             free.remove(matched[i])
     best = found.best
-    for i, (z, d) in enumerate(zip(places, depths, strict=True)):
-        told, probability = [""] * 8, ""
+    for i in range(len(places)):
+        row = {
+            "truth": how, "number": number, "cycles": cycles, "presses": len(places),
+            "found": int(i in matched), "n_contacts": len(given), "ghosts": len(free),
+            "misfit": f"{found.misfit:.4g}", "error": best.error,
+            "residual": f"{best.residual:.3g}", "seconds": f"{seconds:.3f}",
+            "peak_cm": f"{100 * peak:.4f}",
+        }  # fmt: skip
+        for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
+            row[f"true_{name}"] = f"{scale * values[i]:.6f}"
         if i in matched:
             one = found.contacts[matched[i]]
-            probability = f"{one.probability:.4f}"
-            told = [
-                f"{scale * value:.6f}"
-                for scale, estimate in ((100, one.distance), (1e3, one.depth))
-                for value in (estimate.value, estimate.deviation, *estimate.intervals[0.9])
-            ]
-        values = (
-            how, number, cycles, len(places), f"{100 * z:.6f}", f"{1e3 * d:.6f}", int(i in matched),
-            *told, len(given), len(free), f"{found.misfit:.4g}", best.error, f"{best.residual:.3g}",
-            probability, f"{seconds:.3f}", f"{100 * peak:.4f}",
-        )  # fmt: skip
-        yield dict(zip(COLUMNS, values, strict=True))
+            row["probability"] = f"{one.probability:.4f}"
+            estimates = one.distance, one.depth, one.force
+            for (name, _, scale), told in zip(QUANTITIES, estimates, strict=True):
+                values = told.value, told.deviation, *told.intervals[0.68], *told.intervals[0.9]
+                row |= {
+                    name + what: f"{scale * value:.6f}"
+                    for what, value in zip(TOLD, values, strict=True)
+                }
+        yield row
 
 
 def summary(path):
@@ -146,18 +200,24 @@ def in_words(part):
     found = [row for row in part if row["found"] == "1"]
     ghosts = sum(int(row["ghosts"]) for row in {row["number"]: row for row in part}.values())
     words = [f"{len(part)} presses, found {100 * len(found) / len(part):.0f} %, {ghosts} ghosts"]
-    for unit, scale in (("cm", 10.0), ("mm", 1.0)):
+    for name, what, scale in (("cm", "place", 10.0), ("mm", "depth", 1.0), ("n", "force", 0.0)):
         if found:
-            truth, value, low, high = (
-                scale * np.array([float(row[name]) for row in found])
-                for name in (f"true_{unit}", unit, f"{unit}_low", f"{unit}_high")
+            truth, value, *ends = (
+                np.array([float(row[column]) for row in found])
+                for column in (f"true_{name}", name, *(name + what for what in TOLD[2:]))
             )
-            q = np.quantile(np.abs(value - truth), [0.5, 0.9, 0.99])
-            held = 100 * np.mean((low <= truth) & (truth <= high))
+            off = np.abs(value - truth) * scale if scale else 100 * np.abs(value / truth - 1)
+            q = np.quantile(off, [0.5, 0.9, 0.99])
+            held = [
+                100 * np.mean((low <= truth) & (truth <= high))
+                for low, high in (ends[:2], ends[2:])
+            ]
             words.append(
-                f"{'place' if unit == 'cm' else 'depth'} {q[0]:.3f} / {q[1]:.3f} / {q[2]:.2f} mm, "
-                f"90 % intervals hold {held:.0f} %"
+                f"{what} {q[0]:.3f} / {q[1]:.3f} / {q[2]:.2f} {'mm' if scale else '%'}, 68 and "
+                f"90 % intervals hold {held[0]:.0f} and {held[1]:.0f} %"
             )
+    speaks = np.mean([float(row["misfit"]) > MISFIT for row in part if row["misfit"] != "nan"] or 0)
+    words.append(f"misfit over {MISFIT} in {100 * speaks:.0f} %")
     off = 10 * np.abs([float(row["peak_cm"]) - float(row["true_cm"]) for row in part])
     near = off < 1e3 * NEAR
     median = np.median(off[near]) if near.any() else np.nan
@@ -183,13 +243,31 @@ def arguments():
     parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--truth", default="spectral", help="spectral, mesh-coarse, march-16 ...")
+    parser.add_argument("--first", type=int, default=0, help="number of the first recording")
+    parser.add_argument(
+        "--truth", default="spectral", help="spectral, mesh-coarse, march-16 ..., or a folder"
+    )
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
-    parser.add_argument("--changed", default="", choices=CHANGES, help="sensor, not as told")
+    parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
     return parser.parse_args()
+
+
+def recorded(truth, case, device, cycles):
+    """Return the cycles of a case (number, places, depths)."""
+    number, places, depths = case
+    air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
+    speed = air_at(air).sound_speed
+    placed = [
+        PlacedScatterer(at_sound_speed(truth.matrix(depth), speed), place)
+        for depth, place in zip(depths, places, strict=True)
+    ]
+    return record(
+        placed, device, n_cycles=cycles, tube_seed=TUBE, seed=1000 + number, temperature=air,
+        radius=truth.bore / 2,
+    )  # fmt: skip
 
 
 def main():
@@ -198,36 +276,26 @@ def main():
     if given.summary:
         summary(given.out)
         return
-    kind, _, mesh = given.truth.partition("-")
-    mesh, how = (mesh, "spectral") if kind == "mesh" else ("usual", given.truth)
-    pressed = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"], "mesh": [mesh]}
-    (plan,) = tool_plans(pressed, 0.005)
-    path = DepthPath(presses.press_to(plan.settings, plan.pressed))
-    exact = {"place": 0.0, "depth": 0.0} if kind == "spectral" else {}
+    factors, settings = CHANGES[given.changed]
+    truth = Truth(given.truth, settings)
+    exact = {"place": 0.0, "depth": 0.0} if given.truth.startswith("spectral") else {}
     sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact))
-    usual, changed = Rangefinder(), CHANGES[given.changed]
-    device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in changed.items()})
-    free = record([], device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0)
+    usual = Rangefinder()
+    device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
+    # The clutter is learned from the sensor and the tube as they are.
+    free = record([], device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0,
+                  radius=truth.bore / 2)  # fmt: skip
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
-    for case in cases(given.truth, given.count, given.presses, seed):
-        number, places, depths = case
-        truth = f"{given.truth} {given.changed}".strip()
-        name = truth, str(number), str(given.cycles), str(given.presses)
-        if name in there or time.process_time() - began > given.seconds:
+    name = f"{Path(given.truth).name} {given.changed}".strip()
+    for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
+        key = name, str(case[0]), str(given.cycles), str(given.presses)
+        if key in there or time.process_time() - began > given.seconds:
             continue
-        air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
-        matrices = [truth_matrix(plan, path, depth, how) for depth in depths]
-        placed = [
-            PlacedScatterer(at_sound_speed(matrix, air_at(air).sound_speed), place)
-            for matrix, place in zip(matrices, places, strict=True)
-        ]
-        data = record(
-            placed, device, n_cycles=given.cycles, tube_seed=TUBE, seed=1000 + number,
-            temperature=air,
-        )  # fmt: skip
+        data = recorded(truth, case, device, given.cycles)
+        air = data["temperature"].values.mean()
         if "thermometer" in given.changed:
             data["temperature"] = data["temperature"] + 1.0
         start = time.process_time()
@@ -236,9 +304,10 @@ def main():
         mean = data["signal"].values.mean(axis=0)
         located = signals.locate(data["time"].values, mean, calibration.processing, temperature=air)
         peak = float(located.distance) if bool(located.detected) else float("nan")
+        forces = [truth.force(depth) for depth in case[2]]
         with given.out.open("a", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writerows(rows(case, truth, given.cycles, found, seconds, peak))
+            writer.writerows(rows((*case, forces), name, given.cycles, found, seconds, peak))
     summary(given.out)
 
 
