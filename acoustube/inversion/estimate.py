@@ -15,6 +15,7 @@ from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
+from acoustube.inversion.doubt import doubted
 from acoustube.inversion.fit import split
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -33,6 +34,8 @@ MISFIT = 0.15
 """Unexplained share of the echo from which tube, tool or sensor differ from the library's."""
 GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
+EXPLAINED = 1.5
+"""Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
 BEAM = 2
 """Hypotheses of each number of presses that are extended."""
 
@@ -196,8 +199,10 @@ class Inverter:
             found = _shifted(builder, found)
             best = found[0]
             likelier = best.deviance + FEWER < chain[-1].deviance
-            if number > 1 and best.error > GOOD:
+            if number > 1 and best.error > GOOD and (likelier or chain[-1].residual > EXPLAINED):
                 best = _sought_again(builder, best)
+            if number > 1:
+                best = doubted(builder, chain[-1], best)
                 likelier = best.deviance + FEWER < chain[-1].deviance
             chain.append(best)
             if not likelier:

@@ -1,0 +1,53 @@
+"""Whether a press more stands, or explains what may be the error of the model of the others.
+
+The error of the model is taken as independent from sample to sample of an echo. It is not: a wall
+on another mesh changes an echo as a whole, by far fewer numbers than it has samples. A faint press
+in front of a strong one may explain such an error, and seem likely by the number of its samples. So
+a press more counts only what it explains beyond an error of the model of :data:`SAMPLES` times the
+power: as if so many samples were one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import sqrt
+
+from acoustube.inversion.fit import evidence, maximise, split, weights
+from acoustube.inversion.hypotheses import Builder, Hypothesis
+
+SAMPLES = 10
+"""Samples of an echo whose errors are alike: 0.8 ms, of trapped sound."""
+LARGEST = 0.1
+"""Largest error of the model that is allowed for: a larger one stands for presses not found yet."""
+ITERATIONS = 6
+"""Of each fit with these weights."""
+
+
+def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with the evidence that it has beyond the error of the model of another.
+
+    Parameters
+    ----------
+    builder : Builder
+    fewer : Hypothesis
+        Of one press or more.
+    more : Hypothesis
+        Of more presses.
+
+    Returns
+    -------
+    Hypothesis
+        `more`, whose deviance is the larger one of its own and that of `fewer` less the gain of
+        evidence with the weights told above.
+    """
+    error = sqrt(SAMPLES) * min(fewer.error, LARGEST)
+    model = builder.model
+    untouched = model.without_presses(split(fewer.best[None])[2])[0]
+    echo = builder.modelled(fewer.tools, fewer.best) - untouched
+    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)
+    deviance = []
+    for one in (fewer, more):
+        start = one.fits.parameters[:1]
+        fit = maximise(model, one.tools, start, builder.samples, whiten, ITERATIONS)
+        deviance.append(float(evidence(model, one.tools, fit, whiten)[0]))
+    return replace(more, deviance=max(more.deviance, fewer.deviance + deviance[1] - deviance[0]))
