@@ -130,12 +130,7 @@ class Complex:
     axes: int | None = None
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the values are finite numbers of a magnitude within the bounds.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless all values are finite, their magnitude within the bounds."""
         import numpy as np
 
         array = np.asarray(value) if isinstance(value, AnyNumber | np.ndarray) else np.empty(0)
@@ -164,12 +159,7 @@ class Instance:
     kinds: tuple[type, ...]
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is of one of the classes.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is of one of the classes."""
         if not isinstance(value, self.kinds):
             words = " or ".join(f"a {kind.__name__}" for kind in self.kinds)
             raise ConfigError(
@@ -182,12 +172,7 @@ class Flag:
     """Rule for a Boolean, True or False."""
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is a Boolean, of Python or of NumPy.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is a Boolean, of Python or of NumPy."""
         kind = getattr(getattr(value, "dtype", None), "kind", "")
         if not isinstance(value, bool) and not (kind == "b" and value.ndim == 0):
             raise ConfigError(
@@ -208,12 +193,7 @@ class Optional:
     rule: Any
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is None or obeys the rule.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is None or obeys the rule."""
         if value is not None:
             check_argument(name, value, self.rule)
 
@@ -232,12 +212,7 @@ class Either:
     rule: Any
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is of one of the classes or obeys the rule.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is of one of the classes or obeys the rule."""
         if not isinstance(value, self.kinds):
             check_argument(name, value, self.rule)
 
@@ -257,12 +232,7 @@ class Several:
     least: int = 0
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is a sequence of values that obey the rule.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is a sequence of values that obey the rule."""
         alone = isinstance(value, str | bytes | dict) or getattr(value, "ndim", 1) == 0
         if alone or not hasattr(value, "__len__"):
             raise ConfigError("is not a sequence", setting=name, value=value, advice="give a list")
@@ -333,17 +303,13 @@ def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 def check_fields(instance: Any, **rules: Any) -> None:
-    """Raise unless the fields of a dataclass obey rules; defaults are not checked.
+    """Raise ConfigError unless the fields of a dataclass obey rules; defaults are not checked.
 
     Parameters
     ----------
     instance : object
     **rules
         As of :func:`checked`.
-
-    Raises
-    ------
-    ConfigError
     """
     for name, rule in rules.items():
         value = getattr(instance, name)
@@ -352,16 +318,12 @@ def check_fields(instance: Any, **rules: Any) -> None:
 
 
 def check_alike(**arrays: Any) -> None:
-    """Raise unless arrays have the same shape.
+    """Raise ConfigError unless arrays have the same shape.
 
     Parameters
     ----------
     **arrays
         By their names.
-
-    Raises
-    ------
-    ConfigError
     """
     import numpy as np
 

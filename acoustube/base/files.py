@@ -55,12 +55,7 @@ def check_out(path: str | Path) -> Path:
 
 
 def check_surface(path: str | Path) -> None:
-    """Raise unless the file of a surface exists, and is a regular file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError unless the file of a surface exists, and is a regular file."""
     if not Path(path).is_file():
         other = "is a pipe or a device, not a file" if Path(path).exists() else "does not exist"
         what = "is a folder" if Path(path).is_dir() else other
@@ -68,28 +63,19 @@ def check_surface(path: str | Path) -> None:
 
 
 def check_netcdf_name(path: Path) -> None:
-    """Raise unless a name is that of a netCDF file.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError unless a name is that of a netCDF file."""
     if path.suffix.lower() != ".nc":
         raise ConfigError(f"out = {path} is not the name of a netCDF file; let it end in .nc")
 
 
 def check_new_file(path: Path, name: str = "out") -> None:
-    """Raise if a file exists, or its folder does not.
+    """Raise ConfigError if a file exists, or its folder does not.
 
     Parameters
     ----------
     path : Path
     name : str
         Of the option that gave it.
-
-    Raises
-    ------
-    ConfigError
     """
     if os.path.lexists(path):
         raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")

@@ -24,12 +24,7 @@ class FileNames:
     many: bool = False
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the value is a name that a file can have.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the value is a name that a file can have."""
         if isinstance(value, str | os.PathLike):
             _check_one(name, value)
             return

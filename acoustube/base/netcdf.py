@@ -44,12 +44,7 @@ def flag(dims: str, values: Any, long_name: str) -> Variable:
 
 
 def seal_of(path: str | Path) -> Seal:
-    """Return whether a file's checksum matches its content.
-
-    Parameters
-    ----------
-    path : str or Path
-    """
+    """Return whether a file's checksum matches its content."""
     end = len(MARK) + hashlib.sha256().digest_size
     with Path(path).open("rb") as file:
         left = file.seek(0, 2) - end

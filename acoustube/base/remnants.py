@@ -123,11 +123,6 @@ def _runs(process: int) -> bool:
 
 
 def size(path: Path) -> int:
-    """Return the size of a file, or of all files of a folder, in bytes.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """Return the size of a file, or of all files of a folder, in bytes."""
     files = path.rglob("*") if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files if file.is_file())

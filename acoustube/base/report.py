@@ -140,12 +140,7 @@ class TimeLeft:
 
 
 def time_in_words(seconds: float) -> str:
-    """Return a duration in words, such as ``12 s``, ``5 min`` or ``1.5 h``.
-
-    Parameters
-    ----------
-    seconds : float
-    """
+    """Return a duration in words, such as ``12 s``, ``5 min`` or ``1.5 h``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 5400:

@@ -54,12 +54,7 @@ def load(path: Path) -> trimesh.Trimesh:
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a surface that is open, not manifold, not oriented, or of several bodies.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Reject a surface that is open, not manifold, not oriented, or of several bodies."""
     _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
     lone, shared = np.sum(count == 1), np.sum(count > 2)
     if lone:
@@ -80,12 +75,7 @@ def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
-    """Raise if the coordinates of a surface seem to be in metres.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if the coordinates of a surface seem to be in metres."""
     longest = float(surface.extents.max())
     if longest < SHORTEST:
         raise ConfigError(
@@ -95,12 +85,7 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a self-intersecting surface; lengths are scaled to about one, as the library expects.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Reject a self-intersecting surface; the library expects lengths of about one."""
     vertices = np.asfortranarray(surface.vertices / surface.extents.min())
     faces = surface.faces.astype(np.int32)
     if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):

@@ -165,12 +165,7 @@ def _to_disk(path: Path, content: bytes) -> None:
 
 
 def to_disk(folder: Path) -> None:
-    """Flush a folder's directory entries to the disk, where the system supports it.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Flush a folder's directory entries to the disk, where the system supports it."""
     with contextlib.suppress(OSError):
         number = os.open(folder, os.O_RDONLY)
         try:

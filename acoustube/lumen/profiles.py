@@ -44,17 +44,13 @@ class Profile:
 
 
 def check_increment(indentation: Indentation, increment: int) -> None:
-    """Raise unless a press has an increment.
+    """Raise ConfigError unless a press has an increment.
 
     Parameters
     ----------
     indentation : Indentation
     increment : int
         Its number, negative from the last.
-
-    Raises
-    ------
-    ConfigError
     """
     count = len(indentation.depth)
     if not -count <= increment < count:

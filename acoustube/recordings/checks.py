@@ -29,7 +29,7 @@ BLOCK_SAMPLES = 1 << 22
 
 
 def check_temperature(path: Path, values: NDArray[Any]) -> None:
-    """Raise if a temperature lies outside the range of the model of air.
+    """Raise ConfigError if a temperature lies outside the range of the model of air.
 
     Parameters
     ----------
@@ -37,10 +37,6 @@ def check_temperature(path: Path, values: NDArray[Any]) -> None:
         For messages.
     values : array of shape (cycle,)
         In degC.
-
-    Raises
-    ------
-    ConfigError
     """
     low, high = TEMPERATURES
     wrong = np.flatnonzero(~((values >= low) & (values <= high)))  # so that nan fails too
@@ -144,7 +140,7 @@ STATED = {
 
 
 def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> None:
-    """Raise unless what a file of our own states of its cycles are numbers.
+    """Raise ConfigError unless what a file of our own states of its cycles are numbers.
 
     Parameters
     ----------
@@ -153,10 +149,6 @@ def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> Non
     data : xarray.Dataset
     labels : iterable of str
         Names of the variables that must have a number for each cycle, where they exist.
-
-    Raises
-    ------
-    ConfigError
     """
     for name, rule in STATED.items():
         if name in data.attrs:

@@ -103,11 +103,6 @@ def dataset(
 def walls(config: Config, lumen: Lumen) -> xr.Dataset:
     """Return the walls of a pressed tube as a dataset.
 
-    Parameters
-    ----------
-    config : Config
-    lumen : Lumen
-
     Returns
     -------
     xarray.Dataset

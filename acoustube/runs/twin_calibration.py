@@ -47,10 +47,6 @@ def is_twin(path: Path) -> bool:
 def twin_calibration(path: Path) -> Calibration:
     """Return the calibration of the sensor of a twin's file.
 
-    Parameters
-    ----------
-    path : Path
-
     Raises
     ------
     ConfigError

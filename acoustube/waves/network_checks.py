@@ -162,12 +162,7 @@ def check_places(
 
 
 def check_samples(duration: float, time_step: float) -> None:
-    """Raise if a recording has too many samples to be computed.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if a recording has too many samples to be computed."""
     if duration > MOST_SAMPLES * time_step:
         raise ConfigError(
             f"is over {MOST_SAMPLES:.0e} samples of time_step = {time_step:g} s",

@@ -120,7 +120,7 @@ def _of_system() -> frozenset[int]:
 
 
 def check_size(path: str | Path, kind: str, size: float, what: str = "holds") -> None:
-    """Raise if a file, or what is stored in it, exceeds the limit of its kind.
+    """Raise ConfigError if a file, or what is stored in it, exceeds the limit of its kind.
 
     Parameters
     ----------
@@ -131,10 +131,6 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
         In bytes.
     what : str
         Verb of the sentence.
-
-    Raises
-    ------
-    ConfigError
     """
     if size > largest(kind):
         raise ConfigError(
@@ -144,12 +140,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
 
 
 def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
-    """Raise if a file has more items than a limit, which the factor multiplies.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if a file has more items than a limit, which the factor multiplies."""
     if count > limit * factor():
         raise ConfigError(
             f"{path} has {count} {what}, over the limit of {limit * factor():g}; {RAISE}"
@@ -157,12 +148,7 @@ def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
 
 
 def check_name(path: str | Path, name: str) -> None:
-    """Raise if a name in a file is longer than :data:`NAME`.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if a name in a file is longer than :data:`NAME`."""
     if len(name) > NAME * factor():
         raise ConfigError(
             f"{path} holds a name of {len(name)} characters, {name[:20]}..., over the limit of "

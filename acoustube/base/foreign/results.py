@@ -16,7 +16,7 @@ FAILURE = "cannot be read as a result"
 
 
 def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
-    """Raise if a result is damaged, or not a netCDF-4 file.
+    """Raise ConfigError if a result is damaged, or not a netCDF-4 file.
 
     Files with a seal (:mod:`acoustube.base.netcdf`) are hashed. Others, of earlier versions or of
     other programs, are read once from end to end in the child process.
@@ -28,10 +28,6 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
         What to do about a damaged file.
     failure : str
         What the sentence says of a file that cannot be read.
-
-    Raises
-    ------
-    ConfigError
     """
     limits.check_file(path, "result")
     with limits.reading(path, failure, advice):

@@ -80,12 +80,7 @@ def _described(stem: str, name: str, variable: xr.DataArray) -> dict[str, Any]:
 
 
 def check_parquet(what: str) -> None:
-    """Raise if the package for Parquet is missing.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if the package for Parquet is missing."""
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:

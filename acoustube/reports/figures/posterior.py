@@ -19,11 +19,6 @@ POINTS = 400
 def posterior_figure(found: Inversion, library: Library) -> Figure:
     """Draw the echo along the tube with what explains it, and the distributions of each contact.
 
-    Parameters
-    ----------
-    found : Inversion
-    library : Library
-
     Returns
     -------
     matplotlib.figure.Figure

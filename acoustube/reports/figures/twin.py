@@ -18,10 +18,6 @@ AROUND = (-0.2e-3, 1.6e-3)
 def twin_figure(found: FittedSensor) -> Figure:
     """Draw the nearest, a middle and the farthest closure, the untouched tube, and the errors.
 
-    Parameters
-    ----------
-    found : FittedSensor
-
     Returns
     -------
     matplotlib.figure.Figure

@@ -216,10 +216,6 @@ def select_layers(cells: CutCells, layers: Indices) -> CutCells:
         The grid.
     layers : ndarray of int
         (n,); the last is the grid's last, whose upper face is kept.
-
-    Returns
-    -------
-    CutCells
     """
     parts = {n: getattr(cells, n)[..., layers] for n in ("volume_fraction", "open_x", "open_y")}
     length = cells.length + (len(layers) - cells.shape[2]) * cells.spacing[2]

@@ -45,10 +45,6 @@ def straight_ends_cut(cells: CutCells) -> CutCells:
     cells : CutCells
         The whole lumen.
 
-    Returns
-    -------
-    CutCells
-
     Raises
     ------
     ConfigError

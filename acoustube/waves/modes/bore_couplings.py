@@ -45,10 +45,6 @@ def bore_modes(highest: float) -> BoreModes:
     highest : float
         Largest j'mn.
 
-    Returns
-    -------
-    BoreModes
-
     Notes
     -----
     The integrals over the section are a Gauss rule along the radius times the trapezoidal rule

@@ -168,10 +168,6 @@ def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c
         In Hz, (n,).
     c : float
         Sound speed in m/s.
-
-    Returns
-    -------
-    Phases
     """
     dt2 = float(scheme.step_squared)
     beta = float(scheme.operator.beta)

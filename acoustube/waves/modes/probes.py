@@ -67,10 +67,6 @@ def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
     probes : tuple of Probe
     air : Air
 
-    Returns
-    -------
-    Setup
-
     Raises
     ------
     ValueError

@@ -323,10 +323,6 @@ def advance_relaxations(
         At the time of `pressure`, without halo.
     pressure, change : Array
         Before the step and over it, in Pa.
-
-    Returns
-    -------
-    RelaxationState
     """
     increment = _expected(losses, memory, pressure) + 0.5 * losses.response * change
     middle = pressure + 0.5 * change
