@@ -13,6 +13,7 @@ import xarray as xr
 from rich.console import Console
 
 import acoustube
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.cli import main
 from acoustube.cli.indent import run_press
@@ -29,7 +30,7 @@ from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
 from acoustube.tube import Tube
 
-QUIET = Console(quiet=True)
+QUIET = ConsoleReporter(Console(quiet=True))
 OVER = {
     "indenter_mm": ["10", "25"],
     "depth_mm": ["0", "0.6", "4"],

@@ -11,6 +11,7 @@ from commands import run_here, run_process
 from rich.console import Console
 
 from acoustube import load_config
+from acoustube.base.console import ConsoleReporter
 from acoustube.cli import indent as indent_command
 from acoustube.indentation import MeshSize, PressError, indent, load_path, restored
 from acoustube.indentation.self_contact import triangulated
@@ -156,7 +157,9 @@ def test_cached_press_that_was_cut_short_is_computed_again_and_said(tmp_path, mo
     config, found = load_config(None, Mechanics, depth_mm=0.05, steps=1), []
     for name in ("first", "second", "third"):
         printed = StringIO()
-        indent_command.run_press(config, tmp_path / name, Console(file=printed, width=400))
+        indent_command.run_press(
+            config, tmp_path / name, ConsoleReporter(Console(file=printed, width=400))
+        )
         (entry,) = (tmp_path / "cache").glob("*.npz")
         if name == "first":
             entry.write_bytes(entry.read_bytes()[:500])
@@ -184,7 +187,7 @@ def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch
     monkeypatch.setattr(press_runs, "indent", lambda *a, **o: indent(*a, **(o | {"mesh": COARSE})))
     config = load_config(None, Mechanics, depth_mm=0.6, steps=6)
     with pytest.raises(PressError, match=r"stopped at a depth of 0\.35 mm of 0\.60 mm"):
-        indent_command.run_press(config, tmp_path / "kept", Console(quiet=True))
+        indent_command.run_press(config, tmp_path / "kept", ConsoleReporter(Console(quiet=True)))
     with xr.open_dataset(tmp_path / "kept" / "run.nc", engine="h5netcdf") as data:
         assert list(data["converged"].values) == [1, 1, 1, 0, 0, 0]
         assert np.all(np.isfinite(data["contact_force"].values[:3]))

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from refusals import refused
 from rich.console import Console
 
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.cli._app import app, main
 from acoustube.cli.reproduce import STUDIES, run_reproduce
@@ -199,7 +200,9 @@ def test_calibration_is_that_of_the_tube_and_seldom_alarmed():
 def test_command_writes_pages_and_a_table_and_goes_on(tmp_path):
     out = tmp_path / "studies"
     said = StringIO()
-    run_reproduce(["calibration"], out, Scale(quick=True), Console(file=said, width=200))
+    run_reproduce(
+        ["calibration"], out, Scale(quick=True), ConsoleReporter(Console(file=said, width=200))
+    )
     for name in ("index.html", "table.csv", "calibration/index.html", "calibration/figure-1.png"):
         assert (out / name).is_file(), name
     rows = pd.read_csv(out / "table.csv", index_col="quantity")
@@ -208,11 +211,11 @@ def test_command_writes_pages_and_a_table_and_goes_on(tmp_path):
     # What is there from another command stays in the list and in the table.
     shutil.copytree(out / "calibration", out / "echotube")
     assert f"{slope['published'].iloc[0]:g}" in said.getvalue()
-    run_reproduce(["calibration"], out, Scale(quick=True), Console(quiet=True))
+    run_reproduce(["calibration"], out, Scale(quick=True), ConsoleReporter(Console(quiet=True)))
     assert len(pd.read_csv(out / "table.csv")) == 2 * len(rows)
     assert 'href="echotube/index.html"' in (out / "index.html").read_text(encoding="utf-8")
     refused(
-        lambda: run_reproduce(["calibration"], out, Scale(), Console(quiet=True)),
+        lambda: run_reproduce(["calibration"], out, Scale(), ConsoleReporter(Console(quiet=True))),
         setting="out", value=out, advice="name a new folder",
     )  # fmt: skip
 
@@ -220,14 +223,14 @@ def test_command_writes_pages_and_a_table_and_goes_on(tmp_path):
 def test_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ConfigError, match="is not empty and nothing is overwritten"):
-        run_reproduce(["calibration"], tmp_path, Scale(), Console(quiet=True))
+        run_reproduce(["calibration"], tmp_path, Scale(), ConsoleReporter(Console(quiet=True)))
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
 def test_unreadable_mark_is_told(tmp_path):
     (tmp_path / "reproduce.json").write_text("{")
     with pytest.raises(ConfigError, match=r"reproduce.json is damaged"):
-        run_reproduce(["calibration"], tmp_path, Scale(), Console(quiet=True))
+        run_reproduce(["calibration"], tmp_path, Scale(), ConsoleReporter(Console(quiet=True)))
 
 
 @pytest.mark.parametrize(

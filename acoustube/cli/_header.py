@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from acoustube.base.report import Reporter
 from acoustube.runs.config import Config, Mechanics
 
-if TYPE_CHECKING:
-    from rich.console import Console
 
-
-def print_wall(config: Config | Mechanics, console: Console) -> None:
+def print_wall(config: Config | Mechanics, report: Reporter) -> None:
     """Print the tube's sizes and material."""
     tube = config.tube
     hardness = (
@@ -23,6 +19,4 @@ def print_wall(config: Config | Mechanics, console: Console) -> None:
         if tube.surface is None
         else f"surface {tube.surface}"
     )
-    console.print(
-        f"tube: {shape}, {hardness}, Poisson's ratio {tube.poisson_ratio:g}", soft_wrap=True
-    )
+    report.line(f"tube: {shape}, {hardness}, Poisson's ratio {tube.poisson_ratio:g}")

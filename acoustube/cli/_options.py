@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin,
 
 from cyclopts import CoercionError, Parameter
 
-from acoustube.base.console import plain_console
+from acoustube.base.console import ConsoleReporter, plain_console
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file, check_out, fresh_folder
 from acoustube.base.foreign.limits import VARIABLE
@@ -149,6 +149,10 @@ class Output(Limits):
     def console(self, *, stderr: bool = False) -> Console:
         """Return the console to print on."""
         return plain_console(quiet=self.quiet, stderr=stderr)
+
+    def reporter(self, *, stderr: bool = False) -> ConsoleReporter:
+        """Return the reporter that prints on that console."""
+        return ConsoleReporter(self.console(stderr=stderr))
 
 
 @Parameter(name="*")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.report import Reporter
 from acoustube.base.rules import Number
 from acoustube.base.units import MM
 from acoustube.base.writing import write_all
@@ -19,7 +20,6 @@ from acoustube.cli._options import Lead, Output, Recording, check_files
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
 
     from acoustube.signals import Calibration
 
@@ -69,7 +69,7 @@ def calibrate(
     from acoustube import signals
     from acoustube.signals.calibration_file import in_toml
 
-    console = output.console()
+    report = output.reporter()
     closed, free = (_together(paths, recording, lead) for paths in (blocked, untouched))
     named = f"{blocked[0]} (blocked) and {untouched[0]} (untouched)"
     _check_alike(closed, free, blocked[0], named)
@@ -89,8 +89,8 @@ def calibrate(
 
         contents[figure] = picture(cycle_figures.calibration_figure(found), figure)
     write_all(contents)
-    _print_calibration(found, closed["true_distance"].values, console)
-    console.print(f"Written to {path}.", soft_wrap=True)
+    _print_calibration(found, closed["true_distance"].values, report)
+    report.line(f"Written to {path}.")
 
 
 def _free_path(out: Path | None, name: str | None) -> Path:
@@ -152,7 +152,7 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Datas
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 
 
-def _print_calibration(found: Calibration, given: Any, console: Console) -> None:
+def _print_calibration(found: Calibration, given: Any, report: Reporter) -> None:
     import numpy as np
 
     gain = found.processing.gain
@@ -160,16 +160,14 @@ def _print_calibration(found: Calibration, given: Any, console: Console) -> None
     lost = np.unique(np.round(given[~np.isin(given, found.true_distance)], 3))
     left_out = f", none at {', '.join(f'{z:g}' for z in lost)} m" if lost.size else ""
     near, far = gain.c4 - gain.c1, gain.c4 + gain.c1
-    console.print(
+    report.line(
         f"{found.true_distance.size} of {given.size} blockages{left_out}: slope "
         f"{found.slope.value:.4f} +- {found.slope.deviation:.4f} m/m, RMSE "
         f"{MM * found.distance_rmse:.3g} mm; arctan RMSE {found.amplitude_rmse:.3g}, tanh from "
-        f"{near:.3g} to {far:.3g}",
-        soft_wrap=True,
+        f"{near:.3g} to {far:.3g}"
     )
-    console.print(
+    report.line(
         f"least prominence {found.processing.prominence:.3g} of the send pulse; "
         f"{100 * found.false_alarms:.3g} % of the untouched cycles show an echo with it"
-        + ("; raise --sigmas for fewer" if found.false_alarms > MANY_ALARMS else ""),
-        soft_wrap=True,
+        + ("; raise --sigmas for fewer" if found.false_alarms > MANY_ALARMS else "")
     )

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Workers
@@ -73,7 +72,7 @@ def dataset(
     from acoustube.runs.sweep.dataset import run_dataset
     from acoustube.runs.twin_sessions import recipe_settings
 
-    report = ConsoleReporter(output.console())
+    report = output.reporter()
     settings: dict[str, Any] = {}
     if rangefinder:
         settings, table = recipe_settings(rangefinder)

@@ -8,7 +8,6 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter
 from acoustube.base.files import check_out
 from acoustube.base.rules import Number
 from acoustube.base.writing import write_all
@@ -62,7 +61,7 @@ def design(
     from acoustube.reports.design.files import contents_of
     from acoustube.runs.design.run import run_design, summary
 
-    report = ConsoleReporter(output.console())
+    report = output.reporter()
     found = run_design(
         wanted, seed=effort.seed, tubes=effort.tubes, robust=effort.robust, report=report,
         workers=processes.workers,

@@ -23,7 +23,6 @@ from acoustube.cli._options import WHOLE, Checked, Output, check_files
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
 
     from acoustube.runs.training import Row
 
@@ -85,7 +84,7 @@ def evaluate(
         )
     check_files(out=out, figure=figure)
     if of_library:
-        _evaluate_library(model, data, inverted, out, figure, output.console())
+        _evaluate_library(model, data, inverted, out, figure, output.reporter())
         return
 
     import numpy as np
@@ -94,10 +93,10 @@ def evaluate(
     from acoustube.base.foreign.limits import reading
     from acoustube.runs.training import error_rows, table_of
 
-    console = output.console()
+    report = output.reporter()
     start = time.perf_counter()
     trained = estimation.load(model)
-    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
+    with watched_interrupts() as check, report.progress(check) as show:
         table = table_of(data, trained.feature_settings, show)
         with reading(model, "cannot be used", "train it again"):
             estimates = estimation.estimate(trained, table)
@@ -112,7 +111,7 @@ def evaluate(
         f"{trained.name}, trained on {trained.origin['trained']} cycles; {table.sizes['cycle']} "
         f"cycles, echoes in {seen}"
     )
-    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, console, start)
+    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, report, start)
 
 
 def _is_library(folder: Path) -> bool:
@@ -128,7 +127,7 @@ def _evaluate_library(
     inverted: Inverted,
     out: Path | None,
     figure: Path | None,
-    console: Console,
+    report: ConsoleReporter,
 ) -> None:
     """Evaluate the inversion by a library."""
     import numpy as np
@@ -146,7 +145,7 @@ def _evaluate_library(
     )
     free = inversion.all_recordings(inverted.untouched, {}) if inverted.untouched else []
     inverter = inversion.RecordingInverter(library, sensor, free)
-    with watched_interrupts() as check, ConsoleReporter(console).progress(check) as show:
+    with watched_interrupts() as check, report.progress(check) as show:
         table, estimates = estimated(data, inverter, inverted.group, show)
     rows = list(error_rows(tuple(TARGETS), table, estimates))
     found = int(np.isfinite(estimates["distance"].values).sum())
@@ -155,7 +154,7 @@ def _evaluate_library(
         f"inversion, library of {tools}; {table.sizes['cycle']} groups of up to "
         f"{inverted.group} cycles, contacts in {found}"
     )
-    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, console, start)
+    _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, report, start)
 
 
 def _finish(
@@ -163,11 +162,11 @@ def _finish(
     head: str,
     results: tuple[xr.Dataset, xr.Dataset],
     files: dict[str, Path | None],
-    console: Console,
+    report: ConsoleReporter,
     start: float,
 ) -> None:
     """Print the errors, and write the table and the picture."""
-    _print_errors(rows, head, console)
+    _print_errors(rows, head, report)
     contents: dict[Path, bytes | str] = {}
     if files["out"] is not None:
         contents[files["out"]] = _table(rows)
@@ -177,12 +176,8 @@ def _finish(
 
         contents[files["figure"]] = picture(estimate_figures.figure(*results), files["figure"])
     write_all(contents)
-    written = " and ".join(map(str, contents))
-    console.print(
-        (f"Written to {written} in " if written else "Evaluated in ")
-        + f"{time.perf_counter() - start:.0f} s.",
-        soft_wrap=True,
-    )
+    done = f"Written to {' and '.join(map(str, contents))}" if contents else "Evaluated"
+    report.line(f"{done} in {time.perf_counter() - start:.0f} s.")
 
 
 def _table(rows: list[Row]) -> str:
@@ -206,14 +201,14 @@ def _written(row: Row) -> list[object]:
     return [TARGETS[target], unit, by, *("" if math.isnan(v) else f"{v:.6g}" for v in numbers)]
 
 
-def _print_errors(rows: list[Row], head: str, console: Console) -> None:
+def _print_errors(rows: list[Row], head: str, report: ConsoleReporter) -> None:
     """Print the errors of all cycles."""
     from rich.table import Table
 
     from acoustube.estimation.model import TARGETS
     from acoustube.runs.training import DISPLAY_UNITS
 
-    console.print(f"acoustube {__version__}: {head}", soft_wrap=True)
+    report.line(f"acoustube {__version__}: {head}")
     shown = Table(box=None, pad_edge=False)
     names = ("absolute error", "median", "RMSE", "IQR", "relative", "in 68 %", "in 90 %")
     for column in names:
@@ -225,4 +220,4 @@ def _print_errors(rows: list[Row], head: str, console: Console) -> None:
             shares = (found.relative, found.covered, found.covered_wide)
             percent = [f"{100 * v:.3g} %" for v in shares]
             shown.add_row(f"{TARGETS[target]}, {unit}", *sizes, *percent)
-    console.print(shown)
+    report.console.print(shown)

@@ -71,7 +71,7 @@ def export(
     with partial_folder(out) as partial, damaged:
         found = _write(data, results, kind or formats[0], partial)
         folder = publish(partial, out)
-    output.console().print(f"{found} written to {folder}.", soft_wrap=True, highlight=False)
+    output.reporter().line(f"{found} written to {folder}.")
 
 
 def _opened(where: Path) -> xr.Dataset:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.files import check_surface, partial_folder, publish
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import MM, MM2
@@ -22,7 +22,6 @@ from acoustube.runs.config import Mechanics, load_config, to_toml
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
 
 TABLE_ROWS = 16
 """Depths of a press that are printed."""
@@ -54,10 +53,10 @@ def indent(
     config = load_config(run.config, Mechanics, **settings_of(tool, placement))
     if config.tube.surface is not None:
         check_surface(config.tube.surface)
-    run_press(config, run.folder("indent"), output.console())
+    run_press(config, run.folder("indent"), output.reporter())
 
 
-def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
+def run_press(config: Mechanics, folder: Path, report: ConsoleReporter) -> Path:
     """Press a tube, print the results and write them to a folder.
 
     Arguments and result are those of :func:`acoustube.cli.simulate.run_simulation`.
@@ -84,10 +83,10 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
     depths = settings.depths
     notes: list[str] = []
     with watched_interrupts() as check:
-        _print_press_header(config, console)
+        _print_press_header(config, report)
         with partial_folder(folder) as partial:
-            with ConsoleReporter(console).progress(check) as report:
-                progress = functools.partial(report, "indentation")
+            with report.progress(check) as show:
+                progress = functools.partial(show, "indentation")
                 progress(0.0)
                 try:
                     indentation = press_to(settings, depths, progress, notes.append)
@@ -110,17 +109,16 @@ def run_press(config: Mechanics, folder: Path, console: Console) -> Path:
             write(figure, run_figure.picture(run_figure.press_figure(dataset), figure))
             check()
             folder = publish(partial, folder)
-    _print_press(dataset, console)
+    _print_press(dataset, report)
     for words in notes:
-        note(console, words)
-    elapsed = time.perf_counter() - started
-    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
+        report.note(words)
+    report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
     if stopped is not None:
         raise stopped
     return folder
 
 
-def _print_press_header(config: Mechanics, console: Console) -> None:
+def _print_press_header(config: Mechanics, report: ConsoleReporter) -> None:
     """Print the settings of a press, and its expected cost."""
     import jax
 
@@ -131,18 +129,15 @@ def _print_press_header(config: Mechanics, console: Console) -> None:
     settings = press_in_si(config)
     minutes = press_seconds(settings, settings.depth) / 60
     minutes *= TETRAHEDRA if settings.surface else 1.0
-    console.print(
+    report.line(
         f"acoustube {__version__} on {jax.devices()[0].device_kind}, float64; "
-        f"about {max(minutes, 0.5):.1g} min unless it is cached, {PRESS_GIGABYTES:g} GB",
-        soft_wrap=True,
+        f"about {max(minutes, 0.5):.1g} min unless it is cached, {PRESS_GIGABYTES:g} GB"
     )
-    print_wall(config, console)
-    console.print(
-        f"press: {press_in_words(settings)}, in {config.indentation.steps} steps", soft_wrap=True
-    )
+    print_wall(config, report)
+    report.line(f"press: {press_in_words(settings)}, in {config.indentation.steps} steps")
 
 
-def _print_press(dataset: xr.Dataset, console: Console) -> None:
+def _print_press(dataset: xr.Dataset, report: ConsoleReporter) -> None:
     """Print the press at some of its depths."""
     import numpy as np
     from rich.table import Table
@@ -162,4 +157,4 @@ def _print_press(dataset: xr.Dataset, console: Console) -> None:
         ]
         state = "closed" if row["closed"] else ""
         table.add_row(*numbers, state if row["converged"] else "not reached")
-    console.print(table)
+    report.console.print(table)

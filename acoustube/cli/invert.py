@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, failure
+from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
@@ -77,7 +77,7 @@ def invert(
     own = inversion.Sensor() if sensor is None else inversion.read_sensor(sensor)
     free = inversion.all_recordings(untouched, options) if untouched else []
     inverter = inversion.RecordingInverter(known, own, free, search.most)
-    report = ConsoleReporter(output.console(stderr=out is None))
+    report = output.reporter(stderr=out is None)
     failures = n_groups = n_contacts = 0
     pictures: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, pictures) as file:

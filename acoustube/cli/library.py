@@ -8,7 +8,6 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter
 from acoustube.base.rules import Number
 from acoustube.cli._options import Checked, Output, Workers, axis, settings_of
 
@@ -73,5 +72,5 @@ def library(
     from acoustube.runs.libraries.plan import tool_plans
 
     plans = tool_plans(over, accuracy.tolerance, config)
-    report = ConsoleReporter(output.console())
+    report = output.reporter()
     return 0 if build_library(plans, out, report=report, workers=processes.workers) else 1

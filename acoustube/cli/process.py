@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acoustube.base.console import ConsoleReporter, failure
+from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
@@ -69,7 +69,7 @@ def process(
 
     calibration, bias = corrections(sensor, ranging.calibration)
     known, settings = chosen(calibration, ranging.prominence)
-    report = ConsoleReporter(output.console(stderr=out is None))
+    report = output.reporter(stderr=out is None)
     failures, n_cycles, n_found = 0, 0, 0
     pictures: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, pictures) as file:

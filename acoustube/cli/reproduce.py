@@ -19,8 +19,6 @@ from acoustube.base.writing import write
 from acoustube.cli._options import FLAG, Output, Workers
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from acoustube.reports.studies.report import Scale, Study
 
 STUDIES = {
@@ -62,10 +60,10 @@ def reproduce(
 
     names = list(STUDIES) if "all" in study else [name for name in STUDIES if name in study]
     scale = Scale(quick=quick, workers=processes.workers)
-    run_reproduce(names, out, scale, output.console())
+    run_reproduce(names, out, scale, output.reporter())
 
 
-def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Console) -> Path:
+def run_reproduce(names: Sequence[str], out: Path, scale: Scale, report: ConsoleReporter) -> Path:
     """Run studies and write a page and a table for each, and for all.
 
     Parameters
@@ -75,7 +73,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     out : Path
         A new folder, or one that this command began: what is finished there is kept.
     scale : Scale
-    console : rich.console.Console
+    report : ConsoleReporter
 
     Returns
     -------
@@ -94,36 +92,35 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, console: Consol
     started = time.perf_counter()
     folder = _prepared(out, scale)
     minutes = sum(STUDIES[name] for name in names) / (SPEED_UP if scale.quick else 1.0)
-    console.print(
+    report.line(
         f"acoustube {__version__}: studies {', '.join(names)}; about "
-        f"{time_in_words(60 * minutes)} on two cores, less for cached results",
-        soft_wrap=True,
+        f"{time_in_words(60 * minutes)} on two cores, less for cached results"
     )
     with worker_pool(scale.workers) as workers:
         for number, name in enumerate(names, 1):
-            console.rule(f"study {number} of {len(names)}: {name}")
-            study = _performed(name, folder, replace(scale, workers=workers), console)
+            report.console.rule(f"study {number} of {len(names)}: {name}")
+            study = _performed(name, folder, replace(scale, workers=workers), report)
             _write_index(folder)
-            _print(study, console)
+            _print(study, report)
     elapsed = time_in_words(time.perf_counter() - started)
-    console.print(f"Written to {folder / 'index.html'} in {elapsed}.", soft_wrap=True)
+    report.line(f"Written to {folder / 'index.html'} in {elapsed}.")
     return folder
 
 
-def _performed(name: str, folder: Path, scale: Scale, console: Console) -> Study:
+def _performed(name: str, folder: Path, scale: Scale, report: Reporter) -> Study:
     """Run a study and write its report."""
     from acoustube.reports.studies.report import write
 
-    work, report = folder / WORK / name, folder / name
-    for path in (work, report):
+    work, pages = folder / WORK / name, folder / name
+    for path in (work, pages):
         path.mkdir(parents=True, exist_ok=True)
     perform: Perform = import_module(f"acoustube.reports.studies.{name}").study
     try:
-        study = perform(scale, work, ConsoleReporter(console))
+        study = perform(scale, work, report)
     except KeyboardInterrupt as error:
         words = str(error) or f"interrupted in the study {name}; run the same command to go on"
         raise KeyboardInterrupt(words) from None
-    write(study, name, report)
+    write(study, name, pages)
     return study
 
 
@@ -163,7 +160,7 @@ def _write_index(folder: Path) -> None:
     write(folder / "index.html", index_page(there), overwrite=True)
 
 
-def _print(study: Study, console: Console) -> None:
+def _print(study: Study, report: ConsoleReporter) -> None:
     """Print the numbers of a study that have a published one."""
     from rich.table import Table
 
@@ -173,4 +170,4 @@ def _print(study: Study, console: Console) -> None:
     for row in study.rows:
         if row.published is not None:
             table.add_row(row.quantity, row.unit, f"{row.published:.3g}", f"{row.ours:.3g}")
-    console.print(table)
+    report.console.print(table)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from acoustube.base import cache
-from acoustube.base.console import ConsoleReporter, note
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name, check_new_file, check_surface
 from acoustube.base.interrupts import watched_interrupts
@@ -22,8 +22,6 @@ from acoustube.cli._options import FLAG, WHOLE, Checked, Output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from rich.console import Console
 
     from acoustube.air import Air
     from acoustube.base.report import Reporter
@@ -149,8 +147,7 @@ def scatter(
     from acoustube.runs.scattering_file import to_dataset
 
     started = time.perf_counter()
-    console = output.console()
-    report = ConsoleReporter(console)
+    report = output.reporter()
     task = _Task(lumen, band.frequencies(), medium, resolution, tolerance)
     found, notes = _scattering(task, method, report)
     dataset = to_dataset(found)
@@ -163,9 +160,8 @@ def scatter(
         "losses": "none" if medium.lossless else "wall and air",
     }
     write_dataset(dataset, out)
-    _print(found, notes, console)
-    elapsed = time.perf_counter() - started
-    console.print(f"Written to {out} in {elapsed:.0f} s.", soft_wrap=True)
+    _print(found, notes, report)
+    report.line(f"Written to {out} in {time.perf_counter() - started:.0f} s.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +301,7 @@ def _propagating(found: Scattering) -> Any:
     return np.broadcast_to(both, found.s.shape)
 
 
-def _print(found: StoredScattering, notes: list[str], console: Console) -> None:
+def _print(found: StoredScattering, notes: list[str], report: ConsoleReporter) -> None:
     """Print the plane mode's coefficients, the discretisation and the notes."""
     import numpy as np
     from rich.table import Table
@@ -317,11 +313,11 @@ def _print(found: StoredScattering, notes: list[str], console: Console) -> None:
         table.add_row(
             f"{KHZ * found.frequency[i]:.2f}", f"{abs(s[i, 0]):.4f}", f"{abs(s[i, 1]):.4f}"
         )
-    console.print(table)
+    report.console.print(table)
     for line in _quality(found):
-        console.print(line, soft_wrap=True)
+        report.line(line)
     for words in notes:
-        note(console, words)
+        report.note(words)
 
 
 def _quality(found: StoredScattering) -> tuple[str, str]:

@@ -45,7 +45,6 @@ def show(
         check_new_file(html, "html")
         if html.suffix.lower() not in PAGES:
             raise ConfigError("must end in .html", setting="html", value=html)
-    console = output.console()
     contents: dict[Path, bytes | str] = {}
     said = []
     if html is not None:
@@ -58,7 +57,7 @@ def show(
         said.append(f"{count} cases drawn in {out}.")
     write_all(contents)
     for line in said:
-        console.print(line, soft_wrap=True)
+        output.reporter().line(line)
 
 
 def _figure(where: Path, out: Path) -> tuple[bytes, int]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note
+from acoustube.base.console import ConsoleReporter
 from acoustube.base.files import partial_folder, publish
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.units import CM, MM, MM2, PERCENT
@@ -24,7 +24,6 @@ from acoustube.runs.config import Config, check_touched, load_config, to_toml
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
 
     from acoustube.reports.scenes.offscreen import Image
 
@@ -54,10 +53,10 @@ def simulate(
     """
     config = load_config(run.config, **settings_of(tool, sound))
     check_touched(config.indentation)
-    run_simulation(config, run.folder("simulate"), output.console())
+    run_simulation(config, run.folder("simulate"), output.reporter())
 
 
-def run_simulation(config: Config, folder: Path, console: Console) -> Path:
+def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Path:
     """Simulate one press, print its results and write them to a folder.
 
     Parameters
@@ -66,7 +65,7 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
         The settings.
     folder : path
         The folder to be made; it appears only when it is complete.
-    console : rich.console.Console
+    report : ConsoleReporter
         Console to print on.
 
     Returns
@@ -87,7 +86,7 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
 
     started = time.perf_counter()
     with watched_interrupts() as check:
-        _print_header(config, console)
+        _print_header(config, report)
         with partial_folder(folder) as partial, ExitStack() as drawing:
             pictures: Callable[[], Mapping[str, Image] | None] = lambda: None  # noqa: E731
 
@@ -95,19 +94,18 @@ def run_simulation(config: Config, folder: Path, console: Console) -> Path:
                 nonlocal pictures
                 pictures = drawing.enter_context(tube_scene.drawing(walls))
 
-            with ConsoleReporter(console).progress(check) as report:
-                dataset = simulated(config, report=report, pressed=draw)
+            with report.progress(check) as show:
+                dataset = simulated(config, report=show, pressed=draw)
             write_dataset(dataset, partial / "run.nc")
             write(partial / "config.toml", to_toml(config))
             images = pictures()
             _write_figure(dataset, images, partial)
             check()
             folder = publish(partial, folder)
-    _print_results(dataset, config.signals.prominence, console)
+    _print_results(dataset, config.signals.prominence, report)
     if images is None:
-        note(console, "The tube could not be drawn in 3-D: see 'The figure' in the README.")
-    elapsed = time.perf_counter() - started
-    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
+        report.note("The tube could not be drawn in 3-D: see 'The figure' in the README.")
+    report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
     return folder
 
 
@@ -119,7 +117,7 @@ def _write_figure(dataset: xr.Dataset, images: Mapping[str, Image] | None, folde
     write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
 
 
-def _print_header(config: Config, console: Console) -> None:
+def _print_header(config: Config, report: ConsoleReporter) -> None:
     """Print the settings of a run, and its expected cost."""
     import jax
 
@@ -132,22 +130,18 @@ def _print_header(config: Config, console: Console) -> None:
     where = f"{jax.devices()[0].device_kind}, float64 wall, float32 air"
     grid = f"{waves.resolution} cells across the bore"
     cost = f"about {max(seconds / 60, 0.5):.1g} min, {memory:.1f} GB"
-    console.print(f"acoustube {__version__} on {where}, {grid}; {cost}", soft_wrap=True)
-    print_wall(config, console)
-    console.print(
-        f"press: {press_in_words(settings)}, at {config.position_cm:g} cm",
-        soft_wrap=True,
-    )
-    console.print(
+    report.line(f"acoustube {__version__} on {where}, {grid}; {cost}")
+    print_wall(config, report)
+    report.line(f"press: {press_in_words(settings)}, at {config.position_cm:g} cm")
+    report.line(
         f"sound: {waves.frequency_khz:g} kHz, {waves.cycles} cycles, {waves.temperature_c:g} degC, "
         f"{waves.humidity_percent:g} % humidity, {waves.pressure_kpa:g} kPa, probe at "
         f"{waves.probe_cm:g} cm, source end {waves.source_end}, losses {waves.losses}, method "
-        f"{waves.method}",
-        soft_wrap=True,
+        f"{waves.method}"
     )
 
 
-def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> None:
+def _print_results(dataset: xr.Dataset, prominence: float, report: ConsoleReporter) -> None:
     """Print the results of a run: the press, the estimates, the times and the notes."""
     from rich.table import Table
 
@@ -169,10 +163,10 @@ def _print_results(dataset: xr.Dataset, prominence: float, console: Console) -> 
         table.add_row("spectral solver", _compared(dataset.sel(source_end=chosen)))
     times = zip(dataset["stage"].values, dataset["elapsed_time"].values, strict=True)
     table.add_row("time", ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in times))
-    console.print(table)
-    console.print(f"accuracy: {dataset.attrs['accuracy']}", soft_wrap=True)
+    report.console.print(table)
+    report.line(f"accuracy: {dataset.attrs['accuracy']}")
     for words in dataset.attrs["warnings"].splitlines():
-        note(console, words)
+        report.note(words)
 
 
 def _compared(case: xr.Dataset) -> str:

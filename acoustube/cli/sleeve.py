@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import note
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import partial_folder, publish
+from acoustube.base.report import Reporter
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.cli._options import WHOLE, Checked, Output, checked_folder
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from acoustube.sleeve import Helix
 
 FOREARM = (
@@ -149,7 +147,7 @@ def sleeve(
         raise ConfigError(f"{markers} is not a file; give a table or C3D file of markers")
     contacts = _contacts(sensing.distance or [])
     folder = checked_folder(out, "sleeve")
-    _run(markers, arm, winding, sensing, contacts, folder, output.console())
+    _run(markers, arm, winding, sensing, contacts, folder, output.reporter())
 
 
 def _run(
@@ -159,7 +157,7 @@ def _run(
     sensing: Sensing,
     contacts: Sequence[tuple[int, float]],
     folder: Path,
-    console: Console,
+    report: Reporter,
 ) -> None:
     """Lay out a sleeve and write its table, its properties in words and its picture."""
     from acoustube.reports.scenes import sleeve as sleeve_scene
@@ -179,9 +177,9 @@ def _run(
     check_room(tubes, wound.tube_diameter)
     words += in_words(tubes, found)
     words += [contact_in_words(tubes, found, contact) for contact in contacts]
-    console.print(f"acoustube {__version__} sleeve", soft_wrap=True)
+    report.line(f"acoustube {__version__} sleeve")
     for line in words:
-        console.print(line, soft_wrap=True, highlight=False)
+        report.line(line)
     with partial_folder(folder) as partial:
         write_table(partial / "sleeve.csv", tubes, found, sensor.step)
         write(partial / "layout.txt", "\n".join(words) + "\n")
@@ -190,10 +188,9 @@ def _run(
             outer_diameter=wound.tube_diameter, deviation=sensor.deviation, markers=seen,
         )  # fmt: skip
         if not sleeve_scene.draw(picture, partial / "figure.png"):
-            note(console, "VTK cannot draw on this machine; there is no picture")
+            report.note("VTK cannot draw on this machine; there is no picture")
         folder = publish(partial, folder)
-    elapsed = time.perf_counter() - started
-    console.print(f"Written to {folder} in {elapsed:.0f} s.", soft_wrap=True)
+    report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
 
 
 def _tubes_on_forearm(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.cli._options import FLAG, WHOLE, Checked, Output, Workers, axis, settings_of
 from acoustube.runs.config import section_of
@@ -139,7 +138,7 @@ def sweep(
     plan, share, out = choice.with_axes(axes), execution.share(), execution.out
     if out is None and not execution.dry_run:
         raise ConfigError("out is missing; name the folder to write, or give --dry-run")
-    report, retry = ConsoleReporter(output.console()), execution.retry is not None
+    report, retry = output.reporter(), execution.retry is not None
     if execution.dry_run or out is None:
         _dry_run(plan, out, processes.workers, report, share=share, retry=retry)
         return 0

@@ -9,19 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter, note
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import Reporter, ShowProgress
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
 
 if TYPE_CHECKING:
     import xarray as xr
-    from rich.console import Console
 
-    from acoustube.base.report import ShowProgress
     from acoustube.estimation import FeatureSettings, Model
 
 OVERFITTED = 0.02
@@ -89,21 +87,18 @@ def train(
     from acoustube.runs.training import table_of
 
     start = time.perf_counter()
-    console = output.console()
+    report = output.reporter()
     known, processing = chosen(ranging.calibration, ranging.prominence)
     features = estimation.FeatureSettings(kind=kind_of_features(estimator), processing=processing)
     with watched_interrupts() as check:
-        with ConsoleReporter(console).progress(check) as show:
+        with report.progress(check) as show:
             table = table_of(data, features, show, lambda path, rate: check_rate(rate, known, path))
-        _print_cycles(table, estimator, console)
-        with ConsoleReporter(console).progress(check) as show:
-            model = _trained(table, estimator, features, training, show, console)
+        _print_cycles(table, estimator, report)
+        with report.progress(check) as show:
+            model = _trained(table, estimator, features, training, show, report)
         estimation.save(model, out, overwrite=False)
-    _print_overfitting(model, console)
-    console.print(
-        f"Written to {out} in {time.perf_counter() - start:.0f} s.",
-        soft_wrap=True,
-    )
+    _print_overfitting(model, report)
+    report.line(f"Written to {out} in {time.perf_counter() - start:.0f} s.")
 
 
 def _trained(
@@ -112,7 +107,7 @@ def _trained(
     features: FeatureSettings,
     training: Training,
     show: ShowProgress,
-    console: Console,
+    report: Reporter,
 ) -> Model:
     """Train an estimator on a table of cycles, and print its losses during training."""
     from acoustube import estimation
@@ -126,22 +121,14 @@ def _trained(
     def progress(step: float, *losses: float) -> None:
         show("training", step / total if losses else step)
         if losses and str(step).strip("0") in EARLY_EPOCHS:
-            console.print(
-                f"epoch {step} of {total}: loss {losses[0]:.4f}, held out {losses[1]:.4f}"
-            )
+            report.line(f"epoch {step} of {total}: loss {losses[0]:.4f}, held out {losses[1]:.4f}")
 
     return estimation.train(
-        table,
-        name,
-        features,
-        by=training.by,
-        seed=training.seed,
-        progress=progress,
-        **settings,
+        table, name, features, by=training.by, seed=training.seed, progress=progress, **settings
     )
 
 
-def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
+def _print_cycles(table: xr.Dataset, name: str, report: Reporter) -> None:
     """Print the number of cycles, the targets and the training rows."""
     import numpy as np
 
@@ -150,14 +137,13 @@ def _print_cycles(table: xr.Dataset, name: str, console: Console) -> None:
     targets = targets_of(name, table)
     echoes = int(np.isfinite(table["features"].values).all(axis=1).sum())
     used = int(usable(table, targets).sum())
-    console.print(
+    report.line(
         f"acoustube {__version__}: {table.sizes['cycle']} cycles, echoes in {echoes}; "
-        f"{name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them",
-        soft_wrap=True,
+        f"{name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them"
     )
 
 
-def _print_overfitting(model: Model, console: Console) -> None:
+def _print_overfitting(model: Model, report: Reporter) -> None:
     """Print the lowest validation loss, the mean of the folds, and a sign of overfitting."""
     import numpy as np
 
@@ -169,14 +155,12 @@ def _print_overfitting(model: Model, console: Console) -> None:
     )
     best = int(np.argmin(validation))
     rise = (validation[-1] - validation[best]) / max(abs(validation[best]), 1e-12)
-    console.print(
+    report.line(
         f"held-out loss {validation[-1]:.4g} after {len(validation)} epochs, training "
-        f"{training[-1]:.4g}; lowest after {best + 1} ({validation[best]:.4g})",
-        soft_wrap=True,
+        f"{training[-1]:.4g}; lowest after {best + 1} ({validation[best]:.4g})"
     )
     if rise > OVERFITTED:
-        note(
-            console,
+        report.note(
             f"the held-out loss has risen by {100 * rise:.2g} % since then, a sign of overfitting; "
-            f"try --epochs {best + 1}",
+            f"try --epochs {best + 1}"
         )

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
@@ -108,7 +107,7 @@ def twin(
     from acoustube.runs.twin import Bench, fitted_sensor
     from acoustube.runs.twin_file import in_toml, parameters, time_zero_note
 
-    report = ConsoleReporter(output.console())
+    report = output.reporter()
     length = None if known.length is None else known.length / CM
     bench = Bench(length=length, bits=known.bits, humidity=known.humidity)
     options = dataclasses.asdict(recording)
