@@ -11,7 +11,7 @@ from acoustube.base.remnants import Remnant
 from acoustube.cli import check as check_command
 from acoustube.cli import main
 from acoustube.runs import selftest
-from acoustube.runs.selftest import Outcome, Trial, all_trials, run_trials
+from acoustube.runs.selftest import Outcome, Trial, all_trials
 
 TRIALS = {trial.name.split()[0]: trial for trial in all_trials()}
 QUICK = ("distance", "cut-on")
@@ -51,7 +51,7 @@ def test_expected_reflection_is_the_independent_solution():
 
 @pytest.mark.parametrize("name", QUICK)
 def test_quick_tests_pass(name):
-    (outcome,) = run_trials([TRIALS[name]])
+    outcome = TRIALS[name].run()
     assert outcome.passed
 
 
@@ -65,7 +65,7 @@ def test_quick_tests_pass(name):
 )
 def test_a_broken_stage_is_noticed(name, broken, monkeypatch):
     monkeypatch.setattr(f"acoustube.runs.selftest.{broken[0]}", broken[1])
-    (outcome,) = run_trials([TRIALS[name]])
+    outcome = TRIALS[name].run()
     assert not outcome.passed
     assert ("TypeError" in outcome.problem) == (broken[1] is None)
 

@@ -64,6 +64,12 @@ class SimulationError(RuntimeError):
     """
 
 
+def about(path: object, error: Exception) -> str:
+    """Return the text of an error in one line that names a file."""
+    text = " ".join(str(error).split())
+    return text if str(path) in text else f"{path}: {text}"
+
+
 def short(value: Any) -> str:
     """Return a value as a short text: a number in its shortest exact form, 12 rather than 12.0."""
     if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:  # more than Python may print

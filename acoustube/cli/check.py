@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import platform
 import re
@@ -10,10 +9,9 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from acoustube.base import cache
 from acoustube.base.console import plain_console
@@ -59,63 +57,13 @@ HELP_WITH_DRAWING = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Extra:
-    """An optional part of the installation.
-
-    Attributes
-    ----------
-    name, purpose : str
-    present : bool
-        Whether all of its packages are there.
-    install : str
-        The command that brings it.
-    """
+class Extra(NamedTuple):
+    """An optional part of the installation, and the command that installs it."""
 
     name: str
     purpose: str
     present: bool
     install: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Machine:
-    """Machine and installation that acoustube runs on.
-
-    Attributes
-    ----------
-    python, system : str
-    packages : dict of str
-        Versions; empty where a package is missing.
-    device, precision : str
-        Device and precision that JAX computes with.
-    cores, threads : int
-        That this process may use; threads of the compiled kernels.
-    memory_gb, memory_free_gb : float or None
-        None where the system does not state it.
-    cache_folder : str
-    cache_writable : bool
-    disk_free_gb : float
-        On the disk of the cache.
-    remnants : list of str
-        Incomplete outputs that killed commands have left behind.
-    extras : tuple of Extra
-    """
-
-    python: str
-    system: str
-    packages: dict[str, str]
-    device: str
-    precision: str
-    cores: int
-    threads: int
-    memory_gb: float | None
-    memory_free_gb: float | None
-    cache_folder: str
-    cache_writable: bool
-    disk_free_gb: float
-    remnants: list[str]
-    extras: tuple[Extra, ...]
 
 
 def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> None:
@@ -139,9 +87,11 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
     outcomes = _tested(console)
     failed = [outcome for outcome in outcomes if not outcome.passed]
     if json:
-        found = {"acoustube": __version__, **dataclasses.asdict(machine), "drawing": drawing}
-        # Not console.print, which would break lines.
-        print(dumps(found | {"tests": _rows(outcomes), "passed": not failed}, indent=2))
+        found = {
+            "acoustube": __version__, **machine, "drawing": drawing,
+            "tests": [_in_json(outcome) for outcome in outcomes], "passed": not failed,
+        }  # fmt: skip
+        print(dumps(found, indent=2))  # not console.print, which would break lines
     if failed:
         raise SimulationError(
             f"{len(failed)} of {len(outcomes)} tests failed ({failed[0].name}), so that results of "
@@ -151,20 +101,18 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
     console.print(f"all {len(outcomes)} tests passed, in {elapsed:.0f} s.", highlight=False)
 
 
-def _rows(outcomes: list[Outcome]) -> list[dict[str, Any]]:
-    """Return tests for JSON, with None in place of nan."""
-    return [
-        outcome._asdict()
-        | {
-            "computed": None if outcome.problem else outcome.computed,
-            "passed": outcome.passed,
-        }
-        for outcome in outcomes
-    ]
+def _in_json(outcome: Outcome) -> dict[str, Any]:
+    """Return a test for JSON, with None in place of nan."""
+    computed = None if outcome.problem else outcome.computed
+    return outcome._asdict() | {"computed": computed, "passed": outcome.passed}
 
 
-def look() -> Machine:
-    """Return the properties of the machine, its packages and the cache."""
+def look() -> dict[str, Any]:
+    """Return the properties of the machine, its packages and the cache.
+
+    Versions are empty where a package is missing, sizes of memory None where the system does not
+    state them; `remnants` are incomplete outputs that killed commands have left behind.
+    """
     from importlib.metadata import requires
 
     import jax
@@ -175,46 +123,40 @@ def look() -> Machine:
     device = jax.devices()[0]
     folder = cache.folder()
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    return Machine(
-        python=platform.python_version(),
-        system=f"{platform.system()} {platform.release()} {platform.machine()}",
-        packages={name: _version(name) for name in PACKAGES},
-        device=f"{device.platform} ({device.device_kind})",
-        precision="float64 wall, float32 air",
-        cores=cores(),
-        threads=numba.get_num_threads(),
-        memory_gb=_memory(),
-        memory_free_gb=_free_memory(),
-        cache_folder=str(folder),
-        cache_writable=there.is_dir() and os.access(there, os.W_OK),
-        disk_free_gb=round(shutil.disk_usage(there).free / 1e9, 2),
-        remnants=[str(remnant.path) for remnant in remnants()],
-        extras=extras(requires("acoustube") or []),
-    )
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "packages": {name: _version(name) for name in PACKAGES},
+        "device": f"{device.platform} ({device.device_kind})",
+        "precision": "float64 wall, float32 air",
+        "cores": cores(),
+        "threads": numba.get_num_threads(),
+        "memory_gb": _memory(),
+        "memory_free_gb": _free_memory(),
+        "cache_folder": str(folder),
+        "cache_writable": there.is_dir() and os.access(there, os.W_OK),
+        "disk_free_gb": round(shutil.disk_usage(there).free / 1e9, 2),
+        "remnants": [str(remnant.path) for remnant in remnants()],
+        "extras": [extra._asdict() for extra in extras(requires("acoustube") or [])],
+    }
 
 
-def extras(requirements: list[str]) -> tuple[Extra, ...]:
-    """Return the optional extras, and whether they are there.
-
-    Parameters
-    ----------
-    requirements : list of str
-        As a package's metadata lists them.
-    """
+def extras(requirements: list[str]) -> list[Extra]:
+    """Return the optional extras in requirements such as ``dask; extra == 'dask'``."""
     needed: dict[str, list[str]] = {}
     for line in requirements:
         found = re.match(r"([\w.-]+).*;.*extra == ['\"]([\w-]+)['\"]", line)
         if found and found[2] not in FOR_OTHERS:
             needed.setdefault(found[2], []).append(found[1])
-    return tuple(
+    return [
         Extra(
-            name=name,
-            purpose=PURPOSES.get(name, ""),
-            present=all(_version(package) for package in packages),
-            install=f"pip install 'acoustube[{name}]'",
+            name,
+            PURPOSES.get(name, ""),
+            all(_version(package) for package in packages),
+            f"pip install 'acoustube[{name}]'",
         )
         for name, packages in sorted(needed.items())
-    )
+    ]
 
 
 def can_draw() -> bool:
@@ -254,27 +196,27 @@ def _free_memory() -> float | None:
     return round(int(kilobytes) * 1024 / 1e9, 2)
 
 
-def _print_machine(machine: Machine, console: Console) -> None:
+def _print_machine(machine: dict[str, Any], console: Console) -> None:
     def line(text: str) -> None:
         console.print(text, soft_wrap=True, highlight=False)
 
-    line(f"acoustube {__version__}, Python {machine.python} on {machine.system}")
-    versions = (f"{name} {number or 'MISSING'}" for name, number in machine.packages.items())
+    line(f"acoustube {__version__}, Python {machine['python']} on {machine['system']}")
+    versions = (f"{name} {number or 'MISSING'}" for name, number in machine["packages"].items())
     line(f"packages: {', '.join(versions)}")
     line(
-        f"device: {machine.device}, {machine.precision}; {machine.cores} cores, "
-        f"{machine.threads} threads"
+        f"device: {machine['device']}, {machine['precision']}; {machine['cores']} cores, "
+        f"{machine['threads']} threads"
     )
-    line(f"memory: {_in_gb(machine.memory_gb)}, {_in_gb(machine.memory_free_gb)} free")
-    advice = "" if machine.cache_writable else f"; {HELP_WITH_CACHE}"
-    line(f"cache: {machine.cache_folder}, {machine.disk_free_gb:.1f} GB free{advice}")
-    if machine.remnants:
-        first = machine.remnants[0]
-        more = f" and {len(machine.remnants) - 1} more" * bool(machine.remnants[1:])
+    line(f"memory: {_in_gb(machine['memory_gb'])}, {_in_gb(machine['memory_free_gb'])} free")
+    advice = "" if machine["cache_writable"] else f"; {HELP_WITH_CACHE}"
+    line(f"cache: {machine['cache_folder']}, {machine['disk_free_gb']:.1f} GB free{advice}")
+    if machine["remnants"]:
+        first, *others = machine["remnants"]
+        more = f" and {len(others)} more" * bool(others)
         line(f"left behind by killed commands: {first}{more}; acoustube cache clear removes them")
-    for extra in machine.extras:
-        state = "there" if extra.present else f"missing; {extra.install}"
-        line(f"extra {extra.name}, which {extra.purpose}: {state}")
+    for extra in machine["extras"]:
+        state = "there" if extra["present"] else f"missing; {extra['install']}"
+        line(f"extra {extra['name']}, which {extra['purpose']}: {state}")
 
 
 def _in_gb(size: float | None) -> str:
@@ -283,13 +225,12 @@ def _in_gb(size: float | None) -> str:
 
 def _tested(console: Console) -> list[Outcome]:
     """Run the self-test, and print each row as soon as it is computed."""
-    from acoustube.runs.selftest import all_trials, run_trials
+    from acoustube.runs.selftest import all_trials
 
     outcomes = []
-    trials = all_trials()
-    for trial in trials:
+    for trial in all_trials():
         with console.status(f"testing: {trial.name}"):
-            (outcome,) = run_trials([trial])
+            outcome = trial.run()
         outcomes.append(outcome)
         console.print(_row(outcome), soft_wrap=True, highlight=False)
     return outcomes

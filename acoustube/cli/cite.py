@@ -123,7 +123,6 @@ def _of_text(text: Any, source: Path) -> set[str]:
 
     with reading(source, "holds no settings of acoustube", "name what a command of it wrote"):
         return _of_settings(settings_in(text, source))
-    raise AssertionError  # unreachable: the block returns or raises
 
 
 def _of_settings(settings: dict[str, Any]) -> set[str]:
@@ -152,4 +151,3 @@ def _attributes(path: Path) -> dict[str, Any]:
     check_result(path, advice)
     with reading(path, "cannot be read", advice), h5py.File(path) as file:
         return dict(file.attrs)
-    raise AssertionError  # unreachable: the block returns or raises

@@ -11,7 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from acoustube.base.console import failure
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Recording, check_files
@@ -99,8 +99,7 @@ def invert(
                             pictures[figure] = _drawn(found, known, figure)
             except (ConfigError, ValueError) as error:
                 failures += 1
-                text = " ".join(str(error).split())
-                failure(text if str(path) in text else f"{path}: {text}", "not inverted")
+                failure(about(path, error), "not inverted")
                 continue
             writer.writerows([header, *table] if header else table)
             header = []

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acoustube.base.console import failure
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
 from acoustube.base.units import MS
@@ -84,7 +84,7 @@ def process(
                 found = process_recording(path, data, known, settings, report, check)
             except (ConfigError, ValueError) as error:
                 failures += 1
-                _print_failure(path, error)
+                failure(about(path, error), "not processed")
                 continue
             writer.writerows([*header, *found.rows])  # as a whole, or not at all
             header = []
@@ -101,13 +101,6 @@ def process(
     failed = f"; {failures} files could not be processed" if failures else ""
     report.line(f"{n_cycles} cycles, echoes in {n_found}{failed}")
     return 1 if failures else 0
-
-
-def _print_failure(path: Path, error: Exception) -> None:
-    """Print on standard error why a file could not be processed."""
-    text = " ".join(str(error).split())
-    named = text if str(path) in text else f"{path}: {text}"
-    failure(named, "not processed")
 
 
 def _note_recording(

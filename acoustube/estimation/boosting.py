@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,9 +13,9 @@ from sklearn.ensemble import HistGradientBoostingRegressor
 
 from acoustube.base.types import Array
 from acoustube.estimation import uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of, offsets
-from acoustube.estimation.splits import folds
+from acoustube.estimation.inputs import check_inputs, offsets
 from acoustube.estimation.trees import export_trees, predict_trees
+from acoustube.estimation.uncertainty import Folds, Report
 
 MIN_SCALE = 0.05
 """Smallest stated scale, relative to the median absolute held-out residual."""
@@ -67,37 +67,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     offset_columns: tuple[int | None, ...] | None = None
     seed: int = 0
 
-    def fit(
-        self,
-        X: ArrayLike,
-        y: ArrayLike,
-        groups: ArrayLike | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> Self:
-        """Fit the models.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-        y : array of shape (row, target)
-        groups : array of int of shape (row,), optional
-            Rows of one group are held out together; each row on its own by default.
-        progress : callable, optional
-            Called with the finished fraction.
-
-        Returns
-        -------
-        Boosting
-
-        Raises
-        ------
-        ConfigError
-            If rows are too few or not finite, or a target is constant.
-        """
-        check_settings(self)
-        x, targets = check_rows(X, y)
-        self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
-        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
+    def _fit(self, x: Array, targets: Array, fold: Folds, progress: Report) -> None:
 
         def report(part: float, fraction: float) -> None:
             if progress is not None:
@@ -112,7 +82,6 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         self.narrowest_ = MIN_SCALE * np.median(np.abs(residual), axis=0) + np.finfo(float).tiny
         scale = np.maximum(self._held_out(self.scales_, x, fold), self.narrowest_)
         self.quantiles_ = uncertainty.conformal_quantiles(residual, scale)
-        return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         x = check_inputs(X, self.n_features_in_)

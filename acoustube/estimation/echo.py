@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +10,8 @@ from sklearn.base import BaseEstimator, RegressorMixin
 
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of, offsets
-from acoustube.estimation.splits import folds
+from acoustube.estimation.inputs import check_inputs, offsets
+from acoustube.estimation.uncertainty import Folds, Report
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -64,37 +63,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     offset_columns: tuple[int | None, ...] | None = None
     seed: int = 0
 
-    def fit(
-        self,
-        X: ArrayLike,
-        y: ArrayLike,
-        groups: ArrayLike | None = None,
-        progress: network.Progress | None = None,
-    ) -> Self:
-        """Train the networks.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-        y : array of shape (row, target)
-        groups : array of int of shape (row,), optional
-            Rows of one group are held out together; each row on its own by default.
-        progress : callable, optional
-            See :data:`acoustube.estimation.network.Progress`.
-
-        Returns
-        -------
-        EchoEnsemble
-
-        Raises
-        ------
-        ConfigError
-            If rows are too few or not finite, or a target is constant.
-        """
-        check_settings(self)
-        x, targets = check_rows(X, y)
-        self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
-        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
+    def _fit(self, x: Array, targets: Array, fold: Folds, progress: Report) -> None:
         rest = targets - offsets(x, self.offset_columns, self.n_targets_)
         self.networks_ = network.train(
             self._inputs(x), rest, fold, hidden=tuple(self.hidden), loss="laplace",
@@ -105,7 +74,6 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         rows = np.arange(len(x))
         scale = np.hypot(deviation[fold, rows], median.std(axis=0))
         self.quantiles_ = uncertainty.conformal_quantiles(rest - median[fold, rows], scale)
-        return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         x = check_inputs(X, self.n_features_in_)

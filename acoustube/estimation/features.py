@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.signal.windows import tukey
 
 from acoustube.air import air_at
 from acoustube.base.checks import CELSIUS, Reals, check_argument, check_fields, checked
@@ -389,12 +390,6 @@ def _spectrum(
     inside = (index >= 0) & (index < time.size)
     window = np.take_along_axis(plain, np.clip(index, 0, time.size - 1), axis=-1) * inside
     turns = np.exp(-2j * np.pi * np.outer(since / rate, frequencies(settings.frequency)))
-    amplitude = np.abs((window * _tapered_window(since.size)) @ turns)
+    amplitude = np.abs((window * tukey(since.size, 2 * TAPER_FRACTION)) @ turns)
     scale = ranging.send_amplitude[:, None] * settings.pulse_cycles / settings.frequency * rate / 2
     return np.where(np.isfinite(back)[:, None], _decibel(amplitude / scale), np.nan)
-
-
-def _tapered_window(n: int) -> Array:
-    """Return a tapered-cosine (Tukey) window of n samples."""
-    place = np.minimum(np.arange(n), np.arange(n)[::-1]) / (TAPER_FRACTION * (n - 1))
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(place, 1.0)))

@@ -7,7 +7,6 @@ Localization and Force Sensing" (the sleeve paper).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,8 +15,8 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
-from acoustube.estimation.inputs import check_inputs, check_rows, check_settings, groups_of
-from acoustube.estimation.splits import folds
+from acoustube.estimation.inputs import check_inputs
+from acoustube.estimation.uncertainty import Folds, Report
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -63,56 +62,23 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     weight_decay: float = 1e-5
     seed: int = 0
 
-    def fit(
-        self,
-        X: ArrayLike,
-        y: ArrayLike,
-        groups: ArrayLike | None = None,
-        progress: network.Progress | None = None,
-    ) -> Self:
-        """Train the networks.
-
-        Parameters
-        ----------
-        X : array of shape (row, input)
-            In the sleeve paper amplitude and distance.
-        y : array of shape (row,)
-            In the sleeve paper the force in N.
-        groups : array of int of shape (row,), optional
-            Rows of one group are held out together; each row on its own by default, as published.
-        progress : callable, optional
-            See :data:`acoustube.estimation.network.Progress`.
-
-        Returns
-        -------
-        ForceNetwork
-
-        Raises
-        ------
-        ConfigError
-            If rows are too few or not finite, or the target is constant.
-        """
-        check_settings(self)
-        x, targets = check_rows(X, y)
+    def _fit(self, x: Array, targets: Array, fold: Folds, progress: Report) -> None:
         if targets.shape[1] != 1:
             raise ConfigError(
                 f"the force network has one target, not {targets.shape[1]}; train one for each"
             )
-        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
         self.networks_ = network.train(
             x, targets, fold, epochs=self.epochs, batch_size=self.batch_size,
             learning_rate=self.learning_rate, weight_decay=self.weight_decay, seed=self.seed,
             progress=progress,
         )  # fmt: skip
         self.weights_ = network.weights(self.networks_.validation)
-        self.n_features_in_ = x.shape[1]
         every = self._by_fold(x)
         own = every[fold, np.arange(len(x))]
         residual = targets[:, 0] - own
         self.scale_ = uncertainty.residual_scale(own, residual)
         spread = self._deviation(own, every)
         self.quantiles_ = uncertainty.conformal_quantiles(residual[:, None], spread[:, None])
-        return self
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         every = self._by_fold(check_inputs(X, self.n_features_in_))

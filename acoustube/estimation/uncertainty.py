@@ -13,14 +13,20 @@ References
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.estimation.inputs import check_rows, check_settings, groups_of
+from acoustube.estimation.splits import folds
 from acoustube.signals.localise import NORMAL_MEDIAN
+
+Folds = NDArray[np.intp]
+Report = Callable[..., None] | None
 
 LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 """Coverages at which the quantiles are stored."""
@@ -106,7 +112,7 @@ def residual_scale(estimate: Array, residual: Array) -> tuple[Array, Array]:
 
 
 class Conformal:
-    """Estimates with conformal intervals, from an estimate and its scale.
+    """Estimator with conformal intervals, from an estimate and its scale, fitted by folds.
 
     Attributes
     ----------
@@ -114,7 +120,51 @@ class Conformal:
         From :func:`conformal_quantiles`.
     """
 
+    n_folds: int
+    seed: int
     quantiles_: Array
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        groups: ArrayLike | None = None,
+        progress: Report = None,
+    ) -> Self:
+        """Fit a model for each fold on the rows of the others.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+            Of the force network in the sleeve paper amplitude and distance.
+        y : array of shape (row, target)
+            Of the force network the force in N, (row,).
+        groups : array of int of shape (row,), optional
+            Rows of one group are held out together; each row on its own by default, as in the
+            sleeve paper.
+        progress : callable, optional
+            Called with the finished fraction; by networks as
+            :data:`acoustube.estimation.network.Progress`.
+
+        Returns
+        -------
+        Self
+
+        Raises
+        ------
+        ConfigError
+            If rows are too few or not finite, or a target is constant.
+        """
+        check_settings(self)
+        x, targets = check_rows(X, y)
+        self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
+        fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
+        self._fit(x, targets, fold, progress)
+        return self
+
+    def _fit(self, x: Array, targets: Array, fold: Folds, progress: Report) -> None:
+        """Fit to rows (row, input) and (row, target), given the fold of each row."""
+        raise NotImplementedError
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:
         """Return estimates and their scales, both (row,) or (row, target)."""

@@ -81,7 +81,6 @@ def read(
     _check_kind(path)
     with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
         return _read(path, rate, temperature, channel, samples)
-    raise AssertionError  # unreachable: the block returns or raises
 
 
 def _read(

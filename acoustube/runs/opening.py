@@ -87,7 +87,6 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
         if "sampling_rate" not in found.attrs:
             raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
         return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
-    raise AssertionError  # unreachable: the block returns or raises
 
 
 def _check_file(path: Path, dimension: str, advice: str, *, verify: bool) -> None:

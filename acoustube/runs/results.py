@@ -28,6 +28,7 @@ MEASURED_PART = 0.95
 
 The end of a tube that tilts off the floor is slanted.
 """
+XYZ = variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube")
 DEPTH = "indentation depth from first contact"
 SPECTRAL_ERROR = "estimated error of the scattering coefficients at 95 % of the frequencies"
 
@@ -92,7 +93,7 @@ def dataset(
         "source_end": variable(
             "source_end", list(recordings), "1", "boundary condition after the pulse"
         ),
-        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+        "xyz": XYZ,
     }
     origin = provenance(config, warnings, device)
     path = 2 * (lumen.position - next(iter(recordings.values())).probes[0])
@@ -155,7 +156,7 @@ def press_dataset(
     coordinates = {
         "depth": variable("depth", depths, "m", DEPTH),
         "z": found.pop("z"),
-        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+        "xyz": XYZ,
     }
     origin = provenance(config, warnings, device) | {
         "title": "A press of a soft tube",
@@ -209,10 +210,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         "newton_iterations": (taken("iterations"), "1", "Newton iterations"),
         "newton_residual": (taken("residual"), "N", "norm of the out-of-balance nodal forces"),
     }  # fmt: skip
-    found = {
-        name: variable("depth", values, units, text)
-        for name, (values, units, text) in scalars.items()
-    }
+    found = {name: variable("depth", *parts) for name, parts in scalars.items()}
     return found | {
         "closed": flag("depth", taken("closed"), "whether the lumen's walls are in contact"),
         "node_displacement": variable(
@@ -228,20 +226,13 @@ def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]
     z = np.concatenate([-ahead[:0:-1], ahead])
     wall = inner_wall(indentation.mesh)
     profiles = [measure(indentation, i, z, wall) for i in rows]
-    table = {
-        "lumen_area_profile": ("area", "m2", "cross-section of the lumen along the tube"),
-        "lumen_height_profile": ("height", "m", "height of the lumen along the tube"),
-        "lumen_width_profile": ("width", "m", "width of the lumen along the tube"),
-    }
-    found = {
-        name: variable(
-            "depth z",
-            np.array([getattr(p, quantity) for p in profiles]).reshape(-1, z.size),
-            units,
-            text,
-        )
-        for name, (quantity, units, text) in table.items()
-    }
+    found = {}
+    for name, units, words in (
+        ("area", "m2", "cross-section"), ("height", "m", "height"), ("width", "m", "width"),
+    ):  # fmt: skip
+        values = np.array([getattr(p, name) for p in profiles]).reshape(-1, z.size)
+        text = f"{words} of the lumen along the tube"
+        found[f"lumen_{name}_profile"] = variable("depth z", values, units, text)
     return found | {"z": variable("z", z, "m", "deformed axial position, zero at the press")}
 
 
@@ -355,24 +346,21 @@ def _trusted(budget: Budget | SpectralBudget) -> dict[str, Variable]:
 def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
     """Return envelope and estimate for each boundary condition at the source end."""
     results = list(rangings.values())
-    names = {
-        "envelope": ("source_end time", "1", "envelope, relative to the send pulse"),
-        "send_time": ("source_end", "s", "maximum of the send pulse"),
-        "return_time": ("source_end", "s", "maximum of the highest echo"),
-        "amplitude": ("source_end", "1", "highest echo, relative to the send pulse"),
-        "distance": ("source_end", "m", "distance of the highest echo"),
-    }
-    renamed = {"amplitude": "echo_amplitude", "distance": "estimated_distance"}
+    own = {"echo_amplitude": "amplitude", "estimated_distance": "distance"}
     found = {
-        renamed.get(name, name): variable(
-            dims, np.stack([getattr(result, name) for result in results]), units, long_name
+        name: variable(dims, [getattr(one, own.get(name, name)) for one in results], units, text)
+        for name, dims, units, text in (
+            ("envelope", "source_end time", "1", "envelope, relative to the send pulse"),
+            ("send_time", "source_end", "s", "maximum of the send pulse"),
+            ("return_time", "source_end", "s", "maximum of the highest echo"),
+            ("echo_amplitude", "source_end", "1", "highest echo, relative to the send pulse"),
+            ("estimated_distance", "source_end", "m", "distance of the highest echo"),
         )
-        for name, (dims, units, long_name) in names.items()
     }
-    chosen = {"source_end": source_end}
-    for name, label in (("distance", "estimated distance"), ("amplitude", "height of its echo")):
-        units = names[name][1]
-        attributes = {"units": units, "long_name": label} | chosen
+    for name, units, text in (
+        ("distance", "m", "estimated distance"), ("amplitude", "1", "height of its echo"),
+    ):  # fmt: skip
+        attributes = {"units": units, "long_name": text, "source_end": source_end}
         found[name] = ((), getattr(rangings[source_end], name), attributes)
     return found | _peaks(results)
 
@@ -383,10 +371,8 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
     dims, rows = "source_end peak", np.full((3, len(results), most), np.nan)
     for i, result in enumerate(results):
         echoes = result.echoes
-        for row, values in zip(
-            rows[:, i], (echoes.times, echoes.amplitudes, echoes.prominences), strict=True
-        ):
-            row[: values.size] = values
+        for row, values in enumerate((echoes.times, echoes.amplitudes, echoes.prominences)):
+            rows[row, i, : values.size] = values
     return {
         "peak_time": variable(dims, rows[0], "s", "peaks of the envelope"),
         "peak_amplitude": variable(dims, rows[1], "1", "height of each peak"),

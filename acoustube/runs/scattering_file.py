@@ -123,7 +123,6 @@ def read(path: str | Path) -> StoredScattering:
     failure = "is not a file of this version's acoustube scatter"
     with reading(path, failure, advice):
         return from_dataset(open_result(path, advice, failure))
-    raise AssertionError  # unreachable: the block returns or raises
 
 
 def from_dataset(data: xr.Dataset) -> StoredScattering:

@@ -7,7 +7,7 @@ these grids, not of the results of a run.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -81,31 +81,17 @@ class Trial(NamedTuple):
     tolerance: float
     unit: str
 
-
-def run_trials(trials: Sequence[Trial] | None = None) -> Iterator[Outcome]:
-    """Run one test after the other.
-
-    Parameters
-    ----------
-    trials : sequence of Trial, optional
-        All of :func:`all_trials` by default.
-
-    Yields
-    ------
-    Outcome
-        Of each test; a test that raises counts as failed and holds the message.
-    """
-    for trial in all_trials() if trials is None else trials:
-        started, problem = time.perf_counter(), ""
+    def run(self) -> Outcome:
+        """Run the test; one that raises counts as failed and holds the message."""
+        started, computed, problem = time.perf_counter(), np.nan, ""
         try:
-            computed = float(trial.compute())
+            computed = float(self.compute())
         # An incomplete installation may raise anything; the message is the finding.
         except Exception as error:
-            computed, problem = np.nan, f"{type(error).__name__}: {error}"
+            problem = f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - started
-        yield Outcome(
-            trial.name, computed, trial.expected, trial.tolerance, trial.unit, seconds, problem
-        )
+        name, _, expected, tolerance, unit = self
+        return Outcome(name, computed, expected, tolerance, unit, seconds, problem)
 
 
 def all_trials() -> tuple[Trial, ...]:
@@ -114,8 +100,10 @@ def all_trials() -> tuple[Trial, ...]:
     return (
         Trial("distance of a synthetic echo", _echo, 50.0, 0.1, "cm"),
         Trial("cut-on of mode (1,1), Bessel's zero", _cut_on, cut_on, 0.005 * cut_on, "kHz"),
-        Trial("reflection of a narrowed bore", _reflection, REFLECTED, 0.02, "1"),
-        Trial("power reflected and passed", _power, 1.0, 1e-3, "1"),
+        Trial("reflection of a narrowed bore", lambda: abs(_scattered()[0]), REFLECTED, 0.02, "1"),
+        Trial(
+            "power reflected and passed", lambda: np.sum(np.abs(_scattered()) ** 2), 1.0, 1e-3, "1"
+        ),
         Trial("force of a press of 0.2 mm", _force, FORCE, 1e-3 * FORCE, "N"),
     )
 
@@ -133,14 +121,6 @@ def _cut_on() -> float:
     """Return the cut-on of mode (1,1) in kHz on a grid of 16 cells across."""
     cells = _bore(np.zeros(2), np.array([0.0, 1.5 * 2 * RADIUS / 16]), 16)
     return KHZ * float(section_cut_ons(cells, 1, AIR.sound_speed)[1])
-
-
-def _reflection() -> float:
-    return float(abs(_scattered()[0]))
-
-
-def _power() -> float:
-    return float(np.sum(np.abs(_scattered()) ** 2))
 
 
 def _scattered() -> NDArray[np.complex128]:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.air import ABSOLUTE_ZERO, air_at
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, about
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
 from acoustube.inversion.twin import (
@@ -228,8 +228,7 @@ def read_recordings(
         try:
             found.append((path, aligned(data, pulse_at, Processing())[0]))
         except ValueError as error:
-            words = str(error)
-            raise ConfigError(words if str(path) in words else f"{path}: {words}") from error
+            raise ConfigError(about(path, error)) from error
     return found
 
 

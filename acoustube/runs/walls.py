@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from acoustube.base.netcdf import variable
 from acoustube.lumen import Lumen, profile, ring_faces
 from acoustube.lumen.thinning import decimate_rings
+from acoustube.runs.results import XYZ
 
 MANTISSA = 12
 """Bits of a coordinate's mantissa that are kept: a precision of 1e-4, at half the file size."""
@@ -38,7 +39,7 @@ def walls(part: Lumen) -> xr.Dataset:
         "outer_wall": variable("ring around xyz", _rounded(outer), "m", "rings of the outer wall"),
         "area_profile": variable("z", _rounded(along.area), "m2", "cross-section of the lumen"),
         "z": variable("z", z, "m", "distance from the press"),
-        "xyz": variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube"),
+        "xyz": XYZ,
     }
     return xr.Dataset(table, attrs={"title": "Walls of a pressed tube, the press at z = 0"})
 

@@ -54,7 +54,6 @@ def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dat
     opening = limits.reading(path, failure, advice)
     with opening, xr.open_dataset(path, engine="h5netcdf") as file:
         return file.load()
-    raise AssertionError  # unreachable: the block returns or raises
 
 
 def settings_in(text: Any, source: str | Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +23,7 @@ from acoustube.base.writing import write
 from acoustube.inversion import Library, Tool
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.provenance import configuration
 
 if TYPE_CHECKING:
     from acoustube.runs.libraries.plan import ToolPlan
@@ -98,7 +98,7 @@ def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
         "inner_diameter": 2 * tool.radius,
         "sound_speed": tool.sound_speed,
         "tolerance": plan.tolerance,
-        "configuration": json.dumps(asdict(plan.config), sort_keys=True),
+        "configuration": configuration(plan.config),
     }
     return xr.Dataset(variables, coordinates, origin)
 

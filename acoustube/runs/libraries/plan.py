@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from hashlib import sha256
 from math import ceil
 from pathlib import Path
 
@@ -23,7 +21,7 @@ from acoustube.runs import sound
 from acoustube.runs.config import Config
 from acoustube.runs.config.si import SISettings
 from acoustube.runs.sweep.graph import LoadPath, load_paths
-from acoustube.runs.sweep.plan import load_plan
+from acoustube.runs.sweep.plan import digest, load_plan
 from acoustube.runs.sweep.run import cases_of
 
 BAND = 0.8, 1.2
@@ -98,11 +96,7 @@ class ToolPlan:
             "tolerance": self.tolerance, "air": [settings.temperature, settings.humidity,
             settings.pressure], "losses": sound_of.losses,
         }  # fmt: skip
-        return f"tool-{sha256(_json(content)).hexdigest()[:16]}.nc"
-
-
-def _json(content: object) -> bytes:
-    return json.dumps(content, sort_keys=True).encode()
+        return f"tool-{digest(content)[:16]}.nc"
 
 
 def tool_plans(

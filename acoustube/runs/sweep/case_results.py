@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,6 +15,7 @@ from acoustube.lumen import whole_tube
 from acoustube.runs import sound
 from acoustube.runs.config import Config
 from acoustube.runs.config.si import SISettings, settings_in_si
+from acoustube.runs.provenance import configuration
 from acoustube.runs.results import DEPTH
 from acoustube.runs.scattering_file import StoredScattering
 from acoustube.runs.sweep.tasks import Done, Pressed, one_thread
@@ -168,7 +167,7 @@ def _labels(configs: Sequence[Config]) -> dict[str, Any]:
         name: variable("press", [value(s) for s in settings], units, long_name)
         for name, (units, long_name, value) in LABELS.items()
     }
-    texts = [json.dumps(dataclasses.asdict(config), sort_keys=True) for config in configs]
+    texts = [configuration(config) for config in configs]
     return found | {"configuration": variable("press", texts, "1", "all settings, as JSON")}
 
 
@@ -180,9 +179,6 @@ def _measured(pressed: Pressed, n: int) -> dict[str, Any]:
         "lumen_width": (pressed.width, "m", "width of the lumen at the press"),
         "lumen_area": (pressed.area, "m2", "cross-section of the lumen at the press"),
     }
-    found = {
-        name: variable("press", np.full(n, value), units, text)
-        for name, (value, units, text) in table.items()
-    }
+    found = {name: variable("press", np.full(n, v), *words) for name, (v, *words) in table.items()}
     text = "whether the lumen's walls are in contact"
     return found | {"closed": flag("press", np.full(n, pressed.closed), text)}
