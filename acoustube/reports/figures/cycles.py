@@ -18,7 +18,7 @@ MOST_ROWS = 1000
 
 def draw_cycle(
     axes: Axes, time: ArrayLike, cycle: ArrayLike, ranging: Ranging, temperature: float
-) -> Axes:
+) -> None:
     """Draw the rectified signal, its envelope, the send pulse and all echoes over distance."""
     time = np.asarray(time, float)
     place = CM * distance(time - ranging.send_time, temperature)
@@ -41,12 +41,11 @@ def draw_cycle(
     axes.set_xlim(float(place[0]), float(place[-1]))
     axes.set(xlabel="distance (cm)", ylabel="fraction of the send pulse")
     axes.legend(loc="upper right", fontsize="small")
-    return axes
 
 
 def draw_waterfall(
     axes: Axes, time: ArrayLike, envelopes: ArrayLike, send_time: float, temperature: float
-) -> Axes:
+) -> None:
     """Draw envelopes (cycle, time) as an image over distance and cycle, in dB."""
     envelopes, time = np.asarray(envelopes, float), np.asarray(time, float)
     rows = np.unique(np.linspace(0, len(envelopes) - 1, min(len(envelopes), MOST_ROWS)).astype(int))
@@ -58,7 +57,6 @@ def draw_waterfall(
     )  # fmt: skip
     axes.figure.colorbar(image, ax=axes, label="dB of the send pulse")
     axes.set(xlabel="distance (cm)", ylabel="cycle")
-    return axes
 
 
 def calibration_figure(calibration: Calibration) -> Figure:
@@ -70,7 +68,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
     return sheet
 
 
-def draw_fall(axes: Axes, calibration: Calibration) -> Axes:
+def draw_fall(axes: Axes, calibration: Calibration) -> None:
     """Draw the blockages' amplitudes, the arctangent through them and the gain's tanh."""
     places = calibration.true_distance
     along = np.linspace(0, 1.1 * places.max(), 300)
@@ -88,10 +86,9 @@ def draw_fall(axes: Axes, calibration: Calibration) -> Axes:
         )  # fmt: skip
     axes.set(ylim=(0, None), xlabel="true distance (cm)", ylabel="fraction of the send pulse")
     axes.legend(fontsize="small")
-    return axes
 
 
-def draw_line(axes: Axes, calibration: Calibration) -> Axes:
+def draw_line(axes: Axes, calibration: Calibration) -> None:
     """Draw estimated over true distance."""
     places = calibration.true_distance
     slope, deviation = calibration.slope
@@ -104,4 +101,3 @@ def draw_line(axes: Axes, calibration: Calibration) -> Axes:
     axes.plot(CM * ends, CM * ends, color=PRESS, lw=0.8, ls=":", label="identity")
     axes.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
     axes.legend(fontsize="small")
-    return axes

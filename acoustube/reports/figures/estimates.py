@@ -50,7 +50,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     return sheet
 
 
-def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> Axes:
+def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> None:
     """Draw estimates with their stated deviations over the truth."""
     words = PANELS[target][1]
     truth, estimate, deviation = _scaled(table, estimates, target)
@@ -65,12 +65,11 @@ def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target:
         axes.plot(ends, ends, color=RETURN, lw=1, label="truth")
     axes.set(xlabel=f"true {words}", ylabel=f"estimated {words}")
     axes.legend(fontsize="small")
-    return axes
 
 
 def draw_errors(
     axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str, label: str
-) -> Axes:
+) -> None:
     """Draw median and quartiles of the absolute error, and the stated deviation, over a label."""
     truth, estimate, deviation = _scaled(table, estimates, target)
     words, scale, width = AGAINST[label]
@@ -88,7 +87,6 @@ def draw_errors(
     axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated deviation")
     axes.set(ylim=(0, None), xlabel=words, ylabel=f"absolute error, {PANELS[target][1]}")
     axes.legend(fontsize="small")
-    return axes
 
 
 def _scaled(

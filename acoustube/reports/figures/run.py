@@ -55,7 +55,7 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
     return sheet
 
 
-def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> Axes:
+def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> None:
     """Show the pressed part in true proportions, with force and section in the title."""
     axes.set_axis_off()
     last = dataset.isel(depth=-1)
@@ -70,10 +70,9 @@ def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] |
         axes.imshow(images["close_up"])
     else:
         axes.text(0.5, 0.5, NO_DRAWING, ha="center", va="center", transform=axes.transAxes)
-    return axes
 
 
-def draw_strip(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> Axes:
+def draw_strip(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> None:
     """Show the whole tube, opened along its length, on a true axis of distance."""
     axes.set_yticks([])
     axes.spines[["left", "right", "top"]].set_visible(False)
@@ -82,20 +81,18 @@ def draw_strip(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | No
         length = CM * float(dataset["z"][-1])
         aspect = STRIP_PIXELS[1] / STRIP_PIXELS[0]
         axes.imshow(images["strip"], extent=(0, length, 0, aspect * length), aspect="auto")
-    return axes
 
 
-def draw_area(axes: Axes, dataset: xr.Dataset) -> Axes:
+def draw_area(axes: Axes, dataset: xr.Dataset) -> None:
     """Plot the lumen's cross-section along the tube."""
     z, area = CM * dataset["z"].values, MM2 * dataset["area_profile"].values
     axes.fill_between(z, area, color=AREA, alpha=0.35, lw=0)
     axes.plot(z, area, color=AREA)
     axes.set_ylim(0, 1.15 * area.max())
     axes.set_ylabel("lumen area (mm²)")
-    return axes
 
 
-def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
+def draw_signal(axes: Axes, dataset: xr.Dataset) -> None:
     """Plot signal and envelope against the distance that corresponds to their delay."""
     chosen = str(dataset["distance"].attrs["source_end"])
     case = dataset.sel(source_end=chosen)
@@ -113,7 +110,6 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> Axes:
     axes.set(ylim=(-limit, limit), ylabel="fraction of the send pulse")
     axes.legend(loc="lower right", fontsize="small", framealpha=0.9)
     axes.set_title(f"source end: {chosen}", loc="right", fontsize="small")
-    return axes
 
 
 def _place(case: xr.Dataset, time: Any) -> Any:
@@ -180,7 +176,7 @@ def press_figure(dataset: xr.Dataset) -> Figure:
     return sheet
 
 
-def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
+def draw_force(axes: Axes, dataset: xr.Dataset) -> None:
     """Plot the force against the depth, and mark where the lumen is closed."""
     depth, force = MM * dataset["indentation_depth"].values, dataset["contact_force"].values
     axes.plot(np.insert(depth, 0, 0), np.insert(force, 0, 0), "-", color=ENVELOPE)
@@ -192,10 +188,9 @@ def draw_force(axes: Axes, dataset: xr.Dataset) -> Axes:
     axes.set_xlim(left=0)
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left", fontsize="small")
-    return axes
 
 
-def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
+def draw_lumen(axes: Axes, dataset: xr.Dataset) -> None:
     """Plot height, width and area of the lumen at the press against the depth."""
     depth = MM * dataset["indentation_depth"].values
     height, width = (MM * dataset[f"lumen_{name}"].values for name in ("height", "width"))
@@ -210,10 +205,9 @@ def draw_lumen(axes: Axes, dataset: xr.Dataset) -> Axes:
     area.set_ylabel("area (mm²), dashed", color=AREA)
     area.set_ylim(0, _top(section))
     axes.legend(loc="lower left", fontsize="small")
-    return axes
 
 
-def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
+def draw_profiles(axes: Axes, dataset: xr.Dataset) -> None:
     """Plot the lumen's area along the tube at every depth, coloured by depth."""
     z, area = MM * dataset["z"].values, MM2 * dataset["lumen_area_profile"].values
     depth = MM * dataset["depth"].values
@@ -223,7 +217,6 @@ def draw_profiles(axes: Axes, dataset: xr.Dataset) -> Axes:
     axes.figure.colorbar(shades, ax=axes, label="depth (mm)", pad=0.01)
     axes.set(xlabel="distance from the press (mm)", ylabel="lumen area (mm²)", xlim=(z[0], z[-1]))
     axes.set_ylim(0, _top(area))
-    return axes
 
 
 def _top(*curves: Any) -> float:

@@ -57,7 +57,7 @@ def figure(cases: xr.Dataset) -> Figure:
     return sheet
 
 
-def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, label: str) -> Axes:
+def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, label: str) -> None:
     """Draw a quantity over depth for each indenter: the median, and the range of all cases."""
     for words, some in by_tool(cases):
         depths, numbers = np.unique(some["depth"].values, return_inverse=True)
@@ -74,7 +74,6 @@ def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, labe
         axes.text(0.5, 0.5, "no echo was found", ha="center", transform=axes.transAxes)
     axes.set(xlabel="depth (mm)", ylabel=label)
     axes.legend(fontsize="small")
-    return axes
 
 
 def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
