@@ -59,7 +59,7 @@ def _run() -> int:
 
     try:
         return main()
-    except Exception:  # a defect, which its traceback tells best
+    except Exception:  # a defect, which its traceback shows best
         sys.excepthook(*sys.exc_info())
         return 1
 

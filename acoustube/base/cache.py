@@ -382,7 +382,7 @@ _IGNORED = tuple(f"ignore:{message}:UserWarning" for message in UNUSABLE)
 
 
 def _processor() -> str:
-    """Return a name for processors that run the same machine code."""
+    """Return a hash of the processor's model and features, which compiled code depends on."""
     kind = os.uname().machine
     with suppress(OSError):  # the file exists on Linux only
         lines = Path("/proc/cpuinfo").read_text().splitlines()

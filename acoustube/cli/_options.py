@@ -256,7 +256,7 @@ class Lead:
     pulse_at: Literal["auto"] | float | None = None
 
     def __post_init__(self) -> None:
-        """Check the time."""
+        """Check the start of the send pulse."""
         if self.pulse_at not in (None, "auto"):
             Number(0, 1e6, "ms", "from the first sample").check("pulse-at", self.pulse_at)
 

@@ -1,4 +1,4 @@
-"""The command ``acoustube design``: tube, transducer and pulse for what a sensor must tell."""
+"""The command ``acoustube design``: tube, transducer and pulse of a sensor that meets a goal."""
 
 from __future__ import annotations
 

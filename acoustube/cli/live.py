@@ -66,8 +66,8 @@ class Inverted(Checked):
     Attributes
     ----------
     library : Path
-        Folder that the command library wrote: each cycle is inverted, and contacts are told with
-        distance, depth, force and probability beside the highest echo.
+        Folder that the command library wrote: each cycle is inverted, and distance, depth,
+        force and probability of its contacts are shown in addition to the highest echo.
     sensor : Path
         TOML file with the parameters of the board's rangefinder, the tube's length_cm and a table
         [priors].

@@ -21,8 +21,8 @@ from acoustube.cli._options import WHOLE, Checked, Lead, Output, Recording, chec
 if TYPE_CHECKING:
     from acoustube.runs.twin import FittedSensor
 
-ODD = 0.95
-"""Share of the echoes' energy below which the model is said not to fit."""
+POOR_FIT = 0.95
+"""Fraction of the echoes' energy that the model explains, below which a note doubts the fit."""
 
 
 @Parameter(name="*")
@@ -57,7 +57,7 @@ class Others:
         Recordings of the untouched tube, in place of the last file.
     pressed : list
         Recordings of presses of known tool, with the label ``force`` or ``depth``, files or
-        folders: they tell the wall's modulus and whether the ground yields.
+        folders: they determine the wall's modulus and whether the ground yields.
     tools : Path
         Library of the indenters used: a folder that ``acoustube library`` wrote.
     """
@@ -156,27 +156,27 @@ def _print_closures(found: FittedSensor, report: Reporter) -> None:
         f"{len(found.twin.used)} of {len(found.closed)} closures are fitted; the model explains "
         f"{PERCENT * float(explained.mean()):.2f} % of their echoes' energy"
     )
-    if explained.mean() < ODD:
+    if explained.mean() < POOR_FIT:
         report.note(
             "so little that the sensor has parts which the model lacks; see the figure of --figure"
         )
 
 
 def _print_presses(found: FittedSensor, report: Reporter) -> None:
-    """Report what the presses tell, and which do not."""
+    """Report the presses that determine wall and ground, and those that are left out."""
     material = found.material
     if material is None:
         return
     for i, state in enumerate(found.pressed):
         where = f" at {CM * state.place:.1f} cm" if isfinite(state.place) else ""
         words = [state.reason, material.left_out.get(i, "")]
-        if told := " and ".join(word for word in words if word):
-            report.note(f"{state.source}: the press{where}: {told}")
-    heard = sum(isfinite(state.press.depth) for state in found.pressed)
+        if reasons := " and ".join(word for word in words if word):
+            report.note(f"{state.source}: the press{where}: {reasons}")
+    measured = sum(isfinite(state.press.depth) for state in found.pressed)
     used = len(found.pressed) - len(material.left_out)
     report.line(
-        f"{len(found.pressed)} presses: the echoes of {heard} tell their depth; the forces of "
-        f"{used} tell the wall's modulus"
+        f"{len(found.pressed)} presses: the depths of {measured} are estimated from their echoes; "
+        f"the forces of {used} determine the wall's modulus"
     )
     if material.yields:
         report.note(

@@ -80,8 +80,8 @@ def dataset(
         | _shape(indentation, lumen)
         | _recorded(recordings, settings.pulse)
         | _ranged(rangings, settings.source_end)
-        | _trusted(budget)
-        | _checked(check)
+        | _error_budget(budget)
+        | _spectral_echo(check)
         | {
             "sound_speed": variable("", settings.air.sound_speed, "m/s", "speed of sound"),
             "elapsed_time": variable("stage", list(seconds.values()), "s", "time of each stage"),
@@ -310,7 +310,7 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[s
     }
 
 
-def _checked(check: SpectralCheck | None) -> dict[str, Variable]:
+def _spectral_echo(check: SpectralCheck | None) -> dict[str, Variable]:
     if check is None:
         return {}
     place = "distance of the highest echo, spectral solver"
@@ -322,7 +322,7 @@ def _checked(check: SpectralCheck | None) -> dict[str, Variable]:
     }
 
 
-def _trusted(budget: Budget | SpectralBudget) -> dict[str, Variable]:
+def _error_budget(budget: Budget | SpectralBudget) -> dict[str, Variable]:
     """Return the error budget of the sound as variables."""
     table = {
         "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),

@@ -19,7 +19,7 @@ KIND = "twin"
 """Name of the table that only files of twins have."""
 MODULUS = "young_modulus_mpa"
 OF_OTHERS = ("length_cm", "priors")
-"""What such a file states besides the rangefinder."""
+"""Entries of a sensor's file in addition to the parameters of the rangefinder."""
 
 
 def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float] | None:
-    """Return Young's modulus of the wall in Pa, and its deviation, if presses told a twin it.
+    """Return Young's modulus of the wall in Pa and its deviation, where presses determined it.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def twin_settings(path: Path) -> dict[str, Any]:
         return {}
     clutter = document.get("clutter", {})
     given = clutter.get("reflection", []) if isinstance(clutter, dict) else None
-    told = document.get("temperature_offset_c_sd", 0.0)
+    offset = document.get("temperature_offset_c_sd", 0.0)
     reflectors = given if isinstance(given, list) else [None]
-    deviation, *reflection = finite_numbers((told, *reflectors), path)
+    deviation, *reflection = finite_numbers((offset, *reflectors), path)
     return {"offset_deviation": min(deviation, 100.0), "reflectors": tuple(reflection)}

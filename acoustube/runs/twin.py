@@ -32,7 +32,7 @@ from acoustube.signals import Processing
 BITS = (8, 10, 12, 14, 16)
 """Resolutions that counts may have."""
 VOLTS = 1.8
-"""Full scale in V that is assumed: counts do not tell it, and only products with it matter."""
+"""Full scale in V that is assumed: counts do not determine it, and only products with it matter."""
 MOST_CLOSURES = 200
 """Closures that are used, evenly chosen."""
 MOST_CLUTTER = 5e-3
@@ -70,10 +70,10 @@ class PressedState:
     source : str
         File of the recording.
     place : float
-        Distance in m, as stated or else as told by the echo; nan if neither.
+        Distance in m, as stated or else as estimated from the echo; nan if neither.
     press : Press
     reason : str
-        Why its echo tells no depth; empty if it does.
+        Why its echo gives no depth; empty if it does.
     """
 
     source: str

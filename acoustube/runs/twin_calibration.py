@@ -31,7 +31,7 @@ AIR = 20.0
 """Temperature in degC, by which only the losses change: some per cent over 10 K."""
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
 """Least prominences in standard deviations of untouched cycles, of which the first is taken with
-which at most this share of them shows an echo."""
+which at most this fraction of them shows an echo."""
 OUTSIDE = 0.9
 """End of the closures' band, in halves of the sampling rate."""
 
@@ -60,8 +60,8 @@ def twin_calibration(path: Path) -> Calibration:
     """
     document = read_document(path)
     own = replace(rangefinder_in(document, path), temperature_bias=0.0, temperature_noise=0.0)
-    told = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
-    diameter, along, start = finite_numbers(told, path)
+    stated = [document.get(name) for name in ("inner_diameter_mm", "length_cm", "trigger_us")]
+    diameter, along, start = finite_numbers(stated, path)
     bore, length, trigger = diameter / MM, along / CM, start / US
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
@@ -76,8 +76,8 @@ def twin_calibration(path: Path) -> Calibration:
 def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> Calibration:
     """Return the calibration of a rangefinder on a tube, whose drive starts at a time in s."""
     band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
-    heard = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
-    places = np.arange(FIRST, min(common["length"] - BEFORE_END, heard), APART)
+    reach = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
+    places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
     if len(places) < FEWEST:
         raise ConfigError(f"its tube of {CM * common['length']:.3g} cm is too short")
     shut = [

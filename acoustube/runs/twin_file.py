@@ -24,8 +24,8 @@ from acoustube.tube import shore_from_shear_modulus
 
 MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
-be larger where repetitions of echoes hardly tell it."""
-TOLD = 0.5
+be larger where repetitions of echoes hardly determine it."""
+DETERMINED = 0.5
 """Standard deviation as a fraction of the prior's below which a parameter counts as determined."""
 
 
@@ -50,10 +50,10 @@ class Parameter(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Whether the recordings tell more than the prior."""
+        """Whether the recordings determine it better than the prior."""
         if not isfinite(self.deviation):
             return False
-        return self.prior is None or self.deviation < TOLD * self.prior
+        return self.prior is None or self.deviation < DETERMINED * self.prior
 
 
 def parameters(found: FittedSensor) -> list[Parameter]:
@@ -64,7 +64,7 @@ def parameters(found: FittedSensor) -> list[Parameter]:
 
 
 def _echo_parameters(found: FittedSensor) -> Iterator[Parameter]:
-    """Yield the parameters that the echoes of closures tell."""
+    """Yield the parameters that are estimated from the echoes of closures."""
     twin = found.twin
     r, r_sd = radius(twin)
     yield Parameter(
@@ -99,7 +99,7 @@ def _echo_parameters(found: FittedSensor) -> Iterator[Parameter]:
 
 
 def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
-    """Yield the parameters that the untouched cycles, and the scatter of all cycles, tell."""
+    """Yield the parameters estimated from untouched cycles, and from the scatter of all cycles."""
     rest, volt = found.rest, 1 / found.per_volt
     rows: list[tuple[str, Measured, float, float | None, str]] = [
         ("send_v", rest.send, volt, None, "received level of the own drive"),
@@ -125,7 +125,7 @@ def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
 
 
 def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
-    """Yield the parameters of wall and ground that presses tell."""
+    """Yield the parameters of wall and ground, estimated from presses."""
     material = found.material
     if material is None:
         return
@@ -203,7 +203,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the length of the tube in m: stated, heard, or else beyond the last closure."""
+    """Return the length of the tube in m: stated, or from the far end's echo, or beyond the closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:
@@ -228,7 +228,7 @@ def _origin(found: FittedSensor) -> Any:
     files = dict.fromkeys([group.source for group in found.closed] + [found.untouched.source])
     table.add("recordings", _words(Path(name).name for name in files))
     table.add("explained", tomlkit.item(_short(float(found.twin.explained.mean()))).comment(
-        "share of the closures' energy"
+        "fraction of the closures' energy"
     ))  # fmt: skip
     return table
 
@@ -274,7 +274,7 @@ def _closures(found: FittedSensor) -> Any:
 
 
 def _presses(found: FittedSensor, material: Material) -> Any:
-    """Return the presses with the depths that their echoes tell, and the forces of these."""
+    """Return the presses with the depths estimated from their echoes, and the forces at these."""
     rows = tomlkit.aot()
     for i, state in enumerate(found.pressed):
         row, press = tomlkit.table(), state.press

@@ -22,9 +22,9 @@ from acoustube.runs.libraries.files import open_library
 from acoustube.runs.twin import FittedSensor, PressedState, read_recordings
 from acoustube.runs.twin_file import deviations_of, rangefinder_of, tube_length
 
-TOLD = ("depth", "force")
+MEASURED = ("depth", "force")
 """Labels of which a press must have one."""
-LABELS = ("true_distance", "diameter", *TOLD)
+LABELS = ("true_distance", "diameter", *MEASURED)
 MOST_CYCLES = 50
 """Cycles of a press that are inverted together."""
 NEAR = 0.05
@@ -46,7 +46,7 @@ def fitted_material(
     report: Reporter,
     check: Callable[[], None],
 ) -> tuple[Material, tuple[PressedState, ...]]:
-    """Return wall and ground of a twin's tube, and the presses that tell them.
+    """Return wall and ground of a twin's tube, and the presses that determine them.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def fitted_material(
     with report.progress(check) as show:
         for path, data in recordings:
             labels = [name for name in LABELS if name in data]
-            if not any(name in data for name in TOLD):
+            if not any(name in data for name in MEASURED):
                 raise ConfigError(
                     f"the pressed cycles of {path} have no label depth or force; give one in the "
                     "file or in a sidecar"
@@ -87,8 +87,8 @@ def fitted_material(
                 if tools not in inverters:
                     inverters[tools] = _inverter(found, known, tools, free)
                 own = inverters[tools]
-                ((_, told),) = own.groups(path, part, part.sizes["cycle"], check)
-                states.append(_state(path, label, told, own.tool_library))
+                ((_, inverted),) = own.groups(path, part, part.sizes["cycle"], check)
+                states.append(_state(path, label, inverted, own.tool_library))
                 show(path.name, share)
     material = fit_material([state.press for state in states])
     return material, tuple(states)
@@ -97,7 +97,7 @@ def fitted_material(
 def presses_of(
     data: xr.Dataset, labels: Sequence[str]
 ) -> Iterator[tuple[xr.Dataset, dict[str, float], float]]:
-    """Yield the first cycles of each press, its labels, and the share of cycles done.
+    """Yield the first cycles of each press, its labels, and the fraction of cycles done.
 
     A press is a run of cycles of equal labels: more of them say no more of what these state.
 
@@ -160,10 +160,10 @@ def _inverter(
 
 
 def _state(
-    path: Path, label: Mapping[str, float], told: Inversion, library: Library
+    path: Path, label: Mapping[str, float], inverted: Inversion, library: Library
 ) -> PressedState:
-    """Return a press with what its label and its echo tell."""
-    contact, reason = _contact(told, label["true_distance"])
+    """Return a press with the depth and force of its label, and the depth from its echo."""
+    contact, reason = _contact(inverted, label["true_distance"])
     tool = library.tools[0 if contact is None else contact.tool]
     place = label["true_distance"]
     depth, deviation = np.nan, np.nan
@@ -179,14 +179,14 @@ def _state(
     return PressedState(source=str(path), place=place, press=press, reason=reason)
 
 
-def _contact(told: Inversion, place: float) -> tuple[Contact | None, str]:
+def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
     """Return the contact that a label means, and why its depth cannot be taken, or nothing."""
-    likely = [one for one in told.contacts if one.probability > 0.5]
+    likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"
     contact = min(likely, key=lambda one: abs(one.distance.value - place))
     if abs(contact.distance.value - place) > NEAR:
         return contact, f"its echo comes from {CM * contact.distance.value:.1f} cm"
-    if told.misfit > MISFIT:
-        return contact, f"{PERCENT * told.misfit:.0f} % of its echo is not explained"
+    if inverted.misfit > MISFIT:
+        return contact, f"{PERCENT * inverted.misfit:.0f} % of its echo is not explained"
     return contact, ""

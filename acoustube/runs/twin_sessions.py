@@ -32,7 +32,7 @@ COMPARED = {
 }  # fmt: skip
 """Parameters of twins, and those of the rangefinder that they are."""
 LOGARITHMS = ("resonance_khz", "quality_factor", "gain_v", "send_v", "noise_v")
-"""Those that are positive, and compared by their logarithms."""
+"""Parameters that are positive, and compared by their logarithms."""
 CHANCE = 0.05
 """Probability of a scatter as large by the deviations alone, below which a parameter wanders."""
 

@@ -57,7 +57,7 @@ class Layout:
     skin_area : float
         Of the sleeve in m2.
     within : float
-        Half width of the covered skin beside a tube in m.
+        Half width of the skin covered by a tube in m.
     coverage : float
         Fraction of the skin within that distance of a tube's detection range.
     blind : float
@@ -296,7 +296,7 @@ def layout(
     dead_zone, reach : float
         Start and end of the detection range along a tube, in m.
     within : float
-        Half width of the covered skin beside a tube in m.
+        Half width of the skin covered by a tube in m.
     deviation : float
         Standard deviation of a distance in m.
 

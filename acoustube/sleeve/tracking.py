@@ -144,7 +144,7 @@ class ContactTracker:
         """
         near, far = (_candidates(values) for values in (near, far))
         if len(far) and self.length is None:
-            raise ConfigError("candidates of a far end need the length between the sensors")
+            raise ConfigError("far candidates need the length between the sensors; give length")
         self._predict(time)
         detected = self._take_in(near)
         if len(far):

@@ -100,7 +100,7 @@ def check_file(path: str | Path, kind: str) -> int:
             raise ConfigError(f"{path} is {what}, not a file; name a file")
     if status.st_dev in _of_system():
         raise ConfigError(
-            f"{path} is of the operating system, whose files have no size; name a file"
+            f"{path} is of the operating system, whose files have no fixed size; name another file"
         )
     check_size(path, kind, status.st_size)
     return status.st_size

@@ -66,5 +66,5 @@ def settings_in(text: Any, source: str | Path) -> dict[str, Any]:
     """
     found = parsed(str(text), source)
     if not isinstance(found, dict):
-        raise ConfigError(f"{source} holds no settings of acoustube; name what it wrote")
+        raise ConfigError(f"{source} holds no settings of acoustube; name a file that it wrote")
     return found

@@ -84,7 +84,7 @@ class Goal(Section):
     Attributes
     ----------
     reach_m : float
-        Length of the tube in m, up to which contacts are to be told.
+        Length of the tube in m, over which contacts are to be estimated.
     nearest_m : float
         Distance in m of the nearest contact.
     forces_n : tuple of float
@@ -92,7 +92,7 @@ class Goal(Section):
     tools_mm : tuple of float
         Diameters of rods in mm.
     separation_cm : float
-        Distance in cm of two presses that are to be told apart.
+        Distance in cm of two presses that are to be resolved.
     place_mm : float
         Largest acceptable median standard deviation of place, in mm.
     support : str
@@ -249,7 +249,7 @@ class DesignGoal:
         self._check_sizes()
 
     def _check_sizes(self) -> None:
-        """Check what a search would take too long for, or a cycle too many samples."""
+        """Raise if a search would take too long, or a cycle have too many samples."""
         goal, free = self.goal, self.variables
         if len(set(goal.tools_mm)) < len(goal.tools_mm):
             raise ConfigError(

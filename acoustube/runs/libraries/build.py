@@ -245,7 +245,7 @@ def build_library(
     if not all(plan.settings.lossy for plan in plans):
         report.note(
             'losses = "off": near trapped modes the scattering is sharper than that of a tube, so '
-            'that depths told by it are wrong; set losses = "on" to invert recordings'
+            'that depths estimated with it are wrong; set losses = "on" to invert recordings'
         )
     failed: list[str] = []
     if todo:

@@ -1,1 +1,1 @@
-"""Many presses: a plan of cases, the work that they share, and its execution without loss."""
+"""Many presses: a plan of cases, the tasks that they share, and their resumable execution."""

@@ -281,7 +281,7 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "acoustube_version": __version__,
     }
-    with contextlib.suppress(OSError):  # the file in it tells why
+    with contextlib.suppress(OSError):  # writing the file reports why
         (folder / FAILURES).mkdir(exist_ok=True)
     _put(folder / FAILURES / f"{name}.json", json.dumps(content, indent=1) + "\n")
 

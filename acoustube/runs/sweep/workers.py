@@ -73,7 +73,7 @@ def _connected(client: Callable[..., Any], address: str) -> Any:
 
     log = logging.getLogger("distributed")
     before = log.level
-    log.setLevel(logging.CRITICAL)  # a failure is told in our own words
+    log.setLevel(logging.CRITICAL)  # a failure is reported in our own words
     threading.Thread(target=connect, daemon=True).start()
     scheduler = found.result(1.5 * SCHEDULER_TIMEOUT)
     log.setLevel(before)
