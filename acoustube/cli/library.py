@@ -37,7 +37,8 @@ class Accuracy(Checked):
     Attributes
     ----------
     tolerance : float
-        Relative error of the reflection interpolated between depths, up to which depths are added.
+        Largest relative error of the reflection interpolated between depths, for which depths are
+        added.
     """
 
     tolerance: Annotated[float, Number(1e-4, 0.2, "", "relative")] = 0.005

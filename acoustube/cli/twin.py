@@ -85,7 +85,7 @@ def twin(
     figure: Path | None = None,
     output: Output = Output(),
 ) -> None:
-    """Fit the simulator to a sensor: cycles with the tube closed at known places, and untouched.
+    """Fit the simulator to a sensor, from cycles of the tube closed at known places and untouched.
 
     Parameters
     ----------

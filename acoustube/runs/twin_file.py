@@ -203,7 +203,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the length of the tube in m: stated, or from the far end's echo, or beyond the closures."""
+    """Return the length of the tube in m: stated, by the far end's echo, or beyond the closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:

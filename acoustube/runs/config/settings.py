@@ -88,7 +88,9 @@ class IndentationSettings(Section):
     )
     position_cm: float | None = setting(
         None,
-        Number(0.1, 1000, "cm", "distance of the press from the source end (the middle)"),
+        Number(
+            0.1, 1000, "cm", "distance of the press from the source end, by default half the length"
+        ),
     )
     offset_mm: float = setting(
         0.0, Number(-50, 50, "mm", "lateral offset of a punch or sphere from the tube's axis")
