@@ -13,6 +13,7 @@ from scipy.io import wavfile
 import acoustube
 from acoustube import recordings, signals
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
 from acoustube.cli import main
 from acoustube.ranging import Burst, Rangefinder, digitiser, record
 from acoustube.runs.config import Config, configured
@@ -21,7 +22,7 @@ from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.cycles import Recipe, seed_of
-from acoustube.runs.sweep.dataset import read_rangefinder, run_dataset
+from acoustube.runs.sweep.dataset import rangefinder_in, run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
 
@@ -33,6 +34,10 @@ OVER = {
     "mesh": ["coarse"],
 }  # fmt: skip
 RECIPE = Recipe(n_cycles=3, n_tubes=2, n_sessions=2, seed=7)
+
+
+def rangefinder_of_file(path):
+    return rangefinder_in(read_document(path), path)
 
 
 @pytest.fixture(scope="module")
@@ -266,7 +271,7 @@ def test_wrong_rangefinders_are_refused(text, part, tmp_path):
     path = tmp_path / "sensor.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=part.replace("?", r"\?")):
-        read_rangefinder(path)
+        rangefinder_of_file(path)
 
 
 @pytest.mark.parametrize("face", [0.3, 0.3 + 0.1j])
@@ -274,13 +279,13 @@ def test_rangefinder_that_is_written_is_read_again(face, tmp_path):
     written = Rangefinder(face_reflection=face, drive=Burst(cycles=8.0), noise=1e-3)
     path = tmp_path / "sensor.toml"
     path.write_text(tomlkit.dumps(json.loads(written.to_json())))
-    assert read_rangefinder(path) == written
+    assert rangefinder_of_file(path) == written
 
 
 def test_rangefinder_is_read_from_a_file(tmp_path):
     path = tmp_path / "sensor.toml"
     path.write_text("noise = 0.001\n[drive]\ncycles = 8\n")
-    found = read_rangefinder(path)
+    found = rangefinder_of_file(path)
     assert (found.noise, found.drive.cycles, found.resonance) == (1e-3, 8.0, 42e3)
 
 

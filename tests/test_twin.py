@@ -14,6 +14,7 @@ from test_inversion import CUT_ONS, press, tool
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
 from acoustube.inversion.twin import Band, Group, Measured, Press, fit_material, fit_twin
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
@@ -26,7 +27,7 @@ from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.recordings import chosen
 from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe, _in_session, _reflectors
-from acoustube.runs.sweep.dataset import read_rangefinder
+from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.twin import _check_untouched, read_recordings
 from acoustube.runs.twin_calibration import is_twin, thermometer
 from acoustube.runs.twin_file import _material_parameters
@@ -46,6 +47,10 @@ MISPLACED = 0.6e-3 * np.array([0.3, -1.2, 0.8, 1.1, -0.6, -1.4, 1.5, 0.1, -0.5])
 PRESSED, DEPTHS = np.array([0.5, 0.62, 0.71, 0.55]), np.array([3.2e-3, 4.1e-3, 5.3e-3, 4.6e-3])
 SOFTER, ZERO, COMPLIANCE = 0.8, 0.1e-3, 3e-5
 """Modulus over the library's, stated depth in m at first contact, and the ground's in m/N."""
+
+
+def rangefinder_of_file(path):
+    return rangefinder_in(read_document(path), path)
 
 
 def voltage(presses, sensor=SENSOR):
@@ -232,7 +237,7 @@ def test_errors_of_the_places_are_found(made):
 
 def test_file_is_a_sensor_for_other_commands(made):
     folder, _, found = made
-    rangefinder = read_rangefinder(folder / "left.toml")
+    rangefinder = rangefinder_of_file(folder / "left.toml")
     assert rangefinder.resonance == pytest.approx(1e3 * found["resonance_khz"], rel=1e-6)
     assert rangefinder.temperature_bias == pytest.approx(-found["temperature_offset_c"], rel=1e-6)
     assert rangefinder.bits == SENSOR.bits
@@ -248,7 +253,7 @@ def test_file_is_a_sensor_for_other_commands(made):
 def test_twin_records_as_the_sensor_does(made):
     """The echo of a closure where none was recorded, to 2 % of its energy's root."""
     folder, _, found = made
-    twin = read_rangefinder(folder / "left.toml")
+    twin = rangefinder_of_file(folder / "left.toml")
     closed = [blockage(SIDES, 1.0)]
     temperature = REPORTED + found["temperature_offset_c"]
     _, own = response(
@@ -608,7 +613,7 @@ def test_moist_air_is_told_to_be_colder(made):
     colder = REPORTED + moist["temperature_offset_c"]
     ratio = air_at(colder, humidity=50, moist=True).sound_speed / air_at(colder).sound_speed
     assert fall == pytest.approx((ratio**2 - 1) * (273.15 + colder), abs=0.06)
-    rangefinder = read_rangefinder(folder / "moist.toml")
+    rangefinder = rangefinder_of_file(folder / "moist.toml")
     assert rangefinder.temperature_bias == pytest.approx(-dry["temperature_offset_c"], abs=0.06)
 
 
@@ -617,7 +622,7 @@ def test_dataset_records_with_the_measured_clutter(made):
     folder, _, _ = made
     settings = twin_settings(folder / "left.toml")
     assert settings["offset_deviation"] < 0.5
-    recipe = Recipe(rangefinder=read_rangefinder(folder / "left.toml"), **settings)
+    recipe = Recipe(rangefinder=rangefinder_of_file(folder / "left.toml"), **settings)
     assert recipe.name != Recipe(rangefinder=recipe.rangefinder).name
     _, own = response(
         [], recipe.rangefinder, radius=RADIUS, length=LENGTH, temperature=AIR,

@@ -45,14 +45,6 @@ def load(path: Path) -> Contents:
         return contents
 
 
-def _npy(path: Path) -> Contents:
-    return {"signal": np.load(path, mmap_mode="c", allow_pickle=False)}
-
-
-def _npz(path: Path) -> Contents:
-    return dict(read_archive(path, "recording"))
-
-
 def _wav(path: Path) -> Contents:
     from scipy.io import wavfile
 
@@ -73,7 +65,7 @@ def _wav(path: Path) -> Contents:
 
 def _flac(path: Path) -> Contents:
     try:
-        found = _named(child.read("flac", path, "recording"))
+        found = _from_child(path, "flac")
     except child.MissingPackage as error:
         raise ConfigError(
             f"{path} needs the package soundfile to be read; install acoustube[audio], or convert "
@@ -82,25 +74,13 @@ def _flac(path: Path) -> Contents:
     return found | {"signal": found["signal"][np.newaxis]}
 
 
-def _mat(path: Path) -> Contents:
-    return _named(child.read("mat", path, "recording"))
-
-
-def _hdf5(path: Path) -> Contents:
-    return _named(child.read("hdf5", path, "recording"))
-
-
-def _netcdf(path: Path) -> Contents:
-    return _named(child.read("netcdf", path, "recording"), every_attribute=True)
-
-
-def _named(entries: child.Entries, *, every_attribute: bool = False) -> Contents:
+def _from_child(path: Path, kind: str) -> Contents:
     """Return arrays and known attributes by name, with the unit; of equal names the first."""
     found: Contents = {}
-    for label, value in entries:
+    for label, value in child.read(kind, path, "recording"):
         name = label["name"]
         if label.get("attribute"):
-            if every_attribute or meaning(name)[0]:
+            if kind == "netcdf" or meaning(name)[0]:
                 found.setdefault(name, value)
             continue
         # MATLAB's first axis is the last in the file, and it has no arrays of one axis.
@@ -116,15 +96,15 @@ def _with_unit(name: str, unit: str | None) -> str:
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], Contents]]] = {
-    ".npz": ("NPZ", _npz),
-    ".npy": ("NPY", _npy),
+    ".npz": ("NPZ", lambda path: dict(read_archive(path, "recording"))),
+    ".npy": ("NPY", lambda path: {"signal": np.load(path, mmap_mode="c", allow_pickle=False)}),
     ".csv": ("CSV", read_table),
     ".tsv": ("TSV", read_table),
     ".wav": ("WAV", _wav),
     ".flac": ("FLAC", _flac),
-    ".mat": ("MAT", _mat),
-    ".h5": ("HDF5", _hdf5),
-    ".hdf5": ("HDF5", _hdf5),
-    ".nc": ("netCDF", _netcdf),
+    ".mat": ("MAT", lambda path: _from_child(path, "mat")),
+    ".h5": ("HDF5", lambda path: _from_child(path, "hdf5")),
+    ".hdf5": ("HDF5", lambda path: _from_child(path, "hdf5")),
+    ".nc": ("netCDF", lambda path: _from_child(path, "netcdf")),
 }
 """Name and reader of each kind of file, by suffix."""

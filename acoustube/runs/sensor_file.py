@@ -106,12 +106,8 @@ def add_rangefinder(table: Any, rangefinder: Rangefinder) -> None:
     """Add the parameters of a rangefinder, its drive in a table of its own, to a TOML table."""
     words = json.loads(rangefinder.to_json())
     drive = words.pop("drive")
-    for name, value in words.items():
-        table.add(name, value)
-    inner = tomlkit.table()
-    for name, value in drive.items():
-        inner.add(name, value)
-    table.add("drive", inner)
+    for name, value in (words | {"drive": drive}).items():
+        table.add(name, tomlkit.item(value))
 
 
 def twin_settings(path: Path) -> dict[str, Any]:

@@ -193,7 +193,9 @@ def in_toml(found: FittedSensor) -> str:
     table = tomlkit.table()
     add_rangefinder(table, rangefinder_of(found))
     document.add("rangefinder", table)
-    document.add("priors", _priors(found))
+    document.add(
+        "priors", tomlkit.item({name: _short(one) for name, one in deviations_of(found).items()})
+    )
     document.add("closures", _closures(found))
     if found.material is not None:
         document.add("presses", _presses(found, found.material))
@@ -233,16 +235,8 @@ def _origin(found: FittedSensor) -> Any:
     return table
 
 
-def _priors(found: FittedSensor) -> Any:
-    """Return standard deviations for the inversion, none below the scatter that was seen."""
-    table = tomlkit.table()
-    for name, value in deviations_of(found).items():
-        table.add(name, _short(value))
-    return table
-
-
 def deviations_of(found: FittedSensor) -> dict[str, float]:
-    """Return standard deviations of :class:`acoustube.inversion.Priors`, by name."""
+    """Return deviations of :class:`acoustube.inversion.Priors`, none below the scatter seen."""
     twin = found.twin
     return {
         "temperature": max(twin.deviation("temperature_offset"), 0.1),
@@ -295,25 +289,26 @@ def _presses(found: FittedSensor, material: Material) -> Any:
 
 def _clutter(found: FittedSensor) -> Any:
     """Return the tube's irregularities as they were measured."""
-    rest = found.rest
-    table = tomlkit.table()
-    spacing = float(rest.places[1] - rest.places[0]) if len(rest.places) > 1 else 1e-3
-    table.add("first_mm", _short(MM * float(rest.places[0])))
-    table.add("spacing_mm", _short(MM * spacing))
-    table.add("reflection", toml_array(float(f"{value:.3g}") for value in rest.reflectivity))
-    return table
+    places = MM * found.rest.places
+    spacing = float(places[1] - places[0]) if len(places) > 1 else 1.0
+    reflection = toml_array(float(f"{value:.3g}") for value in found.rest.reflectivity)
+    return tomlkit.item(
+        {
+            "first_mm": _short(float(places[0])),
+            "spacing_mm": _short(spacing),
+            "reflection": reflection,
+        }
+    )
 
 
 def _correlation(found: FittedSensor) -> Any:
     """Return the correlation coefficients of the posterior, row by row."""
     covariance = found.twin.posterior.covariance
     root = np.sqrt(np.diag(covariance))
-    table = tomlkit.table()
     names = [name.removeprefix("log_") for name in SHARED]
-    table.add("names", _words(names))
-    for name, row in zip(names, covariance / np.outer(root, root), strict=True):
-        table.add(name, toml_array(round(float(value), 3) for value in row))
-    return table
+    rows = zip(names, covariance / np.outer(root, root), strict=True)
+    rounded = {name: toml_array(round(float(value), 3) for value in row) for name, row in rows}
+    return tomlkit.item({"names": _words(names)} | rounded)
 
 
 def time_zero_note(found: FittedSensor) -> str:

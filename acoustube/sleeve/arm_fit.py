@@ -13,7 +13,7 @@ Association 79, 871-880. doi:10.1080/01621459.1984.10477105
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import log
 from typing import Any
@@ -159,12 +159,10 @@ def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -
     _check_along(own, end - start)
     shift = np.array([[1.0, start], [0.0, 1.0]])
     moved = tuple(
-        Line(
+        replace(
+            line,
             radius=line.radius + line.taper * start,
-            taper=line.taper,
             covariance=shift @ line.covariance @ shift.T,
-            freedom=line.freedom,
-            deviation=line.deviation,
         )
         for line in lines
     )

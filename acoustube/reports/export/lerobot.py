@@ -178,22 +178,17 @@ class _Stats:
         self.count += len(columns["index"])
         for name, values in columns.items():
             x = values.reshape(len(values), -1).astype(float)
-            part = [x.min(axis=0), x.max(axis=0), x.sum(axis=0), (x**2).sum(axis=0)]
-            if name not in self.known:
-                self.known[name] = part
-                continue
-            low, high, total, squares = self.known[name]
-            self.known[name] = [
-                np.minimum(low, part[0]), np.maximum(high, part[1]),
-                total + part[2], squares + part[3],
-            ]  # fmt: skip
+            part = x.min(axis=0), x.max(axis=0), x.sum(axis=0), (x**2).sum(axis=0)
+            self.known.setdefault(name, []).append(part)
 
     def in_json(self) -> dict[str, Any]:
         """Return the statistics as the layout's ``stats.json``."""
         found = {}
-        for name, (low, high, total, squares) in self.known.items():
-            mean = total / self.count
-            variance = np.maximum(squares / self.count - mean**2, 0.0)
+        for name, parts in self.known.items():
+            lows, highs, totals, squares = (np.array(part) for part in zip(*parts, strict=True))
+            low, high = lows.min(axis=0), highs.max(axis=0)
+            mean = totals.sum(axis=0) / self.count
+            variance = np.maximum(squares.sum(axis=0) / self.count - mean**2, 0.0)
             found[name] = {
                 "min": low.tolist(), "max": high.tolist(), "mean": mean.tolist(),
                 "std": np.sqrt(variance).tolist(), "count": [self.count],

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from acoustube.base.units import CM, KHZ, MM, MM2, PERCENT
 from acoustube.reports.figures import run as run_figure
 from acoustube.reports.page.content import Along, Content, Group, Signal, Spectrum, State
 from acoustube.reports.scenes import tube as tube_scene
 
-CM, MM, PERCENT, KHZ, MM2 = 1e2, 1e3, 1e2, 1e-3, 1e6
 FINEST = 32767
 """Steps into which a coordinate is divided to each side."""
 

@@ -24,7 +24,6 @@ from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.ranging import Burst, Rangefinder
-from acoustube.runs.config import read_document
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.sensor_file import KIND, OF_OTHERS, sensor_document
 from acoustube.runs.sweep import store
@@ -263,23 +262,6 @@ def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe)
                 f"case {name} cannot be recorded: {error}; choose a rangefinder near the carrier "
                 "of the sweep, or sweep with another --frequency"
             ) from error
-
-
-def read_rangefinder(path: Path) -> Rangefinder:
-    """Read the parameters of a rangefinder from a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-        With the parameters of :class:`acoustube.ranging.Rangefinder`; those of its drive in a table
-        ``[drive]``. Or that of a twin.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, or a name or a value is wrong.
-    """
-    return rangefinder_in(read_document(path), path)
 
 
 def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
