@@ -130,18 +130,10 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Datas
     """Return the cycles of several recordings as one."""
     import xarray as xr
 
-    from acoustube import recordings
-    from acoustube.runs.recordings import aligned
-    from acoustube.signals import Processing
+    from acoustube.runs.recordings import read_recordings
 
-    parts = []
-    for path, data in recordings.read_all(paths, **dataclasses.asdict(options)):
-        if isinstance(data, ConfigError):
-            raise data
-        try:
-            parts.append(aligned(data, lead.pulse_at, Processing())[0])
-        except ValueError as error:
-            raise ConfigError(f"{path}: {error}") from error
+    found = read_recordings(paths, dataclasses.asdict(options), lead.pulse_at)
+    parts = [data for _, data in found]
     rates = {float(part.attrs["sampling_rate"]) for part in parts}
     lengths = {part.sizes["time"] for part in parts}
     if len(rates) > 1 or len(lengths) > 1:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 import xarray as xr
 from platformdirs import user_data_path
 
-from acoustube import signals
-from acoustube.base.errors import ConfigError
+from acoustube import recordings, signals
+from acoustube.base.errors import ConfigError, about
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MS
 from acoustube.base.writing import write_all
@@ -190,6 +190,27 @@ def aligned(
             advice=f"use less than {MS * time[-1]:.6g} ms",
         )  # fmt: skip
     return data.assign_coords(time=data["time"].copy(data=time - lead)), lead
+
+
+def read_recordings(
+    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
+) -> list[tuple[Path, xr.Dataset]]:
+    """Return recordings whose time is zero at the start of the send pulse, with their files.
+
+    Raises
+    ------
+    ConfigError
+        If one cannot be read.
+    """
+    found = []
+    for path, data in recordings.read_all(paths, **options):
+        if isinstance(data, ConfigError):
+            raise data
+        try:
+            found.append((path, aligned(data, pulse_at, Processing())[0]))
+        except ValueError as error:
+            raise ConfigError(about(path, error)) from error
+    return found
 
 
 def process_recording(

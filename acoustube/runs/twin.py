@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.air import ABSOLUTE_ZERO, air_at
-from acoustube.base.errors import ConfigError, about
+from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM
 from acoustube.inversion.twin import (
@@ -25,9 +25,7 @@ from acoustube.inversion.twin import (
     fit_twin,
 )
 from acoustube.inversion.twin.estimate import SPEED
-from acoustube.runs.inversion import all_recordings
-from acoustube.runs.recordings import aligned
-from acoustube.signals import Processing
+from acoustube.runs.recordings import read_recordings
 
 BITS = (8, 10, 12, 14, 16)
 """Resolutions that counts may have."""
@@ -211,25 +209,6 @@ def fitted_sensor(
         quantised=converter[1], full_scale=converter[2],
         temperature_noise=float(np.median(noises)), length=stated,
     )  # fmt: skip
-
-
-def read_recordings(
-    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
-) -> list[tuple[Path, xr.Dataset]]:
-    """Return recordings whose time is zero at the start of the send pulse, with their files.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be read.
-    """
-    found = []
-    for path, data in all_recordings(paths, options):
-        try:
-            found.append((path, aligned(data, pulse_at, Processing())[0]))
-        except ValueError as error:
-            raise ConfigError(about(path, error)) from error
-    return found
 
 
 def _alike(parts: Sequence[tuple[Path, xr.Dataset]]) -> tuple[float, float]:

@@ -48,9 +48,9 @@ from acoustube.base.checks import BORE, FREQUENCIES, Several, check_fields, chec
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
+from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.bore_couplings import BoreModes, bore_modes
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering
 
@@ -241,8 +241,8 @@ def _power_normalised(
     place = [bore.names.index(name) for name in names]
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
-    waves = _wavenumbers(names, frequency, radius, air, lossy)
-    straight = _wavenumbers(names, frequency, radius, air, False)
+    waves = wavenumbers(names, frequency, radius, air, lossy=lossy)
+    straight = wavenumbers(names, frequency, radius, air, lossy=False)
     # The amplitude is the root of the power, and no power propagates below cut-on.
     size = np.where(propagates, np.sqrt(np.abs(straight)), 0.0)
     inverse = np.where(propagates, np.exp(0.5j * waves * length) / np.where(size > 0, size, 1), 0.0)
@@ -311,25 +311,12 @@ def _result_modes(
     return tuple(wanted)
 
 
-def _wavenumbers(
-    names: Sequence[str], frequency: Array, radius: float, air: Air, lossy: bool
-) -> Complex:
-    """Return k_z of modes, (n_frequencies, n_modes)."""
-    return np.stack(
-        [
-            axial_wavenumber(*mode_numbers(name), frequency, radius, air, lossy=lossy)
-            for name in names
-        ],
-        axis=-1,
-    )
-
-
 def _bend_scattering(
     air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> Complex:
     """Return the scattering matrix of a bend, not power-normalised, (n, 2 m, 2 m)."""
     k = (2 * pi * frequency / air.sound_speed)[:, None, None]
-    waves = _wavenumbers(bore.names, frequency, radius, air, lossy)
+    waves = wavenumbers(bore.names, frequency, radius, air, lossy=lossy)
     waves = np.where(np.abs(waves) < CUT_ON_MARGIN * k[:, 0], CUT_ON_MARGIN * k[:, 0], waves)
     m, kappa = len(bore.names), part.curvature * radius
     squares = waves**2 - part.ovality * bore.flattening / radius**2

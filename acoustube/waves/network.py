@@ -38,8 +38,7 @@ from acoustube.base.checks import (
 from acoustube.base.rules import Number
 from acoustube.waves import network_checks as checks
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_pulse
@@ -198,13 +197,7 @@ def transfer(
     checks.check_places(presses, length, probes)
     modes = checks.common_modes(presses)
     matrices = [interpolate_scattering(press.scattering, frequency) for press in presses]
-    waves = np.stack(
-        [
-            axial_wavenumber(*mode_numbers(name), frequency, radius, air, lossy=lossy)
-            for name in modes
-        ],
-        axis=-1,
-    )
+    waves = wavenumbers(modes, frequency, radius, air, lossy=lossy)
     places = np.array([press.position for press in presses])
     lengths = np.diff([0.0, *places, length])
     loads = _load_reflections(matrices, waves, lengths, far_reflection)

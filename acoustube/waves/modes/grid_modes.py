@@ -15,6 +15,7 @@ another plane, without an error of discretisation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,9 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from acoustube.air import Air
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.section import section_stiffness
-from acoustube.waves.modes.round_duct import Mode, cut_on_frequency, modes_below
+from acoustube.waves.modes.round_duct import Mode, axial_wavenumber, cut_on_frequency, modes_below
 from acoustube.waves.scheme.losses import Losses
 from acoustube.waves.scheme.operator import Operator
 from acoustube.waves.scheme.problem import Scheme
@@ -274,3 +276,14 @@ def mode_numbers(label: str) -> tuple[int, int]:
     """Return the nodal diameters and circles of a mode's name."""
     digits = label.rstrip("cs")
     return int(digits[:-1]), int(digits[-1])
+
+
+def wavenumbers(
+    labels: Sequence[str], frequency: NDArray[Any], radius: float, air: Air, *, lossy: bool
+) -> Complex:
+    """Return the axial wavenumbers of named modes of a round bore, (n_frequencies, n_modes)."""
+    found = (
+        axial_wavenumber(*mode_numbers(name), frequency, radius, air, lossy=lossy)
+        for name in labels
+    )
+    return np.stack(list(found), axis=-1)

@@ -176,23 +176,6 @@ class _TracedMarcher:
         return self._state
 
 
-_laplacian = jax.jit(laplacian)
-
-
-def acoustic_energy(setup: Setup, state: State) -> float:
-    """Return the discrete energy that leapfrog conserves between rigid walls, without absorbers.
-
-    With p' the pressure one step earlier and w = p - p', per unit of dt^2,
-    E = (<w, w> - dt^2 <p', L p>) / 2 in the volume-weighted inner product; L is self-adjoint.
-    """
-    operator = setup.scheme.operator
-    volume = np.asarray(setup.cells.volume_fraction)
-    earlier = np.asarray(state.pressure)[INTERIOR] - np.asarray(state.change)
-    change = np.asarray(state.change, dtype=float)
-    force = np.asarray(_laplacian(state.pressure, operator), dtype=float) * setup.time_step**2
-    return 0.5 * float(np.sum(volume * (change**2 - earlier * force)))
-
-
 class _Fields(NamedTuple):
     """Fields of a `State` without halos, as advanced by a single pass over the grid.
 
