@@ -59,7 +59,7 @@ def indent(
 def run_press(config: Mechanics, folder: Path, report: ConsoleReporter) -> Path:
     """Press a tube, print the results and write them to a folder.
 
-    Arguments and result are those of :func:`acoustube.cli.simulate.run_simulation`.
+    The folder appears only when it is complete; its path is returned.
 
     Raises
     ------

@@ -66,19 +66,7 @@ def reproduce(
 def run_reproduce(names: Sequence[str], out: Path, scale: Scale, report: ConsoleReporter) -> Path:
     """Run studies and write a page and a table for each, and for all.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of :data:`STUDIES`.
-    out : Path
-        A new folder, or one that this command began: what is finished there is kept.
-    scale : Scale
-    report : ConsoleReporter
-
-    Returns
-    -------
-    Path
-        The folder.
+    The folder is new, or one that this command began: finished studies are kept. It is returned.
 
     Raises
     ------

@@ -59,19 +59,7 @@ def simulate(
 def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Path:
     """Simulate one press, print its results and write them to a folder.
 
-    Parameters
-    ----------
-    config : Config
-        The settings.
-    folder : path
-        The folder to be made; it appears only when it is complete.
-    report : ConsoleReporter
-        Console to print on.
-
-    Returns
-    -------
-    Path
-        The folder.
+    The folder appears only when it is complete; its path is returned.
 
     Raises
     ------

@@ -1,4 +1,6 @@
 """Complete computations: settings, one press, sweeps, datasets, and their files.
 
-Read `config` with `config.si`, then `presses`, `sound`, `simulate`, and for many presses `sweep`.
+Read `config` (settings, their checks, and in `config.si` their SI units), `presses` (with the
+cache), `sound` (band, solvers, probe), `simulate`, `results` (the variables of a run's file), and
+for many presses `sweep`; then `libraries`, `inversion`, `recordings`, `training`, `twin`, `live`.
 """

@@ -1,4 +1,8 @@
-"""Results as one HTML file that opens from disk, without a network."""
+"""Results as one HTML file that opens from disk, without a network.
+
+Read `content` (the states of presses), `runs` and `cases` (from files), `shapes` and `solid`
+(surfaces), `encoded` (JSON) and `write`.
+"""
 
 from acoustube.reports.page.write import read, write_page
 

@@ -1,4 +1,5 @@
 """The lumen on a Cartesian grid of cells cut by the wall.
 
-Reading order: `polyhedron`, `cells`, `straight_part`, `section`, `small_cells`.
+Reading order: `polyhedron` (fractions of cells and faces), `cells`, `straight_part` (ends and
+symmetries), `section` (stiffness and cut-ons), `small_cells` (which would limit the time step).
 """

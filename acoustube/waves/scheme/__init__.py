@@ -1,7 +1,9 @@
 """The leapfrog scheme of the wave equation, in JAX and compiled for processors.
 
-Reading order: `pulse`, `operator`, `time_step`, `pml`, `relaxation_fit`, `losses`, `problem`,
-`leapfrog`; `cpu_layout`, `cpu_kernel` and `cpu_leapfrog` are the second implementation, for CPUs.
+Reading order: `pulse`, `operator` (c^2 div grad on cut cells), `time_step` (stability limit), `pml`
+(absorbing layers), `relaxation_fit` and `losses` (at the wall and in the air), `problem` (ends,
+source and probes), `leapfrog`; `cpu_layout`, `cpu_kernel` and `cpu_leapfrog` are the second
+implementation, for CPUs.
 """
 
 from acoustube.base.moved import renamed
