@@ -211,20 +211,17 @@ def air_at(
     mass = 1 - water * (1 - WATER_MASS)
     heat = (1 - water) * dry / (dry - 1) + water * WATER_HEAT
     ratio = heat / (heat - 1) if moist else dry
+    # The first term of equation 5 of ISO 9613-1, over f^2.
+    classical = 1.84e-11 * STANDARD_PRESSURE / pressure * sqrt(kelvin / REFERENCE_TEMPERATURE)
     return Air(
         sound_speed=sound_speed(temperature) * sqrt(ratio / dry / mass),
         density=density * mass,
         viscosity=viscosity,
         prandtl=viscosity * heat_capacity / conductivity,
         heat_capacity_ratio=ratio,
-        classical_absorption=_classical(kelvin, pressure),
+        classical_absorption=classical,
         relaxations=_relaxations(kelvin, humidity, pressure),
     )
-
-
-def _classical(kelvin: float, pressure: float) -> float:
-    """Return the classical absorption over f^2, first term of equation 5 of ISO 9613-1."""
-    return 1.84e-11 * STANDARD_PRESSURE / pressure * sqrt(kelvin / REFERENCE_TEMPERATURE)
 
 
 def _water_fraction(kelvin: float, humidity: float, pressure: float) -> float:

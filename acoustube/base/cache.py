@@ -42,16 +42,16 @@ CODE = {
 }
 """Modules that compute each kind of result; what they import counts too."""
 NOT_FOLLOWED = (
-    "acoustube.base.cache",
-    "acoustube.runs.config",
-    "acoustube.base.errors",
-    "acoustube.runs.results",
-    "acoustube.base.rules",
-    "acoustube.signals",
-    "acoustube.waves.bends",
-    "acoustube.waves.network",
+    "acoustube.base.cache.",
+    "acoustube.runs.config.",
+    "acoustube.base.errors.",
+    "acoustube.runs.results.",
+    "acoustube.base.rules.",
+    "acoustube.signals.",
+    "acoustube.waves.bends.",
+    "acoustube.waves.network.",
 )
-"""Imported modules, and packages, that decide no result: what they make of the settings is among
+"""Starts of imported modules that decide no result: what they make of the settings is among
 the dependencies of the key, or they work on what was computed."""
 SOURCES = "sources.json"
 """A file of the cache: the digest of each module, so that a key takes milliseconds."""
@@ -169,7 +169,7 @@ def code_digest(root: Path, entries: Sequence[str]) -> str:
             imports = sorted(set(_imports(tree, name.partition(".")[0])))
             source = parsed[str(path)] = [*stamp, _tree_digest(tree), imports]
         found[name] = source[2]
-        waiting += [name for name in source[3] if not _is_within(name, NOT_FOLLOWED)]
+        waiting += [name for name in source[3] if not f"{name}.".startswith(NOT_FOLLOWED)]
     if parsed:
         _write_in_one_step(SOURCES, json.dumps(known | parsed).encode())
     return hashlib.sha256(json.dumps(sorted(found.items())).encode()).hexdigest()
@@ -189,10 +189,6 @@ def _module_file(root: Path, name: str) -> Path | None:
     path = root.joinpath(*name.split("."))
     candidates = path / "__init__.py", path.with_suffix(".py")
     return next((file for file in candidates if file.is_file()), None)
-
-
-def _is_within(name: str, packages: Sequence[str]) -> bool:
-    return any(name == package or name.startswith(f"{package}.") for package in packages)
 
 
 def _imports(tree: ast.AST, package: str) -> Iterator[str]:

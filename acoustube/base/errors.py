@@ -95,7 +95,10 @@ def readable(text: str, longest: int = LONGEST_TEXT) -> str:
         Characters that are shown of it.
     """
     if not text.isprintable():
-        text = "".join(c if c.isprintable() or c in "\n\t" else _code(c) for c in text)
+        text = "".join(
+            c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode()
+            for c in text
+        )
     if len(text) > LONGEST_WORD:
         words = re.split(r"(\s+)", text)
         text = "".join(_shortened(word, LONGEST_WORD) for word in words)
@@ -107,8 +110,3 @@ def _shortened(text: str, most: int) -> str:
     if left_out <= 0:
         return text
     return f"{text[: most // 2]}...({left_out} characters)...{text[-most // 2 :]}"
-
-
-def _code(character: str) -> str:
-    """Return the Python escape sequence of a character."""
-    return character.encode("unicode_escape").decode("ascii")

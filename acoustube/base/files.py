@@ -190,7 +190,8 @@ def publish(partial: Path, path: str | Path) -> Path:
     """
     interrupts.check()
     folder = Path(path).absolute()
-    for name in itertools.chain([folder], _numbered(folder)):
+    numbered = (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
+    for name in itertools.chain([folder], numbered):
         try:
             _check_free(path, name)
             with contextlib.suppress(FileNotFoundError):
@@ -205,10 +206,6 @@ def publish(partial: Path, path: str | Path) -> Path:
         to_disk(published.parent)
         return published
     raise AssertionError  # the numbers do not end
-
-
-def _numbered(folder: Path) -> Iterator[Path]:
-    return (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
 
 
 def toml_array(values: Iterable[Any]) -> Array:

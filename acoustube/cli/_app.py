@@ -62,7 +62,8 @@ def main(tokens: Sequence[str] | None = None) -> int:
     try:
         with watched_interrupts() as check, _limits_of_one_command():
             if not words or words[0] not in (*COMMANDS, "cache"):
-                _load_commands()
+                for name in (*COMMANDS, "cache"):  # so that the list of them has descriptions
+                    app[name]
             try:
                 code = app(
                     tokens, exit_on_error=False, print_error=False, result_action="return_value"
@@ -100,12 +101,6 @@ def _limits_of_one_command() -> Iterator[None]:
         os.environ.pop(VARIABLE, None)
         if before is not None:
             os.environ[VARIABLE] = before
-
-
-def _load_commands() -> None:
-    """Load all commands, so that the list of them has their descriptions."""
-    for name in (*COMMANDS, "cache"):
-        app[name]
 
 
 def _in_one_sentence(error: CycloptsError) -> str:

@@ -75,7 +75,11 @@ def evaluate(
     """
     if not data:
         raise ConfigError("evaluate needs a file or a folder; name one or more")
-    of_library = model.is_dir() and _is_library(model)
+    of_library = False
+    if model.is_dir():
+        from acoustube.runs.libraries.files import PATTERN
+
+        of_library = any(model.glob(PATTERN))
     if not (model.is_file() or of_library):
         what = "is a folder without tools of a library" if model.is_dir() else "does not exist"
         raise ConfigError(
@@ -112,13 +116,6 @@ def evaluate(
         f"cycles, echoes in {seen}"
     )
     _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, report, start)
-
-
-def _is_library(folder: Path) -> bool:
-    """Return whether a folder holds tools of a library."""
-    from acoustube.runs.libraries.files import PATTERN
-
-    return any(folder.glob(PATTERN))
 
 
 def _evaluate_library(
@@ -169,7 +166,9 @@ def _finish(
     _print_errors(rows, head, report)
     contents: dict[Path, bytes | str] = {}
     if files["out"] is not None:
-        contents[files["out"]] = _table(rows)
+        table = io.StringIO()
+        csv.writer(table, lineterminator="\n").writerows([COLUMNS, *map(_written, rows)])
+        contents[files["out"]] = table.getvalue()
     if files["figure"] is not None:
         from acoustube.reports.figures import estimates as estimate_figures
         from acoustube.reports.figures.run import picture
@@ -178,13 +177,6 @@ def _finish(
     write_all(contents)
     done = f"Written to {' and '.join(map(str, contents))}" if contents else "Evaluated"
     report.line(f"{done} in {time.perf_counter() - start:.0f} s.")
-
-
-def _table(rows: list[Row]) -> str:
-    """Return the errors as CSV."""
-    table = io.StringIO()
-    csv.writer(table, lineterminator="\n").writerows([COLUMNS, *map(_written, rows)])
-    return table.getvalue()
 
 
 def _written(row: Row) -> list[object]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,14 +47,10 @@ def _most_informative_rings(rings: NDArray[np.float64], kept: set[int], count: i
         known = sorted(kept)
         right = np.clip(np.searchsorted(known, np.arange(len(rings))), 1, len(known) - 1)
         low, high = np.asarray(known)[right - 1], np.asarray(known)[right]
-        fraction = _fraction(rings[:, 0, 2], low, high)[:, None, None]
+        z = rings[:, 0, 2]  # of the rings' first points
+        fraction = ((z - z[low]) / (z[high] - z[low]))[:, None, None]
         error = np.abs(rings - (1 - fraction) * rings[low] - fraction * rings[high])
         off = error.max(axis=(1, 2))
         off[known] = -1.0
         kept.add(int(np.argmax(off)))
     return sorted(kept)
-
-
-def _fraction(z: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:
-    """Return the relative positions between two rings, by the rings' first points."""
-    return (z - z[low]) / (z[high] - z[low])

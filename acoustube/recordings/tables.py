@@ -137,16 +137,13 @@ def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
     )
     if first.strip("\r\n").endswith(separator) and frame.iloc[:, -1].isna().all():
         frame, cells = frame.iloc[:, :-1], cells[: frame.shape[1] - 1]  # each row ends with one
-    columns = [_column(frame[i].to_numpy()) for i in range(frame.shape[1])]
+    arrays = (frame[i].to_numpy() for i in range(frame.shape[1]))
+    columns = [a if a.dtype.kind in "biuf" else a.astype(str) for a in arrays]
     if header and len(cells) != len(columns):
         raise ValueError(f"the header has {len(cells)} names for {len(columns)} columns")
     pairs = [re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)", line) for line in comments]
     settings = {pair[1]: _number(pair[2]) for pair in pairs if pair and meaning(pair[1])[0]}
     return cells if header else [], columns, settings
-
-
-def _column(values: NDArray[Any]) -> NDArray[Any]:
-    return values if values.dtype.kind in "biuf" else values.astype(str)
 
 
 def _is_header(cells: list[str]) -> bool:

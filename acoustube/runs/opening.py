@@ -83,7 +83,9 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
         for internal in ("content", "scattering", "walls"):
             found.attrs.pop(internal, None)
         if dimension == "press":
-            return _sorted(found.drop_duplicates("press"))
+            cases = found.drop_duplicates("press")
+            order = np.lexsort([cases[name].values for name in reversed(ORDER)])
+            return cases.isel(press=order)
         if "sampling_rate" not in found.attrs:
             raise ConfigError(f"{where} holds cycles of different sampling rates; open one of them")
         return found.assign_coords(cycle=np.arange(found.sizes["cycle"]))
@@ -106,11 +108,6 @@ def _check_file(path: Path, dimension: str, advice: str, *, verify: bool) -> Non
         )
     if len(set(of_length)) > 1:
         raise ConfigError(f"{path} is damaged: its columns differ in length; {advice}")
-
-
-def _sorted(cases: xr.Dataset) -> xr.Dataset:
-    order = np.lexsort([cases[name].values for name in reversed(ORDER)])
-    return cases.isel(press=order)
 
 
 def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:

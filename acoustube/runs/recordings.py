@@ -105,14 +105,12 @@ def chosen(
     ConfigError
         If the calibration does not exist.
     """
-    known = None if calibration is None else _calibration(calibration_path(calibration))
+    known = None
+    if calibration is not None:
+        path = calibration_path(calibration)
+        known = twin_calibration(path) if is_twin(path) else signals.load(path)
     how = Processing() if known is None else known.processing
     return known, how if prominence is None else replace(how, prominence=prominence)
-
-
-def _calibration(path: Path) -> Calibration:
-    """Return the calibration in a file, or that of a twin."""
-    return twin_calibration(path) if is_twin(path) else signals.load(path)
 
 
 @contextlib.contextmanager

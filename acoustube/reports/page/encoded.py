@@ -13,7 +13,7 @@ import numpy as np
 
 from acoustube.base.units import CM, KHZ, MM, MM2, PERCENT
 from acoustube.reports.figures import run as run_figure
-from acoustube.reports.page.content import Along, Content, Group, Signal, Spectrum, State
+from acoustube.reports.page.content import Content, Group, Signal, Spectrum, State
 from acoustube.reports.scenes import tube as tube_scene
 
 FINEST = 32767
@@ -92,13 +92,13 @@ def encoded(content: Content) -> str:
 def _said(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
     """Return the given settings as text."""
     return {
-        section: [[name, _word(value)] for name, value in values.items() if value is not None]
+        section: [
+            [name, f"{value:g}" if isinstance(value, float) else str(value)]
+            for name, value in values.items()
+            if value is not None
+        ]
         for section, values in settings.items()
     }
-
-
-def _word(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _number(value: float, scale: float = 1.0) -> float | None:
@@ -132,6 +132,9 @@ def _state(state: State, arrays: Arrays) -> dict[str, Any]:
         "inner": arrays.coarse(MM * state.shape.inner),
         "outer": arrays.coarse(MM * state.shape.outer),
     }
+    along = state.along and {
+        "z": arrays.real(MM * state.along.z), "area": arrays.real(MM2 * state.along.area),
+    }  # fmt: skip
     return {
         "depth": _number(state.depth, MM),
         "force": _number(state.force),
@@ -140,14 +143,10 @@ def _state(state: State, arrays: Arrays) -> dict[str, Any]:
         "area": _number(state.area, MM2),
         "shape": shape,
         "tool": _number(state.tool_height, MM),
-        "along": state.along and _along(state.along, arrays),
+        "along": along,
         "signal": state.signal and _signal(state.signal, arrays),
         "spectrum": state.spectrum and _spectrum(state.spectrum, arrays),
     }
-
-
-def _along(along: Along, arrays: Arrays) -> dict[str, int]:
-    return {"z": arrays.real(MM * along.z), "area": arrays.real(MM2 * along.area)}
 
 
 def _signal(signal: Signal, arrays: Arrays) -> dict[str, Any]:

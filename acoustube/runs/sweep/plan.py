@@ -141,7 +141,9 @@ class Plan:
         """
         columns = self.columns()
         for i in range(len(self)) if numbers is None else numbers:
-            varied = {name: _plain(values[i]) for name, values in columns.items()}
+            given = {name: values[i] for name, values in columns.items()}
+            # Numbers and words of NumPy as Python's own.
+            varied = {n: v.item() if hasattr(v, "item") else v for n, v in given.items()}
             try:
                 yield configured(self.given, **varied)
             except ConfigError as error:
@@ -189,11 +191,6 @@ def _sampled(plan: Plan) -> dict[str, Any]:
             place = np.minimum((share * len(values)).astype(int), len(values) - 1)
             found[name] = np.array(values)[place]
     return found
-
-
-def _plain(value: Any) -> Any:
-    """Return a number or a word of NumPy as Python's own."""
-    return value.item() if hasattr(value, "item") else value
 
 
 @checked(path=Optional(PATH), over=Optional(Mapping))

@@ -112,18 +112,13 @@ def contents(folder: Path) -> Contents:
     foreign: list[Path] = []
     for path in sorted(folder.iterdir()):
         if SHARD.fullmatch(path.name):
-            names = _names(path)
-            finished |= dict.fromkeys(names or (), path)
-            damaged += [path] * (names is None)
+            data = intact(path)
+            damaged += [path] * (data is None)
+            names = () if data is None else data["press"].values
+            finished |= {str(name): path for name in names}
         elif not (path.name in (PLAN, FAILURES) or path.name.startswith(ASIDE)):
             foreign += [path] * (path.suffix != ".damaged")
     return Contents(finished, damaged, foreign)
-
-
-def _names(path: Path) -> list[str] | None:
-    """Return the cases of a file of results, or None if it is damaged."""
-    data = intact(path)
-    return None if data is None else [str(name) for name in data["press"].values]
 
 
 def intact(path: Path) -> xr.Dataset | None:
