@@ -14,20 +14,9 @@ from acoustube.runs.config import Config, Mechanics
 
 
 def provenance(config: Config | Mechanics, warnings: Sequence[str], device: str) -> dict[str, Any]:
-    """Return the origin of a result of one press.
+    """Return the origin of a result of one press, as attributes of a dataset.
 
-    Parameters
-    ----------
-    config : Config or Mechanics
-    warnings : sequence of str
-        Ways in which the run leaves the range of the model.
-    device : str
-        Name of the computing device.
-
-    Returns
-    -------
-    dict
-        Attributes of a dataset.
+    The parameters are those of :func:`acoustube.runs.results.dataset`.
     """
     settings = configuration(config)
     return {

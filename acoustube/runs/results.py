@@ -125,7 +125,6 @@ def press_dataset(
 
     Parameters
     ----------
-    config : Mechanics
     indentation : Indentation
         It may end before the last depth; what is missing is not ``converged``, and nan, or zero
         where it is a whole number.
@@ -133,10 +132,8 @@ def press_dataset(
         In m.
     seconds : float
         Computing time.
-    warnings : sequence of str
-        Ways in which the run leaves the range of the model.
-    device : str
-        Name of the computing device.
+    config, warnings, device
+        As of :func:`dataset`.
 
     Returns
     -------

@@ -25,13 +25,6 @@ OF_OTHERS = ("length_cm", "priors")
 def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """Return the content of a sensor's file; of a twin's file, the part that other commands use.
 
-    Parameters
-    ----------
-    document : mapping
-        Content of the file.
-    path : Path
-        For messages.
-
     Raises
     ------
     ConfigError
@@ -42,22 +35,11 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
     own = document.get("rangefinder")
     if not isinstance(own, dict):
         raise ConfigError(f"{path} is a twin's file without [rangefinder]; make it again")
-    found = dict(own)
-    for name in OF_OTHERS:
-        if name in document:
-            found[name] = document[name]
-    return found
+    return own | {name: document[name] for name in OF_OTHERS if name in document}
 
 
 def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float] | None:
     """Return Young's modulus of the wall in Pa and its deviation, where presses determined it.
-
-    Parameters
-    ----------
-    document : mapping
-        Content of the file.
-    path : Path
-        For messages.
 
     Raises
     ------
@@ -80,15 +62,7 @@ def determined(document: Mapping[str, Any]) -> list[Any]:
 def finite_numbers(
     values: Iterable[Any], path: Path, *, least: float = -inf, most: float = inf
 ) -> list[float]:
-    """Return values of a twin's file as numbers.
-
-    Parameters
-    ----------
-    values : iterable
-    path : Path
-        For messages.
-    least, most : float
-        Range.
+    """Return values of a twin's file as numbers from `least` to `most`.
 
     Raises
     ------

@@ -51,17 +51,12 @@ def fitted_material(
     Parameters
     ----------
     found : FittedSensor
-    pressed, untouched : sequence of Path
+    pressed : sequence of Path
         Files and folders.
     library : Path
         Of the tools that press.
-    options : mapping
-        Of :func:`acoustube.recordings.read`.
-    pulse_at : float, "auto" or None
-        As of :func:`acoustube.runs.recordings.aligned`.
-    report : Reporter
-    check : callable
-        Called with the progress, to raise an interrupt that was lost.
+    untouched, options, pulse_at, report, check
+        As of :func:`acoustube.runs.twin.fitted_sensor`.
 
     Raises
     ------
