@@ -15,6 +15,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child
 from acoustube.base.foreign.limits import check_file, reading
 from acoustube.base.foreign.results import open_result
+from acoustube.base.netcdf import variable
 from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.version import __version__
@@ -159,12 +160,12 @@ def assemble(
     free = _of_length(others, n, notes)
     free |= {name: _words(path, name, each(name, v)) for name, v in labels.items()}
     variables = {
-        "signal": _variable("cycle time", signal, "1", "recorded signal, in the recorder's unit"),
-        "temperature": _variable("cycle", temperature, "degC", "temperature of the air"),
-        **{name: _variable("cycle", v, *LABELS[name]) for name, v in known_labels.items()},
-        **{name: _variable("cycle", v, "unknown", f"label {name}") for name, v in free.items()},
+        "signal": variable("cycle time", signal, "1", "recorded signal, in the recorder's unit"),
+        "temperature": variable("cycle", temperature, "degC", "temperature of the air"),
+        **{name: variable("cycle", v, *LABELS[name]) for name, v in known_labels.items()},
+        **{name: variable("cycle", v, "unknown", f"label {name}") for name, v in free.items()},
     }
-    cycle = _variable("cycle", np.arange(n), "1", "number of the cycle")
+    cycle = variable("cycle", np.arange(n), "1", "number of the cycle")
     attributes = {
         "sampling_rate": rate,
         "source": "recording",
@@ -386,8 +387,4 @@ def _start(known: Named, length: int) -> float:
 
 
 def _time(length: int, rate: float, start: float = 0.0) -> Any:
-    return _variable("time", start + np.arange(length) / rate, "s", "time since the trigger")
-
-
-def _variable(dims: str, values: NDArray[Any], units: str, long_name: str) -> Any:
-    return tuple(dims.split()), values, {"units": units, "long_name": long_name}
+    return variable("time", start + np.arange(length) / rate, "s", "time since the trigger")

@@ -79,36 +79,27 @@ def read(
     PATH.check("path", path)
     path = Path(path)
     _check_kind(path)
-    with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
-        return _read(path, rate, temperature, channel, samples)
-
-
-def _read(
-    path: Path,
-    rate: float | None,
-    temperature: ArrayLike | None,
-    channel: int | None,
-    samples: int | None,
-) -> xr.Dataset:
-    """Return a recording; parameters as of :func:`read`."""
     given = {
         "sampling_rate": rate,
         "temperature": temperature,
         "channel": channel,
         "samples_per_cycle": samples,
     }
-    over = _sidecar(path) | {name: value for name, value in given.items() if value is not None}
-    if path.suffix.lower() == ".nc" and not over and (own := read_own_netcdf(path)) is not None:
-        return own
-    contents = load(path)
-    notes = [str(value) for value in contents.values() if isinstance(value, Note)]
-    known, others = separate_known({n: v for n, v in contents.items() if not isinstance(v, Note)})
-    named, labels = separate_known(over.pop("labels", {}))
-    if wrong := [name for name in named if name not in LABELS]:
-        raise ConfigError(
-            f"{path}: the labels of its sidecar state {wrong[0]}, which is not a label; rename it"
-        )
-    return assemble(path, known | named | over, others, labels, notes)
+    with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
+        over = _sidecar(path) | {name: value for name, value in given.items() if value is not None}
+        if path.suffix.lower() == ".nc" and not over and (own := read_own_netcdf(path)) is not None:
+            return own
+        contents = load(path)
+        notes = [str(value) for value in contents.values() if isinstance(value, Note)]
+        arrays = {name: one for name, one in contents.items() if not isinstance(one, Note)}
+        known, others = separate_known(arrays)
+        named, labels = separate_known(over.pop("labels", {}))
+        if wrong := [name for name in named if name not in LABELS]:
+            raise ConfigError(
+                f"{path}: the labels of its sidecar state {wrong[0]}, which is not a label; rename "
+                "it"
+            )
+        return assemble(path, known | named | over, others, labels, notes)
 
 
 def read_all(

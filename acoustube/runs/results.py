@@ -30,6 +30,13 @@ The end of a tube that tilts off the floor is slanted.
 """
 XYZ = variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube")
 DEPTH = "indentation depth from first contact"
+ECHO = {
+    "estimated_distance": ("distance", "m", "distance of the highest echo"),
+    "echo_amplitude": ("amplitude", "1", "highest echo, relative to the send pulse"),
+    "send_time": ("send_time", "s", "maximum of the send pulse"),
+    "return_time": ("return_time", "s", "maximum of the highest echo"),
+}
+"""Variables of the highest echo: attribute of :class:`Ranging`, unit and long name."""
 SPECTRAL_ERROR = "estimated error of the scattering coefficients at 95 % of the frequencies"
 
 
@@ -343,17 +350,13 @@ def _error_budget(budget: Budget | SpectralBudget) -> dict[str, Variable]:
 def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
     """Return envelope and estimate for each boundary condition at the source end."""
     results = list(rangings.values())
-    own = {"echo_amplitude": "amplitude", "estimated_distance": "distance"}
     found = {
-        name: variable(dims, [getattr(one, own.get(name, name)) for one in results], units, text)
-        for name, dims, units, text in (
-            ("envelope", "source_end time", "1", "envelope, relative to the send pulse"),
-            ("send_time", "source_end", "s", "maximum of the send pulse"),
-            ("return_time", "source_end", "s", "maximum of the highest echo"),
-            ("echo_amplitude", "source_end", "1", "highest echo, relative to the send pulse"),
-            ("estimated_distance", "source_end", "m", "distance of the highest echo"),
-        )
+        name: variable("source_end", [getattr(one, own) for one in results], units, text)
+        for name, (own, units, text) in ECHO.items()
     }
+    envelopes = [one.envelope for one in results]
+    text = "envelope, relative to the send pulse"
+    found["envelope"] = variable("source_end time", envelopes, "1", text)
     for name, units, text in (
         ("distance", "m", "estimated distance"), ("amplitude", "1", "height of its echo"),
     ):  # fmt: skip

@@ -16,7 +16,7 @@ from acoustube.runs import sound
 from acoustube.runs.config import Config
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.provenance import configuration
-from acoustube.runs.results import DEPTH
+from acoustube.runs.results import DEPTH, ECHO
 from acoustube.runs.scattering_file import StoredScattering
 from acoustube.runs.sweep.tasks import Done, Pressed, one_thread
 from acoustube.signals import Ranging
@@ -96,19 +96,11 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
     for row, pressure in zip(padded, pressures, strict=True):
         row[:, : pressure.shape[1]] = pressure
     rangings = [ranging for _, ranging in rows.values()]
-    found = {
-        "pressure": ("press source_end time", padded, "1",
-                     "mean pressure on the probe plane, relative to the pulse's peak"),
-        "estimated_distance": ("press source_end", _taken(rangings, "distance"), "m",
-                               "distance of the highest echo"),
-        "echo_amplitude": ("press source_end", _taken(rangings, "amplitude"), "1",
-                           "highest echo, relative to the send pulse"),
-        "send_time": ("press source_end", _taken(rangings, "send_time"), "s",
-                      "maximum of the send pulse"),
-        "return_time": ("press source_end", _taken(rangings, "return_time"), "s",
-                        "maximum of the highest echo"),
-    }  # fmt: skip
-    variables |= {name: variable(*parts) for name, parts in found.items()}
+    text = "mean pressure on the probe plane, relative to the pulse's peak"
+    variables["pressure"] = variable("press source_end time", padded, "1", text)
+    for name, (own, units, words) in ECHO.items():
+        values = [[getattr(one[end], own) for end in sound.SOURCE_ENDS] for one in rangings]
+        variables[name] = variable("press source_end", values, units, words)
     coordinates = {
         "press": variable("press", list(cases), "1", "name of the case"),
         "source_end": variable(
@@ -125,10 +117,6 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
         "acoustube_version": __version__,
     }
     return xr.Dataset(variables, coordinates, origin)
-
-
-def _taken(rangings: Sequence[Mapping[SourceEnd, Ranging]], name: str) -> Any:
-    return [[getattr(ranging[end], name) for end in sound.SOURCE_ENDS] for ranging in rangings]
 
 
 def _resampled(recordings: Mapping[SourceEnd, Recording]) -> Any:
