@@ -43,6 +43,7 @@ CODE = {
 """Modules that compute each kind of result; what they import counts too."""
 NOT_FOLLOWED = (
     "acoustube.base.cache.",
+    "acoustube.base.checks.",
     "acoustube.runs.config.",
     "acoustube.base.errors.",
     "acoustube.runs.results.",

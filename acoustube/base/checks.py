@@ -182,23 +182,6 @@ class Flag:
 
 
 @dataclass(frozen=True)
-class Optional:
-    """Rule for a value that obeys another rule, or None.
-
-    Parameters
-    ----------
-    rule : rule
-    """
-
-    rule: Any
-
-    def check(self, name: str, value: Any) -> None:
-        """Raise ConfigError unless the value is None or obeys the rule."""
-        if value is not None:
-            check_argument(name, value, self.rule)
-
-
-@dataclass(frozen=True)
 class Either:
     """Rule for an instance of given classes, or a value that obeys another rule.
 
@@ -215,6 +198,10 @@ class Either:
         """Raise ConfigError unless the value is of one of the classes or obeys the rule."""
         if not isinstance(value, self.kinds):
             check_argument(name, value, self.rule)
+
+
+Optional = functools.partial(Either, (type(None),))
+"""Rule for a value that obeys another rule, or None."""
 
 
 @dataclass(frozen=True)
@@ -248,12 +235,7 @@ class Several:
 def check_argument(name: str, value: Any, rule: Any) -> Any:
     """Return the value of an argument, if it obeys a rule: a number as an int or a float.
 
-    Parameters
-    ----------
-    name : str
-    value : Any
-    rule : rule or type
-        A class stands for its instances.
+    A class as a rule stands for its instances.
 
     Raises
     ------
@@ -261,8 +243,6 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
     """
     if isinstance(rule, type):
         rule = Instance((rule,))
-    if isinstance(rule, Optional) and value is not None:
-        return check_argument(name, value, rule.rule)
     if isinstance(rule, Either) and not isinstance(value, rule.kinds):
         return check_argument(name, value, rule.rule)
     if isinstance(rule, Number) and getattr(value, "ndim", None) == 0:
