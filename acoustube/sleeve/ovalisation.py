@@ -1,4 +1,4 @@
-"""Flattening of a wrapped tube (Brazier), and its effect on the cut-ons.
+"""Flattening of a wrapped tube (Brazier).
 
 References
 ----------
@@ -12,7 +12,6 @@ from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.tube import Tube
-from acoustube.waves.modes import bessel_zero
 
 COLLAPSE = 2 / 9
 """Ovality at which a long thin tube kinks, by the same reference."""
@@ -53,26 +52,3 @@ def ovality(tube: Tube, curvature: float) -> float:
             advice="wrap it less tightly, or take a thicker wall",
         )  # fmt: skip
     return found * mean / (tube.inner_diameter / 2)
-
-
-def cut_on_shift(m: int, n: int, ovality: float) -> float:
-    """Return the relative change of the cut-on of a mode (m, n) in a flattened bore.
-
-    Parameters
-    ----------
-    m, n : int
-        Mode. Of a pair (1, n), that which varies in the plane of the bend, ``c`` along an arm; the
-        other's shift is the negative. All other modes shift by the ovality squared only: 0 here.
-    ovality : float
-        zeta of the bore, as :func:`ovality` returns it.
-
-    Notes
-    -----
-    Hadamard's formula for a rigid wall moved outwards by w, d(k^2) = -integral of w (k^2 psi^2 -
-    (grad psi)^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
-    phi: d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2).
-    """
-    if m != 1:
-        return 0.0
-    inverse = bessel_zero(m, n) ** -2
-    return 0.5 * ovality * (1 + inverse) / (1 - inverse)

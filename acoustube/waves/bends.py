@@ -20,7 +20,7 @@ the whole bend. This is the multimodal method of [1]_ and [2]_ with doubling in 
 equation of the impedance. Parts of different curvature are combined by the same product.
 
 A bend flattens the tube. To first order that moves the cut-ons of the modes (1, n) alone, see
-:func:`acoustube.sleeve.ovalisation.cut_on_shift`: their k_z^2 on the diagonal. The coupling where
+:mod:`acoustube.waves.modes.bore_couplings`: their k_z^2 on the diagonal. The coupling where
 the flattening sets in is neglected: a tube flattens gradually.
 
 References

@@ -77,7 +77,13 @@ def bore_modes(highest: float) -> BoreModes:
 
 
 def _flattened(m: int, n: int, side: str) -> float:
-    """Return d(cut-on wavenumber^2) / d(ovality), by Hadamard's formula."""
+    """Return d(cut-on wavenumber^2) / d(ovality), in units of the radius.
+
+    Hadamard's formula for a rigid wall moved outwards by w, d(k^2) = -integral of w (k^2 psi^2 -
+    (grad psi)^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
+    phi: d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2); of the sine the negative. Other modes
+    than (1, n) shift by the ovality squared only.
+    """
     if m != 1:
         return 0.0
     square = bessel_zero(m, n) ** 2
