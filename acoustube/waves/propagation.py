@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
-from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import Air
 from acoustube.base.checks import DURATION, LENGTH, PLACE, Either, Optional, Reals, Several, checked
-from acoustube.base.rules import Choice, Number
+from acoustube.base.rules import Number
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.modes.probes import (
     ModalProbe,
@@ -100,9 +99,7 @@ def grid_spacing(
     air=Air,
     duration=DURATION,
     probes=Several(Either((ModalProbe, PointProbe), PLACE), 1),
-    source_end=Choice(get_args(SourceEnd)),
     source_mode=str,
-    far_end=Choice(get_args(FarEnd)),
     absorber_thickness=LENGTH,
     time_step=Optional(DURATION),
     lossy_band=Optional(Reals(1e-3, 1e12, "Hz", ndim=1, last=2)),

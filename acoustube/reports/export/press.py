@@ -10,14 +10,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Indentation, Mesh
-from acoustube.indentation.mesh import sweep
-from acoustube.indentation.press import BARRIER_DISTANCE, neo_hookean_wall
+from acoustube.indentation import Indentation, Mesh, restored
 from acoustube.indentation.reference_element import HEX20, TET10
+from acoustube.indentation.result import RESULTS
 from acoustube.runs.config import Mechanics, configured
 from acoustube.runs.config.si import press_in_si
 
+NAMES = {
+    "depth": "indentation_depth", "displacement": "node_displacement",
+    "iterations": "newton_iterations", "residual": "newton_residual",
+    "press_force": "contact_force", "energy": "elastic_energy",
+}  # fmt: skip
+"""Variables of a run that are called otherwise in an :class:`Indentation`."""
 COINCIDENT_DISTANCE = 1e-9
 """Largest distance in m between coincident nodes."""
 
@@ -71,33 +75,15 @@ def indentation_of(run: xr.Dataset) -> Indentation:
         If the mesh differs from that of this version for these settings.
     """
     settings, rows = press_in_si(settings_of(run)), reached(run)
-    tube, indenter = settings.tube, settings.indenter
-    mesh = sweep(
-        tube,
-        pressed_reach(tube.outer_diameter, indenter.diameter),
-        settings.mesh,
-        halved=indenter.halves,
-    )
-    stored = run["node_position"].values
-    if (
-        stored.shape != mesh.points.shape
-        or np.abs(stored - mesh.points).max() > COINCIDENT_DISTANCE
-    ):
+    results = {name: run[NAMES.get(name, name)].values[rows] for name in RESULTS}
+    results |= {name: results[name][:, None] for name in ("press_force", "contact_area")}
+    found = restored(
+        settings.tube, settings.indenter, results, support=settings.support, layer=settings.layer,
+        mesh=settings.mesh,
+    )  # fmt: skip
+    points, stored = found.mesh.points, run["node_position"].values
+    if stored.shape != points.shape or np.abs(stored - points).max() > COINCIDENT_DISTANCE:
         raise ConfigError(
             "the run was written by a version of acoustube that made another mesh; repeat the run"
         )
-
-    def taken(name: str) -> Any:
-        return run[name].values[rows]
-
-    return Indentation(
-        tube=tube, indenters=(indenter,), support=settings.support,
-        layer=settings.layer, material=neo_hookean_wall(tube), mesh=mesh,
-        depth=taken("indentation_depth"), displacement=taken("node_displacement"),
-        iterations=taken("newton_iterations"), residual=taken("newton_residual"),
-        press_force=taken("contact_force")[:, None], contact_area=taken("contact_area")[:, None],
-        energy=taken("elastic_energy"),
-        smallest_volume_ratio=taken("smallest_volume_ratio"), smallest_gap=taken("smallest_gap"),
-        touch_heights=(tube.outer_diameter / 2,),
-        barrier_distance=BARRIER_DISTANCE * tube.inner_diameter,
-    )  # fmt: skip
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from acoustube.air import Air
+from acoustube.base.rules import Choice
 from acoustube.waves.grid.cells import CutCells, with_straight_ends
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.grid.small_cells import share_small_volumes
@@ -157,7 +158,8 @@ def prepare(
     ValueError
         If an end is unknown or a probe lies outside the tube.
     """
-    _check_ends(source_end, far_end)
+    Choice(get_args(SourceEnd)).check("source_end", source_end)
+    Choice(get_args(FarEnd)).check("far_end", far_end)
     layers = absorber_layers(absorber_thickness, cells.spacing[2])
     ahead = layers if source_end == "absorbing" else 0
     behind = layers if far_end == "absorbing" else None
@@ -232,16 +234,6 @@ def _loss_weight(n_layers: int, ahead: int, behind: int, taper: int) -> Array:
     if behind:
         distance = np.minimum(distance, n_layers - 1 - behind - np.arange(n_layers))
     return 0.5 - 0.5 * np.cos(np.pi * np.clip((distance - 1.0) / max(taper - 1, 1), 0.0, 1.0))
-
-
-def _check_ends(source_end: str, far_end: str) -> None:
-    """Validate the names of the ends."""
-    if source_end not in ("release", "absorbing", "rigid"):
-        raise ValueError(
-            f'source_end = "{source_end}" is unknown; use "release", "absorbing" or "rigid"'
-        )
-    if far_end not in ("absorbing", "rigid"):
-        raise ValueError(f'far_end = "{far_end}" is unknown; use "absorbing" or "rigid"')
 
 
 def _layer(cells: CutCells, probe: float) -> int:
