@@ -135,18 +135,14 @@ def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: 
 
     A constant column has the deviation 1, so that its standardised values are zero.
     """
-    parts = [
-        (data[fold != k].mean(axis=0), data[fold != k].std(axis=0))
-        for data in (x, y)
-        for k in range(count)
-    ]
-    mean = np.array([m for m, _ in parts[:count]]), np.array([m for m, _ in parts[count:]])
-    spread = [np.array([s for _, s in half]) for half in (parts[:count], parts[count:])]
-    wide = [
-        np.where(s > 1e-6 * np.maximum(np.abs(m), 1e-30), s, 1.0)
-        for s, m in zip(spread, mean, strict=True)
-    ]
-    return Scaler(mean[0], wide[0], mean[1], wide[1])
+    found: list[Any] = []
+    for data in (x, y):
+        parts = [data[fold != k] for k in range(count)]
+        mean = np.array([part.mean(axis=0) for part in parts])
+        spread = np.array([part.std(axis=0) for part in parts])
+        wide = spread > 1e-6 * np.maximum(np.abs(mean), 1e-30)
+        found += [mean, np.where(wide, spread, 1.0)]
+    return Scaler(*found)
 
 
 def batches(
