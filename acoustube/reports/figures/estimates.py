@@ -8,22 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from acoustube.base.units import CM, MM
 from acoustube.estimation import bins
+from acoustube.estimation.model import TARGETS
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
+from acoustube.runs.training import BINS, DISPLAY_UNITS
 
 MOST_POINTS = 5000
 """Largest number of points of a panel; of more cycles, evenly spaced ones are drawn."""
-PANELS = {
-    "true_distance": ("distance", "distance (cm)", CM),
-    "depth": ("depth", "depth (mm)", MM),
-    "force": ("force", "force (N)", 1.0),
-}
-AGAINST = {
-    "true_distance": ("true distance (cm)", CM, 0.05),
-    "depth": ("true depth (mm)", MM, 0.5e-3),
-}
-"""Names, units and widths in m of the bins in which absolute errors are drawn."""
+AGAINST = "true_distance", "depth"
+"""Labels over whose bins absolute errors are drawn."""
 
 
 def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
@@ -39,7 +32,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     matplotlib.figure.Figure
         Not shown and not saved.
     """
-    targets = [t for t, (name, *_) in PANELS.items() if t in table and name in estimates]
+    targets = [t for t, name in TARGETS.items() if t in table and name in estimates]
     against = [label for label in AGAINST if label in table]
     sheet = Figure(figsize=(4.2 * (1 + len(against)), 3.6 * len(targets)), layout="constrained")
     axes = sheet.subplots(len(targets), 1 + len(against), squeeze=False)
@@ -52,7 +45,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> None:
     """Draw estimates with their stated deviations over the truth."""
-    words = PANELS[target][1]
+    words = _axis(target)
     truth, estimate, deviation = _scaled(table, estimates, target)
     known = np.flatnonzero(np.isfinite(truth) & np.isfinite(estimate))
     some = known[:: max(1, len(known) // MOST_POINTS)]
@@ -72,11 +65,10 @@ def draw_errors(
 ) -> None:
     """Draw median and quartiles of the absolute error, and the stated deviation, over a label."""
     truth, estimate, deviation = _scaled(table, estimates, target)
-    words, scale, width = AGAINST[label]
-    edges, index = bins(table[label].values, width)
+    edges, index = bins(table[label].values, BINS[label])
     error = np.where(np.isfinite(truth - estimate), np.abs(truth - estimate), np.nan)
     full = [i for i in range(len(edges)) if np.isfinite(error[index == i]).any()]
-    at = scale * edges[full].mean(axis=1)
+    at = DISPLAY_UNITS[label][1] * edges[full].mean(axis=1)
     quartiles = np.array(
         [np.nanpercentile(error[index == i], [25, 50, 75]) for i in full]
     ).reshape(-1, 3).T  # fmt: skip
@@ -85,14 +77,20 @@ def draw_errors(
                       label="quartiles")  # fmt: skip
     axes.plot(at, quartiles[1], color=ENVELOPE, lw=1.2, label="median")
     axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated deviation")
-    axes.set(ylim=(0, None), xlabel=words, ylabel=f"absolute error, {PANELS[target][1]}")
+    axes.set(ylim=(0, None), xlabel=f"true {_axis(label)}")
+    axes.set_ylabel(f"absolute error, {_axis(target)}")
     axes.legend(fontsize="small")
+
+
+def _axis(label: str) -> str:
+    """Return the name of a quantity and its unit, as a label of an axis."""
+    return f"{TARGETS[label]} ({DISPLAY_UNITS[label][0]})"
 
 
 def _scaled(
     table: xr.Dataset, estimates: xr.Dataset, target: str
 ) -> tuple[NDArray[np.float64], ...]:
     """Return label, estimate and standard deviation of a target in the figure's units."""
-    name, _, scale = PANELS[target]
+    name, scale = TARGETS[target], DISPLAY_UNITS[target][1]
     columns = (table[target], estimates[name], estimates[name + "_deviation"])
     return tuple(scale * column.values.astype(float) for column in columns)
