@@ -11,15 +11,13 @@ from acoustube.base.errors import ConfigError
 from acoustube.indentation.wall_surface import separate_walls
 
 
-def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
+def read_surface(path: str | Path) -> trimesh.Trimesh:
     """Read the surface of a tube's wall from a file.
 
     Parameters
     ----------
     path : str or Path
-        STL, PLY or OBJ file; the tube lies along z, the indenter comes from +y.
-    unit : float
-        Unit of length of the file in m; millimetres by default.
+        STL, PLY or OBJ file in mm; the tube lies along z, the indenter comes from +y.
 
     Returns
     -------
@@ -35,13 +33,12 @@ def read_surface(path: str | Path, unit: float = 1e-3) -> trimesh.Trimesh:
     path = Path(path)
     surface = surfaces.load(path)
     surfaces.check_closed(surface, path)
-    if unit == 1e-3:
-        surfaces.check_millimetres(surface, path)
+    surfaces.check_millimetres(surface, path)
     if surface.volume < 0:
         surface.invert()
     surface.apply_translation(-surface.bounds.mean(axis=0))
     surfaces.check_crossings(surface, path)
-    surface.apply_scale(unit)
+    surface.apply_scale(1e-3)
     if surface.euler_number != 0:
         raise ConfigError(
             f"{path}: the surface has {1 - surface.euler_number // 2} holes through it; a tube "

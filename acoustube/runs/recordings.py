@@ -37,9 +37,7 @@ LABEL_COLUMNS = {
 """Columns of the labels that a recording may have, with the factors from SI to their units."""
 
 
-def located(
-    data: xr.Dataset, how: Processing, done: Callable[[int], None] | None = None
-) -> Iterator[tuple[int, Ranging]]:
+def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
     """Process the cycles of a recording in pieces, on two threads.
 
     Parameters
@@ -48,8 +46,6 @@ def located(
         From :func:`acoustube.recordings.read`.
     how : Processing
         :func:`acoustube.signals.without_aliased_template` to the recording's sampling rate.
-    done : callable, optional
-        Called with the number of cycles of each finished piece.
 
     Yields
     ------
@@ -71,21 +67,10 @@ def located(
         waiting: list[tuple[int, Future[Ranging]]] = []
         for start in starts:
             waiting.append((start, pool.submit(piece, start)))
-            # So many pieces are in memory at once.
-            if len(waiting) > THREADS:
-                yield _finished(waiting.pop(0), done)
-        while waiting:
-            yield _finished(waiting.pop(0), done)
-
-
-def _finished(
-    job: tuple[int, Future[Ranging]], done: Callable[[int], None] | None
-) -> tuple[int, Ranging]:
-    start, future = job
-    ranging = future.result()
-    if done is not None:
-        done(len(ranging.detected))
-    return start, ranging
+            if len(waiting) > THREADS:  # so many pieces are in memory at once
+                first, job = waiting.pop(0)
+                yield first, job.result()
+        yield from ((first, job.result()) for first, job in waiting)
 
 
 def chosen(

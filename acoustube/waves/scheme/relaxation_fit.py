@@ -43,15 +43,13 @@ class HalfIntegral:
     error: float
 
 
-def half_integral(band: tuple[float, float], accuracy: float = ACCURACY) -> HalfIntegral:
+def half_integral(band: tuple[float, float]) -> HalfIntegral:
     """Return the approximation of the half-integral with the fewest relaxations.
 
     Parameters
     ----------
     band : tuple of float
         Lowest and highest frequency in Hz.
-    accuracy : float
-        Largest relative error over the band.
 
     Returns
     -------
@@ -71,7 +69,7 @@ def half_integral(band: tuple[float, float], accuracy: float = ACCURACY) -> Half
         )
     for n in range(2, MOST_POLES + 1):
         found = _fitted(band, n)
-        if found.error < accuracy:
+        if found.error < ACCURACY:
             break
     return found
 

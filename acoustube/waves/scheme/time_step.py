@@ -81,15 +81,13 @@ def marching_step(cells: CutCells, air: Air) -> float:
     return step
 
 
-def largest_eigenvalue(operator: Operator, iterations: int = ITERATIONS) -> float:
+def largest_eigenvalue(operator: Operator) -> float:
     """Return the largest eigenvalue of the negative operator in 1/s2.
 
     Parameters
     ----------
     operator : Operator
         Coefficients.
-    iterations : int
-        Lanczos steps.
 
     Returns
     -------
@@ -124,7 +122,7 @@ def largest_eigenvalue(operator: Operator, iterations: int = ITERATIONS) -> floa
         jnp.asarray, (volume, start / norm, np.zeros_like(volume), np.zeros_like(norm))
     )
     diagonal, off_diagonal = [], []
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         previous, current, level, coupling = _lanczos(previous, current, coupling, volume, operator)
         diagonal.append(float(level))
         off_diagonal.append(float(coupling))
