@@ -17,7 +17,6 @@ from acoustube.waves.modes.probes import (
     ModalProbe,
     PointProbe,
     Probe,
-    height_of,
     launching,
     with_probes,
 )
@@ -164,8 +163,9 @@ def propagate(
         raise ValueError(
             f'source_mode = "{source_mode}" needs source_end = "absorbing", not "{source_end}"'
         )
+    places = tuple(getattr(probe, "position", probe) for probe in probes)
     setup = prepare(
-        cells, air, probes=tuple(height_of(probe) for probe in probes), source_end=source_end,
+        cells, air, probes=places, source_end=source_end,
         far_end=far_end, absorber_thickness=absorber_thickness, time_step=time_step,
         lossy_band=lossy_band,
     )  # fmt: skip

@@ -35,7 +35,7 @@ from acoustube.runs import presses as press_runs
 from acoustube.runs import scattering_file, sound
 from acoustube.runs.costs import press_seconds, spectral_seconds
 from acoustube.runs.libraries import files
-from acoustube.runs.libraries.plan import ToolPlan, air_in_words, depths_in_words
+from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.tasks import Done, one_thread
@@ -233,12 +233,14 @@ def build_library(
     todo = [plan for plan in plans if not files.is_finished(folder / plan.name)]
     count = count_of(workers)
     costs = [_cost(plan) for plan in todo]
+    first, settings = plans[0].first, plans[0].settings
     report.title("a library")
     report.rows([
-        ("tools", "\n".join(f"{plan.words}" for plan in plans)),
-        ("depths", depths_in_words(plans[0])),
+        ("tools", "\n".join(plan.words for plan in plans)),
+        ("depths", (f"{MM * first[0]:g} to {MM * first[-1]:g} mm, "
+                    f"{len(plans[0].pressed)} presses")),
         ("band", "{:g} to {:g} kHz".format(*(KHZ * edge for edge in plans[0].band))),
-        ("air", air_in_words(plans[0].settings)),
+        ("air", f"{settings.temperature:g} degC, {settings.air.sound_speed:.2f} m/s"),
         ("expected", (f"{time_in_words(sum(map(sum, costs)) / count)} on {count} workers; "
                      f"{len(plans) - len(todo)} of {len(plans)} tools finished")),
     ])  # fmt: skip

@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
-from acoustube.base.units import MM
 from acoustube.inversion.tools import FEWEST_DEPTHS
 from acoustube.runs import presses as press_runs
 from acoustube.runs import sound
@@ -149,14 +147,3 @@ def _divided(depths: Array, widest: float) -> Array:
     ]
     found = np.concatenate([*parts, depths[-1:]])
     return np.asarray(np.round(found / ROUNDING) * ROUNDING)
-
-
-def air_in_words(settings: SISettings) -> str:
-    """Return the air in words."""
-    air = air_at(settings.temperature, humidity=settings.humidity, pressure=settings.pressure)
-    return f"{settings.temperature:g} degC, {air.sound_speed:.2f} m/s"
-
-
-def depths_in_words(plan: ToolPlan) -> str:
-    """Return the range of depths in words."""
-    return f"{MM * plan.first[0]:g} to {MM * plan.first[-1]:g} mm, {len(plan.pressed)} presses"

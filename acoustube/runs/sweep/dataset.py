@@ -131,8 +131,14 @@ def run_dataset(
     there = {name for name in parts if store.intact(folder / name) is not None}
     n_cases = sum(map(len, parts.values()))
     report.title("a dataset")
-    _report_plan(n_cases, recipe.per_case, len(parts), len(there), count_of(workers), report)
     todo = {name: cases for name, cases in parts.items() if name not in there}
+    n_cycles, n_workers = n_cases * recipe.per_case, count_of(workers)
+    seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) / n_workers
+    report.line(
+        f"{n_cases} cases, {recipe.per_case} cycles of each, {n_cycles} in all; {len(there)} of "
+        f"{len(parts)} files are there; about {time_in_words(seconds * len(todo) / len(parts))} on "
+        f"{n_workers} workers, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
+    )
     if todo:
         _record(todo, folder, recipe, workers, report, executor)
     data = open_dataset(folder)
@@ -191,19 +197,6 @@ def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
     words |= {"acoustube_version": __version__}
     write(folder / RECIPE, json.dumps(words, indent=1) + "\n", overwrite=True)
     return folder
-
-
-def _report_plan(
-    n_cases: int, per_case: int, n_files: int, n_there: int, workers: int, report: Reporter
-) -> None:
-    n_cycles = n_cases * per_case
-    left = 1 - n_there / n_files
-    seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) * left / workers
-    report.line(
-        f"{n_cases} cases, {per_case} cycles of each, {n_cycles} in all; {n_there} of {n_files} "
-        f"files are there; about {time_in_words(seconds)} on {workers} workers, "
-        f"{n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
-    )
 
 
 def _record(

@@ -52,11 +52,6 @@ Probe = float | ModalProbe | PointProbe
 """Probe, or a distance in m, which stands for the mean over its plane (plane-mode amplitude)."""
 
 
-def height_of(probe: Probe) -> float:
-    """Return the distance of a probe from the source end in m."""
-    return probe.position if isinstance(probe, ModalProbe | PointProbe) else probe
-
-
 def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
     """Return a setup with the weights of modal and point probes.
 
