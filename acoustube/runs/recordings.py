@@ -230,29 +230,20 @@ def process_recording(
     check_rate(float(data.attrs["sampling_rate"]), known, path)
     table: list[list[object]] = []
     n_detected, loudest, shown = 0, 0.0, None
-    for first, ranging in with_progress(data, settings, report, check, path):
-        these = data.isel(cycle=slice(first, first + len(ranging.detected)))
-        rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
-        table += ([*row, *labels] for row, labels in rows)
-        if ranging.detected.any():
-            n_detected += int(ranging.detected.sum())
-            loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
-            shown = shown or (first, ranging)
-    return Processed(table, n_detected, loudest, shown)
-
-
-def with_progress(
-    data: xr.Dataset, how: Processing, report: Reporter, check: Callable[[], None], path: Path
-) -> Iterator[tuple[int, Ranging]]:
-    """Yield the estimates of a recording piece by piece, with a bar."""
-    total, finished = data.sizes["cycle"], 0
+    total = data.sizes["cycle"]
     with report.progress(check) as show:
-        for first, ranging in located(data, how):
+        for first, ranging in located(data, settings):
             check()
-            finished += len(ranging.detected)
+            these = data.isel(cycle=slice(first, first + len(ranging.detected)))
+            rows = zip(table_rows(first, ranging, path), true_rows(these), strict=True)
+            table += ([*row, *labels] for row, labels in rows)
+            if ranging.detected.any():
+                n_detected += int(ranging.detected.sum())
+                loudest = max(loudest, float(np.nanmax(ranging.amplitude)))
+                shown = shown or (first, ranging)
             if total > 4 * CHUNK:
-                show(path.name, finished / total)
-            yield first, ranging
+                show(path.name, len(table) / total)
+    return Processed(table, n_detected, loudest, shown)
 
 
 def check_rate(rate: float, known: Calibration | None, source: Path) -> None:

@@ -23,6 +23,7 @@ from acoustube.base.checks import Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
+from acoustube.base.netcdf import Seal, seal_of
 from acoustube.base.report import SILENT, Reporter, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -230,7 +231,9 @@ def build_library(
     """
     started = time.perf_counter()
     folder = files.prepared(out)
-    todo = [plan for plan in plans if not files.is_finished(folder / plan.name)]
+    present = [plan for plan in plans if (folder / plan.name).is_file()]
+    finished = [plan for plan in present if seal_of(folder / plan.name) is Seal.INTACT]
+    todo = [plan for plan in plans if plan not in finished]
     count = count_of(workers)
     costs = [_cost(plan) for plan in todo]
     first, settings = plans[0].first, plans[0].settings

@@ -16,7 +16,7 @@ from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
 from acoustube.base.names import PATH
-from acoustube.base.netcdf import Seal, seal_of, to_netcdf, variable
+from acoustube.base.netcdf import to_netcdf, variable
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
@@ -48,11 +48,6 @@ def prepared(out: str | Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     check_writable(folder)
     return folder
-
-
-def is_finished(path: Path) -> bool:
-    """Return whether a tool's file is there and intact."""
-    return path.is_file() and seal_of(path) is Seal.INTACT
 
 
 def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
