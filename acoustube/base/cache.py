@@ -52,8 +52,8 @@ NOT_FOLLOWED = (
     "acoustube.waves.bends.",
     "acoustube.waves.network.",
 )
-"""Starts of imported modules that decide no result: what they make of the settings is among
-the dependencies of the key, or they work on what was computed."""
+"""Prefixes of imported modules that decide no result: they prepare settings, which are part of the
+key in SI units, or process results."""
 SOURCES = "sources.json"
 """A file of the cache: the digest of each module, so that a key takes milliseconds."""
 COMPILED = "compiled-"

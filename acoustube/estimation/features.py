@@ -66,8 +66,8 @@ TAPER_FRACTION = 0.2
 SPECTRUM_HALF_WIDTH, SPECTRUM_STEP = 3.5e3, 500.0
 """Half the width of the band around the carrier, and the frequency step, in Hz: the transducer's
 bandwidth is 3 kHz, and the window resolves 400 Hz."""
-ENVELOPE_DELAYS = np.arange(-6, 13) * 1e-4
-"""Delays in s of the envelope's samples after the strongest echo."""
+ENVELOPE_DELAYS = np.delete(np.arange(-6, 13), 6) * 1e-4
+"""Delays in s of the envelope's samples after the strongest echo; zero is left out."""
 LEAST_AMPLITUDE = 1e-6
 """Lower bound of amplitudes, relative to the send pulse: under a hundredth of an ADC count."""
 FIRST_ECHO_RATIO, FIRST_ECHO_REACH = 0.5, 0.25
@@ -193,7 +193,7 @@ def echo_names(carrier: float) -> tuple[str, ...]:
         "first_level",
         *(f"other_{i + 1}_{what}" for what in ("level", "distance") for i in range(N_OTHER_ECHOES)),
         *(f"spectrum_{KHZ * f:.1f}_khz" for f in frequencies(carrier)),
-        *(f"envelope_{MS * t:+.1f}_ms" for t in ENVELOPE_DELAYS if t != 0),
+        *(f"envelope_{MS * t:+.1f}_ms" for t in ENVELOPE_DELAYS),
     )  # fmt: skip
 
 
@@ -271,9 +271,7 @@ def echo_features(
     distance = speed[:, 0] / 2 * (back - send[:, 0])
     amplitude = _sampled(ranging.envelope, time, back[:, None])[:, 0]
     path_loss = attenuation * 2 * distance[:, None]
-    waveform = _sampled(
-        ranging.envelope, time, back[:, None] + ENVELOPE_DELAYS[ENVELOPE_DELAYS != 0]
-    )
+    waveform = _sampled(ranging.envelope, time, back[:, None] + ENVELOPE_DELAYS)
     return np.concatenate(
         [
             np.stack(
@@ -289,7 +287,7 @@ def echo_features(
             _companions(echoes, back, height, speed),
             _spectrum(time, signal, ranging, back, settings) + path_loss[:, 1:],
             _decibel(waveform) - _decibel(amplitude)[:, None]
-            + attenuation[:, :1] * speed * ENVELOPE_DELAYS[ENVELOPE_DELAYS != 0],
+            + attenuation[:, :1] * speed * ENVELOPE_DELAYS,
         ],
         axis=-1,
     )  # fmt: skip

@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.estimation.model import TARGETS
 from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
-from acoustube.runs.training import read_cycles
+from acoustube.runs.recordings import read_cycles
 
 LEVELS = 0.68, 0.9
 """Probabilities of the intervals, as of the trained estimators."""

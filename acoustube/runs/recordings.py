@@ -175,20 +175,20 @@ def aligned(
     return data.assign_coords(time=data["time"].copy(data=time - lead)), lead
 
 
-def read_recordings(
-    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
-) -> list[tuple[Path, xr.Dataset]]:
-    """Return recordings whose time is zero at the start of the send pulse, with their files.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be read.
-    """
-    found = []
+def read_cycles(paths: Sequence[Path], **options: Any) -> Iterator[tuple[Path, xr.Dataset]]:
+    """Yield the recordings of files and folders, and their files; raise if one cannot be read."""
     for path, data in recordings.read_all(paths, **options):
         if isinstance(data, ConfigError):
             raise data
+        yield path, data
+
+
+def read_recordings(
+    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
+) -> list[tuple[Path, xr.Dataset]]:
+    """Return recordings whose time is zero at the start of the send pulse, with their files."""
+    found = []
+    for path, data in read_cycles(paths, **options):
         try:
             found.append((path, aligned(data, pulse_at, Processing())[0]))
         except ValueError as error:

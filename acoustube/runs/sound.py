@@ -44,9 +44,9 @@ BAND_EDGE = -20.0
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
 LOWEST_CARRIERS = 0.1
-"""Lowest computed frequency of a short pulse, whose band reaches to zero, in carriers."""
+"""Lowest computed frequency of a short pulse, whose band reaches to zero, over its carrier."""
 FREQUENCY_STEP = 100.0
-"""Step in Hz of a scattering matrix, whose response may last for 10 ms then."""
+"""Frequency step in Hz of a scattering matrix: its response may last 10 ms."""
 LOSSLESS_REFINEMENT = 4
 """Factor by which the frequencies of the spectral solver are denser without losses."""
 LARGEST_SPECTRAL_ERROR = 0.02

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube import estimation, recordings
+from acoustube import estimation
 from acoustube.base.errors import ConfigError
 from acoustube.estimation import FeatureSettings
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
+from acoustube.runs.recordings import read_cycles
 
 DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
 """Units of the tables, with the factors from SI."""
@@ -21,20 +22,6 @@ BINS = {"depth": 0.5e-3, "true_distance": 0.05}
 """Widths in m of the bins of the table: the sleeve paper's steps of depth, and of its error map."""
 # Target, label by which cycles are binned, the bin's limits in SI, number of cycles, errors.
 Row = tuple[str, str, float, float, int, estimation.Errors]
-
-
-def read_cycles(paths: Sequence[Path]) -> Iterator[tuple[Path, xr.Dataset]]:
-    """Yield the cycles of files and folders.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be read: labels without their cycles would train something else.
-    """
-    for path, data in recordings.read_all(paths):
-        if isinstance(data, ConfigError):
-            raise data
-        yield path, data
 
 
 def table_of(

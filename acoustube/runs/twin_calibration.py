@@ -28,12 +28,12 @@ LEAST_SPEED = 330.0
 """Speed of sound in m/s by which the farthest closure is chosen."""
 CYCLES, UNTOUCHED = 3, 100
 AIR = 20.0
-"""Temperature in degC, by which only the losses change: some per cent over 10 K."""
+"""Temperature in degC of all recordings; it changes the losses alone, by some per cent per 10 K."""
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
-"""Least prominences in standard deviations of untouched cycles, of which the first is taken with
-which at most this fraction of them shows an echo."""
+"""Prominences that are tried, in standard deviations of untouched cycles; the first is used at
+which at most this fraction of the untouched cycles shows an echo."""
 OUTSIDE = 0.9
-"""End of the closures' band, in halves of the sampling rate."""
+"""Upper end of the closures' band, as a fraction of half the sampling rate."""
 
 
 def is_twin(path: Path) -> bool:
@@ -79,7 +79,9 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
     reach = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
     if len(places) < FEWEST:
-        raise ConfigError(f"its tube of {CM * common['length']:.3g} cm is too short")
+        raise ConfigError(
+            f"its tube of {CM * common['length']:.3g} cm is too short for {FEWEST} closures"
+        )
     shut = [
         record([blockage(band, float(z))], own, n_cycles=CYCLES, seed=i, session_seed=0, **common)
         for i, z in enumerate(places)

@@ -35,7 +35,7 @@ KEPT = 1 << 25
 """Bytes that glibc, where the system has it, does not hand back after a file: the next file would
 touch each of their pages anew, which takes several times as long as copying them."""
 WALL = 10
-"""Time of a reader over its processor time, for a busy machine or a slow disk."""
+"""Elapsed time allowed to a reader over its processor time: a machine may be busy, a disk slow."""
 NUMERIC = "biufcU"
 """Kinds of arrays that are accepted from the child."""
 

@@ -15,7 +15,7 @@ CELLS_PER_WAVELENGTH = 8
 """Least number of cells per wavelength of the wave stage."""
 
 BAND_WIDTH = 3.83
-"""Half width of the pulse's band at -70 dB, times its cycles, in carrier frequencies."""
+"""Half width of the pulse's band at -70 dB over its carrier frequency, times its cycles."""
 MOST_CELLS = 50_000_000
 """Largest number of cells of the wave stage, which takes some 15 GB of memory."""
 
@@ -57,7 +57,7 @@ def check_press(press: IndentationSettings) -> None:
         )
     if press.layer_mm is not None and press.support == "held":
         raise ConfigError(
-            "cannot hold a tube down", setting="layer_mm", value=press.layer_mm,
+            "lies under a tube that is free to lift", setting="layer_mm", value=press.layer_mm,
             advice="use support free",
         )  # fmt: skip
 

@@ -21,7 +21,7 @@ MOST_SAMPLES = 20000
 LONGEST_PULSE = 5e-3
 """Longest drive in s: the spectra of longer ones are finer than the frequencies of a design."""
 LEAST_RATE = 2.3
-"""Lowest sampling rate, in carriers."""
+"""Lowest sampling rate over the carrier frequency."""
 
 
 @dataclass(frozen=True)

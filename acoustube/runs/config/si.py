@@ -21,7 +21,7 @@ from acoustube.waves import Pulse, SourceEnd
 
 MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
 FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg": math.pi / 180}
-"""SI units in the units that users type; temperatures stay in degC and fractions in per cent."""
+"""Factors to SI units; temperatures stay in degC, and fractions in per cent."""
 
 MESH_SIZES = {
     "coarse": MeshSize(through_wall=1, around=12, along=10),

@@ -45,18 +45,18 @@ from acoustube.waves.scattering import Complex
 from acoustube.waves.spectral import SpectralScattering
 
 GOOD_SHARE = 0.75
-"""Part of the frequencies at which a matrix must have a small estimated error: about those of a
-trapped mode, half a kilohertz to both sides, it is that without losses, far too large."""
+"""Fraction of the frequencies at which a matrix must have a small estimated error. Within half a
+kilohertz of a trapped mode the estimate, which leaves out losses, is far too large."""
 GAIN_OF_BISECTION = 6.0
 """Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
 REACH = 8
-"""Depths to both sides of one from which its scattering is interpolated to find the error."""
+"""Depths on each side of one from which its scattering is interpolated, to estimate the error."""
 WIDEST_GAP = 1.6
-"""Widest gap that depths which failed may leave, in the largest distance of the first ones."""
+"""Widest gap that failed depths may leave, relative to the largest step of the first depths."""
 FINEST = 1 / 32
-"""Smallest distance of depths, in distances of the first ones."""
+"""Smallest step of depth, relative to the smallest step of the first depths."""
 USUAL_DEPTHS = 3.0
-"""Depths of a tool in the end, in numbers of the first ones, for estimates of time."""
+"""Final number of depths of a tool over the number of first ones, for estimates of time."""
 
 
 class PressRows(NamedTuple):

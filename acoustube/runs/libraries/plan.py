@@ -23,8 +23,8 @@ from acoustube.runs.sweep.plan import digest, load_plan
 from acoustube.runs.sweep.run import cases_of
 
 BAND = 0.8, 1.2
-"""Ends of a library's band in carriers: that of a resonant transducer, at temperatures 25 K apart
-from the library's."""
+"""Ends of a library's band over the carrier frequency: that of a resonant transducer, at
+temperatures 25 K apart from the library's."""
 WIDEST_STEP = 1 / 16
 """Largest distance of the depths of a press, in bores: closer shapes can be interpolated."""
 ROUNDING = 1e-9
