@@ -163,7 +163,9 @@ def propagate(
         raise ValueError(
             f'source_mode = "{source_mode}" needs source_end = "absorbing", not "{source_end}"'
         )
-    places = tuple(getattr(probe, "position", probe) for probe in probes)
+    places = tuple(
+        one.position if isinstance(one, ModalProbe | PointProbe) else one for one in probes
+    )
     setup = prepare(
         cells, air, probes=places, source_end=source_end,
         far_end=far_end, absorber_thickness=absorber_thickness, time_step=time_step,
