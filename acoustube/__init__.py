@@ -5,7 +5,7 @@ Three storeys, of which each imports only what stands below it::
     cli, reports, sensor, runs             commands; figures and files; a sensor for simulations of
                                            robots; settings and computations
     tube -> indentation -> lumen -> waves (air) -> ranging -> recordings -> signals -> estimation
-    -> sleeve                              the stages, in the order of the data
+    -> inversion -> sleeve                 the stages, in the order of the data
     base                                   errors, rules, files, the cache
 
 The names below are loaded when they are first used, so that importing the package costs nothing.

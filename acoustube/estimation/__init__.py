@@ -6,8 +6,10 @@ estimators themselves, :class:`ForceNetwork` as published, :class:`EchoEnsemble`
 :class:`Boosting`, take arrays and follow scikit-learn's convention: ``fit(X, y)`` and
 ``predict(X, return_std=True)``, with a further method ``half_width(X, coverage)``.
 
-Reading order: features, inputs, splits; network, force_network, echo; trees, boosting; uncertainty,
-metrics; model, model_file.
+Reading order: `features` (of the strongest peak, and of the whole echo), `inputs` (checks),
+`splits` (training and test cycles), `uncertainty` (quantiles of held-out residuals), `network`,
+`force_network` and `echo` (neural networks), `trees` and `boosting` (decision trees), `metrics`
+(errors and coverage), `model` (training, estimates) and `model_file`.
 """
 
 from acoustube.base.moved import renamed
