@@ -198,7 +198,7 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
                 return
             before = time.perf_counter()
             head = "nothing yet" if ranging is None else _found(ranging)
-            lines = _told(tally, in_place=panel is not None)
+            lines = _contact_lines(tally, in_place=panel is not None)
             if panel is None:
                 console.print("; ".join([head, *lines, tally.words()]), soft_wrap=True)
                 return
@@ -209,7 +209,7 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
         yield show
 
 
-def _told(tally: Tally, *, in_place: bool) -> list[str]:
+def _contact_lines(tally: Tally, *, in_place: bool) -> list[str]:
     """Return lines on the contacts, with the tube in a panel."""
     if tally.learning:
         return ["learning the untouched tube; do not touch it"]

@@ -140,7 +140,7 @@ STATED = {
 
 
 def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> None:
-    """Raise ConfigError unless what a file of our own states of its cycles are numbers.
+    """Raise ConfigError unless labels and attributes in a file of our own are numbers in range.
 
     Parameters
     ----------

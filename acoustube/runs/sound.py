@@ -202,7 +202,7 @@ def scattering_of(
 
 
 def _excess(matrix: SpectralScattering) -> str:
-    """Return that the estimated error exceeds the tolerance at over 5 % of the frequencies."""
+    """Return the note of an estimated error above the tolerance at over 5 % of the frequencies."""
     return matrix.excess if matrix.typical_error > matrix.tolerance else ""
 
 

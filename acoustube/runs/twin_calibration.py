@@ -104,7 +104,7 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
 
 
 def thermometer(path: Path) -> float:
-    """Return what a sensor's thermometer reads too much, in K, as its file states."""
+    """Return the error in K of a sensor's thermometer, reading minus air, as its file states."""
     document = read_document(path)
     if KIND not in document:
         document = {name: one for name, one in document.items() if name not in OF_OTHERS}
@@ -112,7 +112,7 @@ def thermometer(path: Path) -> float:
 
 
 def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | None, float]:
-    """Return the calibration to take, and what the thermometer reads too much, in K.
+    """Return the calibration to use, and the error in K of the thermometer: reading minus air.
 
     Parameters
     ----------

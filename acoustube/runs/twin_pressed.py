@@ -175,7 +175,7 @@ def _state(
 
 
 def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
-    """Return the contact that a label means, and why its depth cannot be taken, or nothing."""
+    """Return the contact that a label means, and why its depth is not usable; empty if it is."""
     likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"

@@ -17,7 +17,7 @@ POINTS = 400
 
 
 def posterior_figure(found: Inversion, library: Library) -> Figure:
-    """Draw the echo along the tube with what explains it, and the distributions of each contact.
+    """Draw the echo along the tube, recorded and modelled, and each contact's distributions.
 
     Returns
     -------

@@ -77,7 +77,7 @@ def encoded(content: Content) -> str:
     page = {
         "title": content.title,
         "groups": [_group(group, arrays) for group in content.groups],
-        "settings": _said(content.settings),
+        "settings": _in_words(content.settings),
         "origin": dict(content.origin),
         "notes": list(content.notes),
         "missing": dict(content.missing),
@@ -89,7 +89,7 @@ def encoded(content: Content) -> str:
     return text.replace("<", "\\u003c")
 
 
-def _said(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
+def _in_words(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
     """Return the given settings as text."""
     return {
         section: [

@@ -26,7 +26,7 @@ BAND = 0.8, 1.2
 """Ends of a library's band over the carrier frequency: that of a resonant transducer, at
 temperatures 25 K apart from the library's."""
 WIDEST_STEP = 1 / 16
-"""Largest distance of the depths of a press, in bores: closer shapes can be interpolated."""
+"""Largest step of the depths of a press, in bore diameters: closer shapes can be interpolated."""
 ROUNDING = 1e-9
 """Depths are rounded to this, in m, so that equal ones have equal names."""
 

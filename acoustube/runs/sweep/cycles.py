@@ -221,7 +221,7 @@ def _reflectors(recipe: Recipe, seed: int) -> Array:
 
 
 def _in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
-    """Return a rangefinder with what is drawn for a session: its thermometer's error and more."""
+    """Return a rangefinder with parameters drawn for a session, as its thermometer's error."""
     random, drawn = np.random.default_rng([seed, 2]), {}
     for name, deviation in recipe.spread:
         value, off = getattr(rangefinder, name), deviation * random.normal()

@@ -207,7 +207,7 @@ def _update_integral(integral, later, increment, relaxing, x, y, begin, end):  #
 
 @_compiled
 def _update_pressure(lossy, fields, following, moved, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance change, pressure and the Laplacian's argument."""
+    """Advance the pressure, its change per step, and the field whose Laplacian is taken next."""
     half, rate = np.float32(0.5), lossy.scalars[1]
     i, j, pressure, change = x + _ONE, y + _ONE, fields.pressure, fields.change
     for k in range(begin, end):
