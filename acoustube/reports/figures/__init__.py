@@ -1,1 +1,1 @@
-"""Figures by matplotlib."""
+"""Figures by matplotlib, returned as they are drawn: not shown and not saved."""

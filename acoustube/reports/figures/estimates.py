@@ -26,11 +26,6 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
     ----------
     table, estimates : xarray.Dataset
         From :func:`acoustube.estimation.feature_table` and :func:`acoustube.estimation.estimate`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
     """
     targets = [t for t, name in TARGETS.items() if t in table and name in estimates]
     against = [label for label in AGAINST if label in table]

@@ -17,13 +17,7 @@ POINTS = 400
 
 
 def posterior_figure(found: Inversion, library: Library) -> Figure:
-    """Draw the echo along the tube, recorded and modelled, and each contact's distributions.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
-    """
+    """Draw the echo along the tube, recorded and modelled, and each contact's distributions."""
     rows = len(found.contacts)
     sheet = Figure(figsize=(9.0, 3.2 + 2.2 * rows), layout="constrained")
     grid = sheet.add_gridspec(1 + rows, 3, height_ratios=[1.4, *[1.0] * rows])

@@ -33,11 +33,6 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
         A run.
     images : mapping of str to image, optional
         The three-dimensional pictures of :func:`acoustube.reports.scenes.tube.drawing`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
     """
     sheet = Figure(figsize=(11, 11.5), layout="constrained")
     top, *shared = sheet.subplots(4, 1, height_ratios=[4.4, 1.3, 2, 3.2])
@@ -162,11 +157,6 @@ def press_figure(dataset: xr.Dataset) -> Figure:
     ----------
     dataset : xarray.Dataset
         From :func:`acoustube.runs.results.press_dataset`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
     """
     sheet = Figure(figsize=(11, 7), layout="constrained")
     grid = sheet.add_gridspec(2, 2, height_ratios=[1, 1.1])

@@ -28,11 +28,6 @@ def figure(cases: xr.Dataset) -> Figure:
     cases : xarray.Dataset
         Of a sweep, from :func:`acoustube.open_dataset`. Where more varies than tool and depth, the
         echoes are those of the most frequent combination, the curves medians with their range.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
     """
     cases = chosen(cases)
     tools = list(by_tool(cases))

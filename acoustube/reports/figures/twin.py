@@ -16,13 +16,7 @@ AROUND = (-0.2e-3, 1.6e-3)
 
 
 def twin_figure(found: FittedSensor) -> Figure:
-    """Draw the nearest, a middle and the farthest closure, the untouched tube, and the errors.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not shown and not saved.
-    """
+    """Draw the nearest, a middle and the farthest closure, the untouched tube, and the errors."""
     sheet = Figure(figsize=(10.0, 8.0), layout="constrained")
     grid = sheet.add_gridspec(3, 6)
     order = np.argsort(found.twin.model.places)
