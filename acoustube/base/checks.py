@@ -62,12 +62,7 @@ class Reals:
     kinds: str = "iufb"
 
     def check(self, name: str, value: Any) -> None:
-        """Raise unless the values are real numbers within the bounds, of the right shape.
-
-        Raises
-        ------
-        ConfigError
-        """
+        """Raise ConfigError unless the values are real, within the bounds, of the right shape."""
         import numpy as np  # the command line imports this module before it needs arrays
 
         try:
@@ -233,13 +228,9 @@ class Several:
 
 
 def check_argument(name: str, value: Any, rule: Any) -> Any:
-    """Return the value of an argument, if it obeys a rule: a number as an int or a float.
+    """Return an argument that obeys a rule, a number as int or float; else raise ConfigError.
 
     A class as a rule stands for its instances.
-
-    Raises
-    ------
-    ConfigError
     """
     if isinstance(rule, type):
         rule = Instance((rule,))

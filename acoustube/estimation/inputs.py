@@ -31,15 +31,11 @@ SETTINGS = {
 
 
 def check_settings(estimator: Any) -> None:
-    """Raise unless the parameters of an estimator are within their ranges; 3.0 folds become 3.
+    """Raise ConfigError unless an estimator's parameters are in range; 3.0 folds become 3.
 
     Parameters
     ----------
     estimator : sklearn.base.BaseEstimator
-
-    Raises
-    ------
-    ConfigError
     """
     for name, value in estimator.get_params().items():
         if name in SETTINGS:

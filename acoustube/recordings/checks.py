@@ -54,7 +54,7 @@ def _blocks(signal: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
 
 
 def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return each cycle's minimum and maximum; raise if samples are not finite or all equal.
+    """Return each cycle's extremes; raise ConfigError if samples are not finite or all equal.
 
     Parameters
     ----------
@@ -65,10 +65,6 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
     Returns
     -------
     low, high : array of shape (cycle,)
-
-    Raises
-    ------
-    ConfigError
     """
     count, first = 0, (0, 0)
     ends = []

@@ -275,13 +275,7 @@ class SpectralCheck(NamedTuple):
 
 
 def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
-    """Return the echo of a pressed part from the spectral solver.
-
-    Raises
-    ------
-    ConfigError
-        As :func:`spectral_scattering_of`.
-    """
+    """Return the echo of a pressed part from the spectral solver."""
     band = band_of(settings.pulse)
     matrix = spectral_scattering_of(part, settings.air, band, lossy=settings.lossy)
     recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])

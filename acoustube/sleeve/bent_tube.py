@@ -126,11 +126,6 @@ def windings(
     -------
     list of PlacedScatterer
         The bends alone; valid for any presses at these positions.
-
-    Raises
-    ------
-    ConfigError
-        See :func:`wrapped`.
     """
     at = np.asarray(places, float)
     if np.any(np.diff(at) < 2 * reach):

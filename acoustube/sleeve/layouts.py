@@ -234,12 +234,7 @@ def design(
 
 @checked(tubes=Several(Helix, 1), reach=LENGTH)
 def check_reach(tubes: Sequence[Helix], reach: float) -> None:
-    """Raise if a tube is longer than the sensor's reach.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if a tube is longer than the sensor's reach."""
     longest = max(tubes, key=lambda tube: tube.tube_length)
     if longest.tube_length > reach:
         fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
@@ -254,12 +249,7 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
 
 @checked(tubes=Several(Helix, 1), outer_diameter=LENGTH)
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
-    """Raise if tubes overlap.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if tubes overlap."""
     room = spacing(tubes)
     if room < outer_diameter:
         raise ConfigError(

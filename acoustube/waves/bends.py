@@ -201,11 +201,6 @@ def joined_bends(
     -------
     ModalScattering
         See :func:`bend`.
-
-    Raises
-    ------
-    ConfigError
-        See :func:`bend`.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     _check_sound(frequency, radius, highest, air)

@@ -163,7 +163,7 @@ def reading(
     advice: str,
     errors: type[Exception] | tuple[type[Exception], ...] = Exception,
 ) -> Iterator[None]:
-    """Convert any failure to read a file to one error message, and suppress libraries' warnings.
+    """Convert any failure to read a file to a ConfigError, and suppress libraries' warnings.
 
     Parameters
     ----------
@@ -174,10 +174,6 @@ def reading(
         What to do.
     errors : type or tuple of type, optional
         Errors of reading; :data:`OF_CONTENT` where files are written too.
-
-    Raises
-    ------
-    ConfigError
     """
     silent = logging.root.manager.disable
     try:

@@ -39,16 +39,12 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
 
 
 def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
-    """Return a result in memory, checked; see :func:`check_result`.
+    """Return a result in memory, checked, or raise ConfigError; see :func:`check_result`.
 
     Parameters
     ----------
     path : str or Path
     advice, failure : str
-
-    Raises
-    ------
-    ConfigError
     """
     check_result(path, advice, failure)
     opening = limits.reading(path, failure, advice)

@@ -137,11 +137,6 @@ def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
         wall, and of a tube that is bent too sharply to be straightened, as it lies.
     what : str
         Which of these, in words.
-
-    Raises
-    ------
-    ConfigError
-        As :func:`write_surfaces`.
     """
     if settings_of(run).tube.surface is None:
         indentation = indentation_of(run)

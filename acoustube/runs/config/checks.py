@@ -21,12 +21,7 @@ MOST_CELLS = 50_000_000
 
 
 def check_touched(press: IndentationSettings) -> None:
-    """Raise if the press does not touch the tube.
-
-    Raises
-    ------
-    ConfigError
-    """
+    """Raise ConfigError if the press does not touch the tube."""
     if press.depth_mm == 0:
         raise ConfigError(
             "is not a press", setting="depth_mm", value=0,

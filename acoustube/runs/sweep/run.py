@@ -162,11 +162,6 @@ def run_with_progress(
     executor : concurrent.futures.Executor, optional
     width : int, optional
         Tasks that are handed over at a time; as many as workers by default.
-
-    Raises
-    ------
-    SimulationError
-        See :func:`acoustube.runs.sweep.workers.run_tasks`.
     """
     with worker_pool(workers) as processes:
         run_tasks(tasks, executor or processes, width or processes.count, board.tick)

@@ -119,12 +119,7 @@ class SampledPulse:
 
 
 def check_pulse(pulse: object, duration: float) -> None:
-    """Validate that a pulse is a function of time, not longer than the run.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Validate that a pulse is a function of time, not longer than the run."""
     if not callable(pulse):
         raise ConfigError(
             "is not a function of time", setting="pulse", value=pulse, advice="use Pulse"
@@ -133,13 +128,7 @@ def check_pulse(pulse: object, duration: float) -> None:
 
 
 def check_duration(pulse: object, duration: float) -> None:
-    """Validate that a pulse is not longer than the run.
-
-    Raises
-    ------
-    ValueError
-        If it is.
-    """
+    """Validate that a pulse is not longer than the run."""
     lasting = float(getattr(pulse, "duration", 0.0))
     if lasting > duration:
         raise ValueError(
