@@ -144,12 +144,7 @@ class Complex:
 
 @dataclass(frozen=True)
 class Instance:
-    """Rule for an instance of given classes.
-
-    Parameters
-    ----------
-    kinds : tuple of type
-    """
+    """Rule for an instance of given classes."""
 
     kinds: tuple[type, ...]
 
@@ -178,13 +173,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Either:
-    """Rule for an instance of given classes, or a value that obeys another rule.
-
-    Parameters
-    ----------
-    kinds : tuple of type
-    rule : rule
-    """
+    """Rule for an instance of given classes, or a value that obeys another rule."""
 
     kinds: tuple[type, ...]
     rule: Any

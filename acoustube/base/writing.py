@@ -72,13 +72,7 @@ def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) ->
 
 
 def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -> None:
-    """Write files atomically, all or none; see :func:`write`.
-
-    Parameters
-    ----------
-    contents : mapping of str or path to bytes or str
-    overwrite : bool
-    """
+    """Write files atomically, all or none; see :func:`write`."""
     encoded = {
         Path(path): text.encode("utf-8", "backslashreplace") if isinstance(text, str) else text
         for path, text in contents.items()  # which may hold the name of a file, not in UTF-8

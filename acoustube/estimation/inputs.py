@@ -31,12 +31,7 @@ SETTINGS = {
 
 
 def check_settings(estimator: Any) -> None:
-    """Raise ConfigError unless an estimator's parameters are in range; 3.0 folds become 3.
-
-    Parameters
-    ----------
-    estimator : sklearn.base.BaseEstimator
-    """
+    """Raise ConfigError unless an estimator's parameters are in range; 3.0 folds become 3."""
     for name, value in estimator.get_params().items():
         if name in SETTINGS:
             setattr(estimator, name, check_argument(name, value, SETTINGS[name]))

@@ -95,14 +95,6 @@ def save(model: Model, path: str | Path, *, overwrite: bool = True) -> None:
 def load(path: str | Path) -> Model:
     """Read a model that :func:`save` wrote.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Returns
-    -------
-    Model
-
     Raises
     ------
     ConfigError

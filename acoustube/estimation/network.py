@@ -194,10 +194,6 @@ def train(
     seed : int
         Random seed of the initial weights and the order of the rows.
     progress : callable, optional
-
-    Returns
-    -------
-    FittedNetworks
     """
     count = int(fold.max()) + 1
     scales = fit_scaler(x, y, fold, count)

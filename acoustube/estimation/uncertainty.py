@@ -146,10 +146,6 @@ class Conformal:
             Called with the finished fraction; by networks as
             :data:`acoustube.estimation.network.Progress`.
 
-        Returns
-        -------
-        Self
-
         Raises
         ------
         ConfigError

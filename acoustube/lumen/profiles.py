@@ -61,10 +61,6 @@ def check_increment(indentation: Indentation, increment: int) -> None:
 def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
     """Triangulate the inner wall for the measurement of sections.
 
-    Parameters
-    ----------
-    mesh : Mesh
-
     Returns
     -------
     sampling : sparse array of shape (n_vertices, n_nodes)

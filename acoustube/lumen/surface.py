@@ -230,10 +230,6 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
     position, length : float
         Position of the indenter and length of the tube, in m.
 
-    Returns
-    -------
-    Lumen
-
     Raises
     ------
     ConfigError

@@ -59,10 +59,6 @@ def winding(
         Tube flattened by the bending, see :func:`acoustube.sleeve.ovalisation.ovality`; without it
         the bore stays round. The ovality is that at the helix's middle: steps would echo.
 
-    Returns
-    -------
-    list of PlacedScatterer
-
     Raises
     ------
     ConfigError

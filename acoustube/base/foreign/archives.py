@@ -22,10 +22,6 @@ def read_archive(path: Path, kind: str) -> dict[str, NDArray[Any]]:
     kind : str
         A key of :data:`acoustube.base.foreign.limits.SIZES`.
 
-    Returns
-    -------
-    dict of ndarray
-
     Raises
     ------
     ConfigError

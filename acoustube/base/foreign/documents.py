@@ -19,15 +19,6 @@ PARSERS = {".toml": ("TOML", tomllib.loads), ".json": ("JSON", json.loads)}
 def read_document(path: str | Path, kind: str = ".toml") -> dict[str, Any]:
     """Read a table from a TOML or JSON file.
 
-    Parameters
-    ----------
-    path : str or Path
-    kind : {".toml", ".json"}
-
-    Returns
-    -------
-    dict
-
     Raises
     ------
     ConfigError

@@ -39,13 +39,7 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
 
 
 def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
-    """Return a result in memory, checked, or raise ConfigError; see :func:`check_result`.
-
-    Parameters
-    ----------
-    path : str or Path
-    advice, failure : str
-    """
+    """Return a result in memory, checked, or raise ConfigError; see :func:`check_result`."""
     check_result(path, advice, failure)
     opening = limits.reading(path, failure, advice)
     with opening, xr.open_dataset(path, engine="h5netcdf") as file:

@@ -66,10 +66,6 @@ class View:
 def rendering(views: Mapping[str, View]) -> Iterator[Callable[[], dict[str, Image] | None]]:
     """Render views in a separate process, while this one goes on.
 
-    Parameters
-    ----------
-    views : mapping of str to View
-
     Yields
     ------
     callable

@@ -21,12 +21,7 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Interval:
-    """Range of a setting from which a random plan draws.
-
-    Attributes
-    ----------
-    low, high : float
-    """
+    """Range of a setting from which a random plan draws."""
 
     low: float
     high: float

@@ -29,13 +29,7 @@ Result = TypeVar("Result")
 
 
 class Done(NamedTuple, Generic[Result]):
-    """Result of a task, and whether it came from the cache.
-
-    Attributes
-    ----------
-    result : object
-    reused : bool
-    """
+    """Result of a task, and whether it came from the cache."""
 
     result: Result
     reused: bool
