@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from numbers import Number as AnyNumber
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
@@ -18,13 +18,6 @@ T = TypeVar("T")
 
 LARGEST = 1e100
 """Largest magnitude of a sample: squares and sums of such numbers are finite."""
-
-
-class Rule(Protocol):
-    """Rule that an argument obeys."""
-
-    def check(self, name: str, value: Any) -> Any:
-        """Raise ConfigError unless the value obeys the rule."""
 
 
 @dataclass(frozen=True)
