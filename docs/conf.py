@@ -73,7 +73,8 @@ if not sphinx_gallery_conf["plot_gallery"]:
 # Pages of others are looked at with -D linkcheck_ignore= where there is a network.
 linkcheck_ignore = [r"https?://"]
 
-html_theme = "furo"
+# furo writes the table of contents of all pages into each of them, which takes longer than the pages.
+html_theme = "furo" if sphinx_gallery_conf["plot_gallery"] else "basic"
 html_title = f"acoustube {release}"
 
 # The storeys from the stages up, in the order of the data; what is not named here comes last.
