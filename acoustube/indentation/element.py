@@ -290,6 +290,18 @@ def _contracted(
     return result
 
 
+def compile_contraction() -> None:
+    """Compile the loop of :func:`tangents`, by calling it for no element."""
+    arrays = (np.zeros((0,) * n_axes) for n_axes in (4, 2, 6, 4, 3))
+    _contracted(0, *(_as_from_jax(array) for array in arrays))
+
+
+def _as_from_jax(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an array that cannot be written, like those of JAX: for numba another type."""
+    array.flags.writeable = False
+    return array
+
+
 def volume_ratios(displacement: Array, rule: Quadrature) -> Array:
     """Return the volume ratios J at the points of every element, (n_elements, n_points).
 

@@ -280,6 +280,16 @@ def multifrontal(lower: sparse.csc_array, plan: Plan) -> MultifrontalFactor:
     return factor
 
 
+def compile_kernels() -> None:
+    """Compile the loops over the fronts, by calling them for no front."""
+    none, start = np.zeros(0, np.int64), np.zeros(1, np.int64)
+    touched, rows, pointers, _ = _rows(none, none, start, none)
+    _storage(none, pointers, start, none, touched, rows)
+    by_column, by_row = np.zeros((2, 2), order="F"), np.zeros((2, 2))
+    for target in (by_column, by_row):  # a block of one row or column has both orders
+        _add(target, by_column, none, 0, 0, 0, 0, 0, 0)
+
+
 @numba.njit(cache=True)
 def _add(
     target: Any, left: Any, into: Any,

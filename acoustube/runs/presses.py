@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base import cache
+from acoustube.base.ahead import compile_ahead
 from acoustube.base.checks import Instance, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import pressed_reach
 from acoustube.base.units import MM, MPA
 from acoustube.indentation import Indentation, Mesh, MeshSize, indent, restored
+from acoustube.indentation.element import compile_contraction
+from acoustube.indentation.multifrontal import compile_kernels
 from acoustube.indentation.press import deepest_press
 from acoustube.indentation.reference_element import TET10
 from acoustube.runs.config import Config, Mechanics
@@ -27,6 +30,7 @@ Arrays = Mapping[str, NDArray[Any]]
 Progress = Callable[[float], None]
 Note = Callable[[str], None]
 
+KERNELS = compile_contraction, compile_kernels
 MESH = ("points", "elements", "inner_faces", "outer_faces")
 
 
@@ -69,14 +73,20 @@ def press_to(
     depths: Sequence[float],
     progress: Progress | None = None,
     note: Note | None = None,
+    *,
+    then: Iterable[Callable[[], None]] = (),
 ) -> Indentation:
-    """Press a tube to several depths as :func:`pressed`, from settings in SI units."""
+    """Press a tube to several depths as :func:`pressed`, from settings in SI units.
+
+    The code that it needs is compiled in the background, and after it that of `then`.
+    """
     name = cache_key(settings, depths)
     known = cache.recall(name)
     if note and known is None and cache.holds(name):
         entry = cache.folder() / f"{name}.npz"
         note(f"The cached press {entry} is damaged and was not used: it was computed again.")
     indenter, support, layer = settings.indenter, settings.support, settings.layer
+    compile_ahead([*(KERNELS if known is None else ()), *then])
     tube, mesh = _tube_and_mesh(settings, known, note)
     if known is not None:
         return restored(tube, indenter, known, support=support, layer=layer, mesh=mesh)

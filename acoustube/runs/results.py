@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -15,14 +15,15 @@ from acoustube.lumen import Lumen, inner_wall, measure, profile, ring_faces
 from acoustube.runs.config import Config, Mechanics
 from acoustube.runs.config.si import SISettings
 from acoustube.runs.provenance import configuration, provenance
-from acoustube.runs.sound import SpectralCheck
-from acoustube.signals import Ranging
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
 from acoustube.waves.budget import SpectralBudget
 
+if TYPE_CHECKING:  # the solvers of sound, which a press alone does not need
+    from acoustube.runs.sound import SpectralCheck
+    from acoustube.signals import Ranging
+
 EVEN_POINTS = 401
 """Evenly spaced points of the profile along the tube, in addition to the mesh's rings."""
-
 MEASURED_PART = 0.95
 """Fraction of the modelled length within which the deformed tube is measured.
 

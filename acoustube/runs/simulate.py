@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import jax
 import numpy as np
@@ -33,6 +34,7 @@ from acoustube.runs.sound import (
 )
 from acoustube.waves import Budget, attenuation, cut_ons_in_band
 from acoustube.waves.budget import SpectralBudget
+from acoustube.waves.scheme.cpu_ahead import compile_march
 
 
 @checked(config=Optional(Config))
@@ -82,7 +84,8 @@ def simulate(
     notes: list[str] = []
 
     with stage("indentation", seconds, report) as progress:
-        indentation = press_to(settings, [settings.depth], progress, notes.append)
+        march = [partial(compile_march, lossy=settings.lossy)] * (settings.method == "full")
+        indentation = press_to(settings, [settings.depth], progress, notes.append, then=march)
     with stage("lumen", seconds, report):
         space = lumen(indentation, settings.position)
     if pressed is not None:

@@ -23,7 +23,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import next_fast_len
-from scipy.signal import CZT
 
 from acoustube.air import Air
 from acoustube.base.checks import (
@@ -333,6 +332,9 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
     steps = np.diff(frequency)
     if n < 2 or np.ptp(steps.real) > 1e-9 * steps[0].real or np.any(steps.imag != 0):
         return np.asarray(np.exp(-2j * pi * np.outer(frequency, time)) @ response, complex)
+    # Imports the statistics too, a fifth of a second, which a press alone does not need.
+    from scipy.signal import CZT
+
     rate = time[1] - time[0]
     transform = CZT(
         len(time), n, w=np.exp(-2j * pi * steps[0].real * rate),

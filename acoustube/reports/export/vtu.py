@@ -5,8 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyvista
 from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import (
+    VTK_QUADRATIC_HEXAHEDRON,
+    VTK_QUADRATIC_TETRA,
+    vtkCellArray,
+    vtkPointSet,
+    vtkUnstructuredGrid,
+)
 from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
 from acoustube.base.types import Array
@@ -49,7 +57,9 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
         zip(depths, displacements, strict=True), start=1
     ):
         name = f"press-{number:04d}.vtu"
-        grid.point_data["displacement"] = displacement
+        values = numpy_to_vtk(displacement, deep=True)
+        values.SetName("displacement")
+        grid.GetPointData().AddArray(values)  # replaces that of the depth before
         write_file(folder / name, in_xml(grid))
         entries.append(f'<DataSet timestep="{MM * depth:.6g}" file="{name}"/>')
     collection = folder / "press.pvd"
@@ -62,9 +72,9 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
     return collection
 
 
-def in_xml(shape: pyvista.UnstructuredGrid | pyvista.PolyData) -> str:
+def in_xml(shape: vtkPointSet) -> str:
     """Return the content of a VTU or VTP file: VTK itself does not survive a full disk."""
-    of_grid = isinstance(shape, pyvista.UnstructuredGrid)
+    of_grid = isinstance(shape, vtkUnstructuredGrid)
     writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
     writer.SetInputData(shape)
     writer.SetDataModeToBinary()
@@ -73,13 +83,19 @@ def in_xml(shape: pyvista.UnstructuredGrid | pyvista.PolyData) -> str:
     return str(writer.GetOutputString())
 
 
-def _grid(mesh: Mesh) -> pyvista.UnstructuredGrid:
-    """Return the undeformed mesh with quadratic cells."""
-    kind = pyvista.CellType.QUADRATIC_HEXAHEDRON
-    if mesh.reference is not HEX20:
-        kind = pyvista.CellType.QUADRATIC_TETRA
-    cells = mesh.elements[:, _order(mesh.reference)]
-    return pyvista.UnstructuredGrid({kind: cells}, mesh.points)
+def _grid(mesh: Mesh) -> vtkUnstructuredGrid:
+    """Return the undeformed mesh with quadratic cells.
+
+    Made with VTK alone, since PyVista takes longer to import than the files to be written.
+    """
+    kind = VTK_QUADRATIC_HEXAHEDRON if mesh.reference is HEX20 else VTK_QUADRATIC_TETRA
+    points, cells, grid = vtkPoints(), vtkCellArray(), vtkUnstructuredGrid()
+    points.SetData(numpy_to_vtk(np.ascontiguousarray(mesh.points), deep=True))
+    nodes = np.ascontiguousarray(mesh.elements[:, _order(mesh.reference)], np.int64)
+    cells.SetData(nodes.shape[1], numpy_to_vtk(nodes.ravel(), deep=True))
+    grid.SetPoints(points)
+    grid.SetCells(kind, cells)
+    return grid
 
 
 def _order(reference: Reference) -> NDArray[np.int64]:

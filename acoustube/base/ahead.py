@@ -1,0 +1,34 @@
+"""Compilation in the background, while the calling thread prepares what will call the code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from threading import Thread
+
+
+def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
+    """Start compilations, one after the other in the order of need, in a thread of their own.
+
+    Whoever calls code that is just being compiled waits for it, since numba compiles one function
+    at a time.
+
+    Parameters
+    ----------
+    compilations : iterable of callable
+        Each calls functions with arguments of the types of later calls. What fails will fail, and
+        be told, where the code is needed.
+
+    Returns
+    -------
+    Thread
+    """
+
+    def run() -> None:
+        for compilation in compilations:
+            with suppress(Exception):
+                compilation()
+
+    thread = Thread(target=run, name="compilation")
+    thread.start()
+    return thread
