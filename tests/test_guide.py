@@ -24,7 +24,7 @@ def test_interpolation_between_meshes_gives_the_place_of_every_node(halved):
     size = MeshSize(through_wall=1, around=12, along=10)
     coarse, fine = (
         sweep(Tube(), REACH, each, halved=halved)
-        for each in (size, MeshSize(through_wall=3, around=17, along=13))
+        for each in (size, MeshSize(through_wall=3, around=17, along=13, inner=0.5))
     )
     found = prolongation(coarse, fine) @ coarse.points
     assert found[:, 2] == pytest.approx(fine.points[:, 2], abs=1e-9 * REACH)

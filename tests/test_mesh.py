@@ -124,6 +124,18 @@ def test_elements_around_shrink_at_the_sides_and_ends_by_the_shares_asked_for():
     assert widths.sum() == pytest.approx(45.0, rel=1e-12)
 
 
+def test_layers_shrink_towards_the_inner_wall_by_the_share_asked_for():
+    """Thicknesses grow linearly, from 1 - inner to 1 + inner averages at the two walls."""
+    size = MeshSize(through_wall=4, around=3, along=1, inner=0.5)
+    mesh = sweep(TUBE, REACH, size)
+    layers = np.unique(mesh.sweep.layer)
+    assert np.diff(layers[::2]) * 4 == pytest.approx([0.625, 0.875, 1.125, 1.375], rel=1e-12)
+    assert layers[1::2] == pytest.approx((layers[:-1:2] + layers[2::2]) / 2, rel=1e-12)
+    assert layers[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-15)
+    even = sweep(TUBE, REACH, MeshSize(through_wall=4, around=3, along=1))
+    assert volumes(mesh).sum() == pytest.approx(volumes(even).sum(), rel=1e-12)
+
+
 def test_a_whole_tube_is_the_mirror_image_of_its_half():
     """The same set of nodes as the half and its reflection, to 1e-12 m."""
     half, whole = (sweep(TUBE, REACH, SIZE, halved=(h, False)) for h in (True, False))

@@ -34,6 +34,9 @@ class MeshSize:
     fold, touch : float
         Refinement at the sides of the tube, where the wall folds, and at its top and bottom, where
         it is in contact: the fraction by which elements are narrower than the average.
+    inner : float
+        Refinement towards the inner wall: the fraction by which elements there would be thinner
+        than the average if there were many.
     """
 
     through_wall: int = 2
@@ -42,13 +45,14 @@ class MeshSize:
     grading: float = 3.2
     fold: float = 0.55
     touch: float = 0.2
+    inner: float = 0.0
 
     def __post_init__(self) -> None:
         """Validate all numbers."""
         count, fraction = Number(1, 1000, "elements", whole=True), Number(0, 0.99)
         check_fields(
             self, through_wall=count, around=count, along=count, fold=fraction, touch=fraction,
-            grading=Number(0, 20),
+            inner=fraction, grading=Number(0, 20),
         )  # fmt: skip
 
 
@@ -176,7 +180,7 @@ def sweep(
     station = _stations(np.asarray(presses) / reach, size, from_zero=halved[1])
     half = np.pi * _graded_turn(np.linspace(0, 1, 2 * size.around + 1), size)
     angle = half if halved[0] else np.concatenate([half, 2 * np.pi - half[-2:0:-1]])
-    layer = np.linspace(0, 1, 2 * size.through_wall + 1)
+    layer = _with_middles(_graded_layers(size))
     s, a, e = np.meshgrid(station, angle, layer, indexing="ij")
     # Exact zeros on the symmetry plane, where sin(pi) is not.
     sine = np.where(np.isclose(np.sin(a), 0, atol=1e-12), 0.0, np.sin(a))
@@ -209,6 +213,17 @@ def _graded_turn(turn: Array, size: MeshSize) -> Array:
     return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
 
 
+def _graded_layers(size: MeshSize) -> Array:
+    """Return the borders of the layers of elements: 0 on the inner wall, 1 on the outer."""
+    even = np.linspace(0, 1, size.through_wall + 1)
+    return even - size.inner * even * (1 - even)
+
+
+def _with_middles(edges: Array) -> Array:
+    """Return the stations of nodes, halfway between edges too: an element's map stays affine."""
+    return np.interp(np.arange(2 * len(edges) - 1) / 2, np.arange(len(edges)), edges)
+
+
 def _windows(number: Index, d: int) -> Index:
     """Return the node numbers of all elements; neighbours share one plane of nodes."""
     views = np.lib.stride_tricks.sliding_window_view(number, (3,) * d)
@@ -226,9 +241,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
     parts = []
     for centre, low, high in zip(centres, borders[:-1], borders[1:], strict=True):
         parts += [centre - _graded(centre - low, size)[::-1], centre + _graded(high - centre, size)]
-    edges = np.unique(np.round(np.concatenate(parts), 12))
-    # A mid-station halfway between its neighbours keeps the axial map of each element affine.
-    return np.interp(np.arange(2 * len(edges) - 1) / 2, np.arange(len(edges)), edges)
+    return _with_middles(np.unique(np.round(np.concatenate(parts), 12)))
 
 
 def _graded(length: float, size: MeshSize) -> Array:

@@ -26,7 +26,7 @@ FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg
 MESH_SIZES = {
     "coarse": MeshSize(through_wall=1, around=12, along=10),
     "usual": MeshSize(),
-    "fine": MeshSize(through_wall=2, around=24, along=18),
+    "fine": MeshSize(through_wall=3, inner=0.5, fold=0.65),
 }
 """Meshes of a round tube. The force of a 25 mm rod on each is in the documentation's findings."""
 
