@@ -14,6 +14,7 @@ frequencies exceed it, and by how much at most.
 instead, on grids of so many cells across, 0.3 kHz and more from the cut-ons: over the band and over
 36 to 48 kHz, with its processor seconds and how many frequencies are not settled. Each row is
 appended to ``--rows`` as soon as it is known, and rows that are there are not computed again.
+``--keep FOLDER`` writes the matrices of the march there, as ``march_32_lossy_7.5.nc``.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ from unittest.mock import patch
 import numpy as np
 
 from acoustube.air import air_at
+from acoustube.base.netcdf import to_netcdf
 from acoustube.base.units import MM
 from acoustube.indentation import Indenter, indent
 from acoustube.lumen import Lumen, pressed_part
+from acoustube.runs.scattering_file import to_dataset
 from acoustube.tube import Tube
 from acoustube.waves import Scattering, cut_cells, scatter
 from acoustube.waves.spectral import (
@@ -66,6 +69,7 @@ def main() -> None:
     parser.add_argument("--depths", type=float, nargs="+", default=DEPTHS)
     parser.add_argument("--march", type=int, nargs="*", default=[], help="cells across the bore")
     parser.add_argument("--rows", type=Path, default=Path("march.jsonl"), help="of the march")
+    parser.add_argument("--keep", type=Path, help="folder for the matrices of the march")
     parser.add_argument("--losses", choices=("off", "on", "both"), default="both")
     parser.add_argument("--runs", type=int, default=1, help="of which the fastest is timed")
     given = parser.parse_args()
@@ -75,7 +79,7 @@ def main() -> None:
     lumens = {depth: pressed_part(press, row) for depth, row in zip(depths, rows, strict=True)}
     losses = {"off": [False], "on": [True], "both": [False, True]}[given.losses]
     if given.march:
-        compare_march(lumens, losses, given.march, given.rows)
+        compare_march(lumens, losses, given.march, given.rows, given.keep)
     else:
         compare_estimate(lumens, losses, given.runs)
 
@@ -98,7 +102,11 @@ def compare_estimate(lumens: dict[float, Lumen], losses: list[bool], runs: int) 
 
 
 def compare_march(
-    lumens: dict[float, Lumen], losses: list[bool], resolutions: list[int], path: Path
+    lumens: dict[float, Lumen],
+    losses: list[bool],
+    resolutions: list[int],
+    path: Path,
+    folder: Path | None,
 ) -> None:
     """Print and store the differences of the march from the reference."""
     stored = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
@@ -113,6 +121,8 @@ def compare_march(
                 # Compiles, so that the second run is one of the method.
                 march(lumen, cells, lossy=lossy_wall, longest=1e-4)
                 marched, seconds = timed(march, lumen, cells, lossy=lossy_wall)
+                if folder is not None:
+                    keep(marched, folder, key)
                 rows[key] = {
                     "lossy": lossy_wall, "cells": cells, "depth": depth, "seconds": seconds,
                     **apart(marched, references[lossy_wall, depth]),
@@ -120,6 +130,14 @@ def compare_march(
                 with path.open("a") as file:
                     file.write(json.dumps(rows[key]) + "\n")
             print(" ".join(f"{name}={shown(value)}" for name, value in rows[key].items()))
+
+
+def keep(marched: Scattering, folder: Path, key: tuple[bool, int, float]) -> None:
+    """Write a matrix of the march to a file named after losses, cells and depth."""
+    lossy_wall, cells, depth = key
+    name = f"march_{cells}_{'lossy' if lossy_wall else 'lossless'}_{depth:g}.nc"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_bytes(to_netcdf(to_dataset(marched)))
 
 
 def reference_of(depth: float, lumen: Lumen, *, lossy: bool) -> SpectralScattering:

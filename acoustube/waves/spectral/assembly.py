@@ -38,6 +38,20 @@ BOX_POINTS = 5
 """Number of Gauss-Lobatto points per element at which its box is interpolated."""
 
 
+class Sections(NamedTuple):
+    """Gram matrices of the sections at all points along a lumen, (n_points, n, n) each.
+
+    Attributes
+    ----------
+    mass, along, across : ndarray
+        int P P^T in m2, int P (B P)^T in m and int grad P . grad P^T, with gradients at fixed L_j.
+    """
+
+    mass: Array
+    along: Array
+    across: Array
+
+
 class Boxes(NamedTuple):
     """Boxes around sections, (n_sections,) each, in m, and their derivatives along the tube."""
 
@@ -61,12 +75,15 @@ class Elements:
         (n_elements, size, size), in m and m3; see :class:`Layout`.
     first, last : ndarray
         The box x0, a, y0, b at both ends in m, (4,).
+    sections : Sections
+        Of the polynomials of the basis.
     """
 
     stiffness: Array
     mass: Array
     first: Array
     last: Array
+    sections: Sections
 
 
 def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) -> Elements:
@@ -87,7 +104,10 @@ def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) ->
     boxes, first, last = element_boxes(wall, rule)
     mass, along, across = section_matrices(wall.contours(rule.z, basis.degree), boxes, basis)
     stiffness = along_elements(rule, layout, mass, along, across)
-    return Elements(stiffness, along_elements(rule, layout, None, None, mass), first, last)
+    heavy = along_elements(rule, layout, None, None, mass)
+    kept = slice(layout.n)
+    sections = Sections(*(part[:, kept, kept].copy() for part in (mass, along, across)))
+    return Elements(stiffness, heavy, first, last, sections)
 
 
 class Layout(NamedTuple):

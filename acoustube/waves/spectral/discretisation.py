@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.waves.spectral.assembly import Elements, Layout, assemble
+from acoustube.waves.spectral.assembly import Elements, Layout, Sections, assemble
 from acoustube.waves.spectral.boundary import TangentialFunctions, WallPoints
 from acoustube.waves.spectral.elimination import Chain, factor, inner_modes, solve
 from acoustube.waves.spectral.ends import Rim, end_functions, end_modes, rim_of
@@ -69,6 +69,8 @@ class Discretisation:
         Order of the unknowns.
     rule : AxialRule
         Quadrature along the elements.
+    sections : Sections
+        Gram matrices of the basis at the rule's points.
     functions : Polynomials
         Of the enriched basis.
     modes : PortModes
@@ -94,6 +96,7 @@ class Discretisation:
     turns: tuple[Array, Array]
     layout: Layout
     rule: AxialRule
+    sections: Sections
     functions: Polynomials
     modes: PortModes
     ports: Array
@@ -204,6 +207,7 @@ def discretise(
         turns=turns,
         layout=layout,
         rule=rule,
+        sections=elements.sections,
         functions=basis,
         modes=modes,
         ports=np.stack([end_functions(wall, modes, basis, box) for box in boxes]),

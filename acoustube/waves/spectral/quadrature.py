@@ -12,7 +12,7 @@ from acoustube.waves.spectral.polynomials import Array, Index, gauss
 
 LEAST_POINTS = 3
 """Gauss points between two knots, at least: a cubic wall there, and slopes of it."""
-SPARE_POINTS = 2
+SPARE_POINTS = 3
 """Gauss points between two knots in excess of the polynomial degree there."""
 MOST_PIECES = 24
 """Largest number of pieces of an element; of more knots, some are passed over."""

@@ -65,7 +65,7 @@ from acoustube.waves.spectral.ports import (
 from acoustube.waves.spectral.reduction import Reduced
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
-from acoustube.waves.spectral.truncation import excesses
+from acoustube.waves.spectral.truncation import excess_across, missing_along
 from acoustube.waves.spectral.walls import Wall
 
 MAX_DEGREE = 16
@@ -226,9 +226,9 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     for number in range(MAX_SOLUTIONS):
         system, basis, responses = known = _adapted(task, odd, basis, wanted, known)
         spaces, s, (change, doubt), sizes = swept(system, basis, responses, k, tolerance)
-        excess = max(ERROR_SAFETY, _excess(system, _at_probes(responses, basis.shifts)))
+        excess = _excess(system, {float(at): responses[float(at)] for at in basis.shifts}, k)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        error = _estimated(excess * change + ERROR_SAFETY * doubt, wall)
+        error = _estimated(ERROR_SAFETY * (excess * change + doubt), wall)
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
@@ -356,26 +356,42 @@ def _at_probes(
     return {float(at): responses[float(at)] for at in _probes(shifts)}
 
 
-def _excess(system: Discretisation, responses: dict[float, list[Response]]) -> float:
-    """Return the ratio of the error of degree and elements to what the corrections change."""
-    by_degree, by_element = _errors(system, responses)
-    across, along = excesses(system, responses)
-    both = by_degree + by_element.sum()
-    return float((across * by_degree + along @ by_element) / both) if both > 0 else 1.0
+def _excess(system: Discretisation, responses: dict[float, list[Response]], k: Array) -> Array:
+    """Return the ratio of the error of degree and elements to what the corrections change, (n,)."""
+    missing = missing_along(system, responses)
+    ratio = []
+    for shift, sides in responses.items():
+        here = {shift: sides}
+        across = excess_across(system, here)
+        by_degree, by_element = _errors(system, here)
+        whole = across * by_degree + _largest_changes(system, here, missing).sum()
+        ratio.append(whole / max(by_degree + by_element.sum(), np.finfo(float).tiny))
+    return np.asarray(np.interp(k**2, list(responses), ratio))
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
     """Return the changes of S at the shifts for a higher degree across, and along each element."""
-    by_degree, by_element = 0.0, np.zeros(len(system.low.mass))
+    corrections = {
+        shift: [np.concatenate([side.by_degree[None], side.by_element]) for side in sides]
+        for shift, sides in responses.items()
+    }
+    found = _largest_changes(system, responses, corrections)
+    return float(found[0]), found[1:]
+
+
+def _largest_changes(
+    system: Discretisation,
+    responses: dict[float, list[Response]],
+    corrections: dict[float, list[Array]],
+) -> Array:
+    """Return the largest changes of S for corrections (n, ...) of the impedances, (n,)."""
+    found = []
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():
         k = np.sqrt([shift])
         travels = np.flatnonzero(zeros < k * system.radius)
         kz = axial_wavenumbers(k, zeros, system.radius)
-        for side in sides:
-            changes = np.concatenate([side.by_degree[None], side.by_element])
+        for side, changes in zip(sides, corrections[shift], strict=True):
             changed = changed_scattering(side.impedance[None], changes, kz)
-            largest = np.abs(changed[:, travels][..., travels]).max(axis=(1, 2), initial=0.0)
-            by_degree = max(by_degree, float(largest[0]))
-            by_element = np.maximum(by_element, largest[1:])
-    return by_degree, by_element
+            found.append(np.abs(changed[:, travels][..., travels]).max(axis=(1, 2), initial=0.0))
+    return np.asarray(np.max(found, axis=0))

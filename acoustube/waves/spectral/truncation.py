@@ -1,10 +1,16 @@
 """How far the error of a basis exceeds what the next degrees change.
 
-The estimate solves for the residual in the functions of the next degrees alone. Where the field's
-coefficients fall slowly with the degree, as they do beside a narrow gap or over a wall from
-finite elements, degrees beyond those change as much again. With energies that fall by a factor q
-from one step of the degree to the next, all that is missing is 1 / (1 - q) times what the first
-step changes; q is taken from the highest degrees of the solution itself.
+The estimate solves for the residual in the functions of the next degrees alone.
+
+Across the tube, the field's coefficients fall slowly with the degree beside a narrow gap: degrees
+beyond those change as much again. With energies that fall by a factor q from one step of the
+degree to the next, all that is missing is 1 / (1 - q) times what the first step changes; q is taken
+from the highest degrees of the solution itself.
+
+Along the tube that does not tell, for the wall has features of its own there: wrinkles of the
+length of the mesh's elements, of which a line element has two, add coefficients of the degrees 10
+to 13 to a field whose own have fallen long before. Therefore the residual is integrated against
+`MORE_DEGREES` of them, point by point, and solved for with each element's mean section.
 """
 
 from __future__ import annotations
@@ -12,48 +18,98 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.waves.spectral.discretisation import DEGREE_INCREASE, Discretisation, Response
-from acoustube.waves.spectral.polynomials import Array
+from acoustube.waves.spectral.elimination import inner_modes
+from acoustube.waves.spectral.polynomials import Array, gauss, lobatto
 
 SLOWEST = 0.9
 """Largest factor q that is believed: slower decay is that of a field which is not resolved."""
+MORE_DEGREES = 6
+"""Degrees along an element beyond its own in which the residual is sought."""
 
 
-def excesses(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return the ratios of the whole error to the change by the next degrees.
+def excess_across(system: Discretisation, responses: dict[float, list[Response]]) -> float:
+    """Return the ratio of the whole error by the degree across to the change by the next degrees.
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
         From squared wavenumbers in 1/m2 to responses.
-
-    Returns
-    -------
-    across : float
-        For the degree across the tube.
-    along : ndarray
-        For that along each element, (n_elements,).
     """
     layout, functions = system.layout, system.functions
     degree = functions.degree - DEGREE_INCREASE
     counts = [functions.count(degree - 2 * step) for step in (0, 1, 2)]
+    # Gradients across grow as the degree.
     total = (functions.i + functions.j)[: layout.n] ** 2.0
     zeros = np.tile(system.modes.zeros, len(system.ports))
-    high, low = np.zeros((2, 2, len(system.low.mass)))
+    high, low = 0.0, np.finfo(float).tiny
     for shift, sides in responses.items():
         travels = np.flatnonzero(zeros < np.sqrt(shift) * system.radius)
         for side in sides:
-            fields = side.fields[..., travels]
-            nothing = np.zeros((len(fields), layout.n_higher, 0))
-            own = system.in_polynomials(fields, nothing)[0]
-            square = (own.reshape(len(own), layout.order + 1, layout.n, -1) ** 2).sum(axis=-1)
-            # Of gradients: those across grow as the degree, slopes along are normalised.
-            by_degree, by_order = (square * total).sum(axis=1), square.sum(axis=2)
-            high += by_degree[:, counts[1] :].sum(axis=1), by_order[:, -2:].sum(axis=1)
-            low += (
-                by_degree[:, counts[2] : counts[1]].sum(axis=1), by_order[:, -4:-2].sum(axis=1)
-            )  # fmt: skip
-    across = min(high[0].sum() / max(low[0].sum(), np.finfo(float).tiny), SLOWEST)
-    # Two degrees in the energies compared, but one in the estimate.
-    along = np.sqrt(high[1] / np.maximum(low[1], np.finfo(float).tiny))
-    return 1 / (1 - across), 1 / (1 - np.minimum(along, SLOWEST))
+            own = _coefficients(system, side.fields[..., travels])
+            by_degree = (own**2).sum(axis=(0, 1, 3)) * total
+            high += float(by_degree[counts[1] :].sum())
+            low += float(by_degree[counts[2] : counts[1]].sum())
+    return 1 / (1 - min(high / low, SLOWEST))
+
+
+def missing_along(
+    system: Discretisation, responses: dict[float, list[Response]]
+) -> dict[float, list[Array]]:
+    """Return the corrections of Z by `MORE_DEGREES` along each element, (n_elements, n, n) each.
+
+    Parameters
+    ----------
+    system : Discretisation
+    responses : dict
+        From squared wavenumbers in 1/m2 to responses, with n loads of the ports' modes.
+    """
+    rule, first = system.rule, system.layout.order + 1
+    value, slope = lobatto(first - 1 + MORE_DEGREES, rule.point)
+    new, weight = gauss(first + MORE_DEGREES)
+    extra = lobatto(first - 1 + MORE_DEGREES, new)[0][first:]
+    product = (extra * weight) @ extra.T
+    means = _mean_modes(system)
+    found: dict[float, list[Array]] = {}
+    for shift, sides in responses.items():
+        n = len(sides[0].impedance)
+        own = _coefficients(system, np.concatenate([side.fields[..., :n] for side in sides], -1))
+        changes = np.empty((len(sides), len(own), n, n))
+        for number, (h, square, turn) in enumerate(zip(rule.step / 2, *means, strict=True)):
+            here = rule.of(number)
+            field, rise = (
+                np.tensordot(part[:first, here].T, own[number], 1) for part in (value, slope / h)
+            )
+            mass, along, across = (part[here] for part in system.sections)
+            # Flow along the tube, and sources less what flows away across it.
+            flow = mass @ rise + along @ field
+            source = along.swapaxes(1, 2) @ rise + across @ field - shift * (mass @ field)
+            residual = np.tensordot(rule.weight[here] * slope[first:, here], flow, 1)
+            residual += np.tensordot(h * rule.weight[here] * value[first:, here], source, 1)
+            residual = (turn.T @ residual).swapaxes(0, 1)
+            matrix = np.eye(MORE_DEGREES) / h + product * ((square - shift) * h)[:, None, None]
+            step = np.linalg.solve(matrix, residual)
+            for change, a, b in zip(
+                changes, *(np.split(part, len(sides), -1) for part in (residual, step)), strict=True
+            ):
+                change[number] = np.tensordot(a, b, ((0, 1), (0, 1)))
+        found[shift] = list(changes)
+    return found
+
+
+def _coefficients(system: Discretisation, fields: Array) -> Array:
+    """Return fields by their functions along and across, (n_elements, order + 1, n, n_fields)."""
+    layout = system.layout
+    nothing = np.zeros((len(fields), layout.n_higher, 0))
+    own = system.in_polynomials(fields, nothing)[0]
+    return own.reshape(len(own), layout.order + 1, layout.n, -1)
+
+
+def _mean_modes(system: Discretisation) -> tuple[Array, Array]:
+    """Return the squared wavenumbers of the elements' mean sections in 1/m2, and their modes."""
+    rule, sections = system.rule, system.sections
+    means = []
+    for part in (sections.across, sections.mass):
+        weighted = part * (rule.weight / 2)[:, None, None]
+        means.append(np.add.reduceat(weighted, np.searchsorted(rule.element, range(len(rule.step)))))
+    return inner_modes(*means)
