@@ -98,14 +98,18 @@ class Gaps(NamedTuple):
         Diameter h of the circles in m, and b, (n_sections, n_points).
     measured : ndarray of bool
         Which sections' widths are measured point by point, (n_sections,).
-    sealed : ndarray of bool
-        Which gaps are pressed together, (n_sections, n_points).
+    sealed : ndarray
+        Share of the wall that each point stands for whose gap is pressed together,
+        (n_sections, n_points).
+    sealing_gap : float
+        Height in m up to which gaps are.
     """
 
     width: Array
     roundness: Array
     measured: NDArray[np.bool_]
-    sealed: NDArray[np.bool_]
+    sealed: Array
+    sealing_gap: float
 
 
 def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> Gaps:
@@ -123,8 +127,22 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
     measured = _narrow(boxes, thickness) if like is None else like.measured
     width = gap_widths(contours, boxes, points.halved, measured)
     roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
-    sealed = width < points.sealing_gap if like is None else like.sealed
-    return Gaps(width, roundness, measured, sealed)
+    sealed = _share_below(width, points.sealing_gap) if like is None else like.sealed
+    return Gaps(width, roundness, measured, sealed, points.sealing_gap)
+
+
+def _share_below(width: Array, limit: float) -> Array:
+    """Return the share of widths below a limit between each point and half way to its neighbours.
+
+    Whole points, above or below, would make integrals jump as the limit passes from point to point.
+    """
+    middle = (width[:, 1:] + width[:, :-1]) / 2
+    middle = np.concatenate([width[:, :1], middle, width[:, -1:]], axis=1)
+    halves = []
+    for other in (middle[:, :-1], middle[:, 1:]):
+        span = np.maximum(np.abs(other - width), np.finfo(float).tiny)
+        halves.append(np.clip((limit - np.minimum(width, other)) / span, 0.0, 1.0))
+    return np.asarray((halves[0] + halves[1]) / 2)
 
 
 def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
@@ -184,12 +202,20 @@ def _thickest(sampled: Array, air: Air) -> float:
 
 def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
     """Return f of the viscous layers, and then of the thermal ones, (2 n_sampled, n_points)."""
-    width, roundness, sealed = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
+    width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
-    both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
+    closed = share > 0
+    pressed = np.minimum(width[closed], gaps.sealing_gap)
+    width = width.copy()
+    width[closed] = np.maximum(width[closed], gaps.sealing_gap)
+
+    def fillings(h: Array, b: Array) -> Complex:
+        return np.stack([filling(h, b, d) for layer in layers for d in layer[:, None]])
+
+    both, below = fillings(width, roundness), fillings(pressed, roundness[closed])
     # The mean velocity of a lower slit, by its own function of the height.
-    half = LEAK * width[sealed] / (2 * layers[0][:, None])
-    both[: len(sampled), sealed] = np.tanh(half) / LEAK
+    below[: len(sampled)] = np.tanh(LEAK * pressed / (2 * layers[0][:, None])) / LEAK
+    both[:, closed] += share[closed] * (below - both[:, closed])
     return both
 
 

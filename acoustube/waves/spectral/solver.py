@@ -78,7 +78,7 @@ ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
 losses and with them, where changes are known at a few frequencies only."""
 LEAST_ERROR = 3e-6
 """Error of the integrals over walls that are given by rings, with a safety factor."""
-ERROR_WINDOW = 5
+ERROR_WINDOW = 3
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
 FIRST_SHARE = 0.5
 """Share of the tolerance that degree and elements may each lack at the probes, to begin with."""
@@ -224,7 +224,10 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     )
     known = None
     for number in range(MAX_SOLUTIONS):
-        system, basis, responses = known = _adapted(task, odd, basis, wanted, known)
+        adapted = _adapted(task, odd, basis, wanted, known)
+        if known is not None and adapted[0] is known[0]:
+            break  # The same basis has the same error.
+        system, basis, responses = known = adapted
         spaces, s, (change, doubt), sizes = swept(system, basis, responses, k, tolerance)
         excess = _excess(system, {float(at): responses[float(at)] for at in basis.shifts}, k)
         basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
