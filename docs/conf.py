@@ -73,7 +73,7 @@ if not sphinx_gallery_conf["plot_gallery"]:
 # Pages of others are looked at with -D linkcheck_ignore= where there is a network.
 linkcheck_ignore = [r"https?://"]
 
-# furo writes the table of contents of all pages into each of them, which takes longer than the pages.
+# furo writes the table of contents of all pages into each, which takes longer than the pages do.
 html_theme = "furo" if sphinx_gallery_conf["plot_gallery"] else "basic"
 html_title = f"acoustube {release}"
 
