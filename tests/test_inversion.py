@@ -318,6 +318,26 @@ def test_two_presses_are_told_apart(inverter, apart, depths):
     assert found.fits
 
 
+@pytest.mark.slow
+def test_error_of_the_model_is_no_further_contact(inverter):
+    """A press whose trapped mode is narrower and higher than the library's.
+
+    Two presses more, of the library, explain that better than independent errors of the samples do.
+    """
+    depth, frequency = 6.5e-3, np.arange(20e3, 70e3, 100.0)
+    pressed = press(depth, 0.5)
+    d, f = 1e3 * depth, frequency / 42e3
+    known, own = (
+        1 / (1 + q * 1j * (f * (1 + 0.01 * d) - at)) for q, at in ((40, 1.03), (100, 1.05))
+    )
+    for port in (0, 1):
+        change = 2e-4 * d**3 * np.exp(-1j * (9 * f - 0.25 * d)) * (own - known)
+        pressed.scattering.s[:, port, 0, port, 0] += change
+    found = inverter(record([pressed], n_cycles=20, tube_seed=7, seed=3)["signal"].values)
+    assert [c.distance.value for c in found.contacts] == pytest.approx([0.5], abs=1e-3)
+    assert found.number[1] > 0.5
+
+
 def test_untouched_tube_has_no_contact(inverter):
     for seed in (21, 22):
         cycles = record([], n_cycles=20, tube_seed=7, seed=seed, temperature=19.9)
