@@ -23,7 +23,7 @@ from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.motion import Branches, Motion, Update, at_rest
 from acoustube.inversion.proposals import Proposals
-from acoustube.inversion.tracks import Track
+from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
 
 PATIENCE, TRIAL = 3, 8
@@ -32,6 +32,8 @@ BETTER = 5.0
 """Logarithm of the likelihood of a cycle by which the second track must be better."""
 SAME = 0.05
 """Distance in m within which contacts of two tracks are the same."""
+TOLD = 0.5
+"""Least probability of a contact that is told; all are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +198,8 @@ class ContactTracker:
         contacts, numbers = [], []
         for i, (tool, one) in enumerate(zip(best.tools, self.track.known, strict=True)):
             known = model.tables[tool].tool
+            if one.probability < TOLD or best.mean[0, 2 * i + 1] < known.depth[0] + FAINT:
+                continue
             depth = best.mean[:, 2 * i + 1]
             slope = known.force_at(depth, 1) * np.sqrt(variance[:, 2 * i + 1])
             force = mixture(

@@ -229,12 +229,35 @@ class Track:
         odds -= uniform(self.model, best.branches.tools[rank])
         if odds < 0:
             return found
+        best = self._in_place(branches, best, rank, samples, whiten)
         self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
         self.numbers += 1
         self.rests.clear()
         self.error = ERROR
         best = self._pruned(best)
         return replace(best, rest=best.rest + (cycle.samples - samples))
+
+    def _in_place(
+        self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
+    ) -> Update:
+        """Return fits of a new contact without the young one behind it, if that is as likely.
+
+        Until the new one was loud enough to be found, the change that it makes to the echoes from
+        behind it may have seemed a contact there.
+        """
+        for i in range(rank, len(fewer.tools)):
+            if self.known[i].age >= YOUNG:
+                continue
+            others, own = fewer.without(i), best.branches.mean[:1, 2 * rank : 2 * rank + 2]
+            start = others.added(
+                rank, best.branches.tools[rank], *own.T, new_deviations(self.motion)
+            )  # fmt: skip
+            alone = self._updated(start, samples, 5, whiten=whiten)
+            alone = self._with_shifts(others, alone, rank, samples, whiten)
+            if alone.evidence[0] + RARE > best.evidence[0]:
+                del self.known[i]
+                return alone
+        return best
 
     def _with_shifts(
         self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
