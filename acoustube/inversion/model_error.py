@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
+from acoustube.inversion.doubt import LARGEST, SAMPLES
 from acoustube.inversion.fit import restricted_deviance, split, weights
 from acoustube.inversion.hypotheses import ERRORS, Hypothesis
 from acoustube.inversion.model import ForwardModel
@@ -72,7 +73,10 @@ def discrepancy(
     ])  # fmt: skip
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
-    level = deviance.min(axis=0) - 2 * np.log(likelihood.sum(axis=0))
+    # The error changes an echo as a whole: it tells maxima apart less than its samples would.
+    alike = np.sqrt(SAMPLES) * min(float(error[0]), LARGEST)
+    whiten = weights(model, noise, alike, echo, known.whiten.spread)
+    level = restricted_deviance(model, known.fits.parameters, samples - value, jacobian, whiten)
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
     deviation = np.empty_like(slope)

@@ -69,7 +69,7 @@ SPREAD = 5e-4
 """Error of the model at all times relative to the highest echo."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
-second one at a time."""
+second one at a time; all contacts are shifted by half wavelengths together too."""
 WIDER = 0.5e-3, 0.15e-3
 """Standard deviations in m that are added to those of a shifted place and depth."""
 UNUSUAL, RESTARTED = -4.0, -3.0
@@ -186,10 +186,10 @@ class Track:
         """Return the branches after a look for new contacts or for other maxima."""
         turn, room = cycle.number, len(self.known) < self.most
         young = any(one.age < YOUNG for one in self.known)
-        if room and self._loud(found) and (not self.known or turn % 2 == 0):
-            return self._born(found, cycle, False)
+        if room and self._loud(found) and (not self.known or self.n_bad or turn % 2 == 0):
+            return self._born(found, cycle, prior)
         if room and turn % SELDOM == 3:
-            return self._born(found, cycle, True)
+            return self._born(found, cycle)
         same = found.branches.tools == prior.tools
         often = OFTEN if young or self.n_bad else RARELY
         if self.known and same and turn % often == 1:
@@ -200,36 +200,47 @@ class Track:
         power = np.abs(self.whiten(found.rest[0])) ** 2
         return bool(np.sqrt(np.convolve(power, np.ones(4) / 4, "same").max()) > LOUD)
 
-    def _born(self, found: Update, cycle: Cycle, mean: bool) -> Update:
+    def _born(self, found: Update, cycle: Cycle, prior: Branches | None = None) -> Update:
         """Return the branches with one contact more, if the evidence for it suffices.
 
         Parameters
         ----------
         found : Update
         cycle : Cycle
-        mean : bool
-            Whether it is sought in the mean of what the last cycles leave.
+        prior : Branches, optional
+            Before the cycle. From there too a contact is sought then: one that lands in front of
+            others changes their echoes, to which they have been fitted without it. Otherwise one
+            is sought in the mean of what the last cycles leave.
         """
         branches, whiten = found.branches.take(np.arange(1)), self.whiten
-        rest, explained = found.rest[0], cycle.samples - found.rest[0]
-        if mean:
+        rest, samples, known = found.rest[0], cycle.samples, [branches]
+        if prior is None:
             error = self.error if self.known else 0.0
             rest = np.mean(self.rests, axis=0)
             whiten = weights(self.model, cycle.noise / len(self.rests), error, self.echo, SPREAD)
-        samples = explained + rest
+            samples = cycle.samples - found.rest[0] + rest
+        elif prior.tools == branches.tools:
+            known.append(prior.take(np.arange(1)))
         plain = float(np.sum(np.abs(whiten(rest)) ** 2))
-        starts = candidates(self.proposals, self.motion, branches, rest, whiten)
-        tried = [self._updated(one, samples, 5, whiten=whiten) for one in starts]
+        tried = []
+        for fewer in known:
+            if fewer is not branches:
+                parts = split(fewer.mean[:, : fewer.parameters])
+                rest = samples - self.model.baseband(fewer.tools, *parts)[0][0]
+            starts = candidates(self.proposals, self.motion, fewer, rest, whiten)
+            tried += [(self._updated(one, samples, 5, whiten=whiten), fewer) for one in starts]
         if not tried:
             return found
-        best = max(tried, key=lambda one: float(one.evidence[0]))
-        rank = rank_of(branches, best.branches)
-        best = self._with_shifts(branches, best, rank, samples, whiten)
+        best, fewer = max(tried, key=lambda one: float(one[0].evidence[0]))
+        rank = rank_of(fewer, best.branches)
+        best = self._with_shifts(fewer, best, rank, samples, whiten)
         odds = float(best.evidence[0]) + plain - RARE
         odds -= uniform(self.model, best.branches.tools[rank])
         if odds < 0:
             return found
-        best = self._in_place(branches, best, rank, samples, whiten)
+        best = self._in_place(fewer, best, rank, samples, whiten)
+        for one in self.known:  # their echoes were other ones
+            one.age = min(one.age, NEW[-1] + 1)
         self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
         self.numbers += 1
         self.rests.clear()
@@ -313,6 +324,14 @@ class Track:
         covariance = np.repeat(prior.covariance[:1], n, axis=0)
         for k, deviation in enumerate(WIDER):
             covariance[:, 2 * i + k, 2 * i + k] += deviation**2
+        if len(self.known) > 1 and moves[0, 0]:  # all together: the first is placed before others
+            joint = np.repeat(best.mean[:1], n, axis=0)
+            joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * half_wavelength(self.model)
+            wide = np.repeat(prior.covariance[:1], n, axis=0)
+            for k in range(0, 2 * len(self.known), 2):
+                wide[:, k, k] += WIDER[0] ** 2
+            mean, covariance = np.concatenate([mean, joint]), np.concatenate([covariance, wide])
+            n = len(mean)
         start = Branches(best.tools, mean, covariance, np.zeros(n))
         return self._with_others(found, start, cycle, UNUSUAL if young else UNLIKELY)
 
