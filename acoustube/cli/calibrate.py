@@ -21,7 +21,7 @@ from acoustube.cli._options import Lead, Output, Recording, check_files
 if TYPE_CHECKING:
     import xarray as xr
 
-    from acoustube.signals import Calibration
+    from acoustube.signals import Calibration, Processing
 
 MANY_ALARMS = 0.05
 """Fraction of untouched cycles with an echo above which a higher prominence is advised."""
@@ -35,6 +35,7 @@ def calibrate(
     sigmas: float = 2.8,
     recording: Recording = Recording(),
     lead: Lead = Lead(),
+    sensor: Path | None = None,
     figure: Path | None = None,
     output: Output = Output(),
 ) -> None:
@@ -52,6 +53,8 @@ def calibrate(
         Name of the calibration, in place of a file: ``process --calibration NAME`` finds it.
     sigmas : float
         Least prominence of an echo, in standard deviations of the untouched cycles.
+    sensor : Path
+        TOML file of the rangefinder, for its carrier, and the chirp that is compressed.
     figure : Path
         Picture of the fits to write (PNG, PDF or SVG), which must be new.
     """
@@ -67,16 +70,17 @@ def calibrate(
     path = _free_path(out, name)
 
     from acoustube import signals
+    from acoustube.runs.twin_calibration import processing_of
     from acoustube.signals.calibration_file import in_toml
 
-    report = output.reporter()
-    closed, free = (_together(paths, recording, lead) for paths in (blocked, untouched))
+    report, how = output.reporter(), processing_of(sensor)
+    closed, free = (_together(paths, recording, lead, how) for paths in (blocked, untouched))
     named = f"{blocked[0]} (blocked) and {untouched[0]} (untouched)"
     _check_alike(closed, free, blocked[0], named)
     try:
         found = signals.calibrate(
             closed["time"].values, closed["signal"].values, closed["true_distance"].values,
-            free["signal"].values, temperature=closed["temperature"].values,
+            free["signal"].values, how, temperature=closed["temperature"].values,
             untouched_temperature=free["temperature"].values, sigmas=sigmas,
         )  # fmt: skip
     except ValueError as error:
@@ -126,13 +130,13 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str
             )
 
 
-def _together(paths: Sequence[Path], options: Recording, lead: Lead) -> xr.Dataset:
+def _together(paths: Sequence[Path], options: Recording, lead: Lead, how: Processing) -> xr.Dataset:
     """Return the cycles of several recordings as one."""
     import xarray as xr
 
     from acoustube.runs.recordings import read_recordings
 
-    found = read_recordings(paths, dataclasses.asdict(options), lead.pulse_at)
+    found = read_recordings(paths, dataclasses.asdict(options), lead.pulse_at, how)
     parts = [data for _, data in found]
     rates = {float(part.attrs["sampling_rate"]) for part in parts}
     lengths = {part.sizes["time"] for part in parts}

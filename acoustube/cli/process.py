@@ -46,8 +46,9 @@ def process(
     files : Path
         NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF files, or folders of these.
     sensor : Path
-        TOML file of a rangefinder or a twin: the error of its thermometer is subtracted; a twin
-        gives gain, send time and prominence too, unless --calibration is given.
+        TOML file of a rangefinder or a twin: the error of its thermometer is subtracted; a
+        rangefinder gives its carrier, and the chirp that is compressed; a twin gain, send time and
+        prominence, unless --calibration is given.
     out : Path
         Table to write (CSV), which must be new; standard output if not given.
     figure : Path
@@ -65,10 +66,10 @@ def process(
         opened,
         process_recording,
     )
-    from acoustube.runs.twin_calibration import corrections
+    from acoustube.runs.twin_calibration import corrections, processing_of
 
     calibration, bias = corrections(sensor, ranging.calibration)
-    known, settings = chosen(calibration, ranging.prominence)
+    known, settings = chosen(calibration, ranging.prominence, processing_of(sensor))
     report = output.reporter(stderr=out is None)
     failures, n_cycles, n_found = 0, 0, 0
     pictures: dict[Path, bytes | str] = {}

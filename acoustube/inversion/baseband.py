@@ -16,13 +16,15 @@ from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.inversion.quantiser import linearised
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import anti_alias, drive_spectrum
+from acoustube.ranging.analogue import anti_alias, sent_spectrum
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 7
 """Half the width of the band in carriers: 36 to 48 kHz about 42 kHz."""
+CHIRP_BAND = 0.6
+"""Half the width of a chirp's band in its bandwidths, where that is wider."""
 TAPER = 1 / 6
 """Part of the band over which its ends are tapered, at each end."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
@@ -81,16 +83,25 @@ class Baseband:
         self.rate = rangefinder.sampling_rate
         carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
         self.air = air_at(temperature)
-        flight = 2 * length / self.air.sound_speed
-        self.period = self._period(max(self.n_samples, int(self.rate * (flight + 3e-3))))
+        flight, late = 2 * length / self.air.sound_speed, rangefinder.drive.duration + 0.5e-3
+        lasting = flight + max(3e-3, 2e-3 + late)
+        self.period = self._period(max(self.n_samples, int(self.rate * lasting)))
         self.step = step = self.rate / self.period
         self.bins, self.taper = self._band(carrier)
         self.frequency: Array = np.asarray(self.bins * step, float)
         n = len(self.bins)
         self.time = np.arange(n) / (n * step)
         self.clear = self._clipped()
-        end = min(flight + 1e-3, self.n_samples / self.rate - 0.5e-3)
+        end = min(flight + max(1e-3, late), self.n_samples / self.rate - 0.5e-3)
         start = self.clear + AFTER_CLIPPING + FADE + SETTLED
+        drive = self._drive()
+        # A compressed echo is as early as its middle: it begins half a duration before.
+        self.turn = np.ones(n, complex)
+        if is_compressed(rangefinder):
+            middle = rangefinder.drive.duration / 2
+            back = np.exp(-2j * pi * self.frequency * middle)
+            self.turn = np.conj(drive) / np.maximum(np.abs(drive), 1e-300) * back
+            start += max(middle - SETTLED, 0.0)
         self.used = np.flatnonzero((self.time >= start) & (self.time < end))
         if len(self.used) < 16:
             raise ConfigError(
@@ -100,7 +111,8 @@ class Baseband:
         self.k, self.k_by_temperature = self._wavenumbers()
         self.speed, self.speed_by_temperature = _speeds(temperature)
         self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
-        self.sent = self._sent()
+        lead = np.exp(-2j * pi * self.frequency * rangefinder.lead)
+        self.sent = drive * self.turn * lead
         self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
 
     def _period(self, least: int) -> int:
@@ -108,8 +120,19 @@ class Baseband:
         return int(next_fast_len(least))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
-        """Return the numbers of the frequencies about a carrier in Hz, and their taper."""
-        low, high = (1 - HALF_WIDTH) * carrier, (1 + HALF_WIDTH) * carrier
+        """Return the numbers of the frequencies about a carrier in Hz, and their taper.
+
+        A chirp's band is as wide as the chirp; of anything else it is that of a resonant
+        transducer.
+        """
+        half = half_width(self.rangefinder)
+        low, high = carrier - half, carrier + half
+        if not low > self.step:
+            raise ConfigError(
+                f"a chirp of {KHZ * self.rangefinder.drive.bandwidth:g} kHz about "
+                f"{KHZ * carrier:g} kHz is too wide to invert; use at most "
+                f"{KHZ * carrier / CHIRP_BAND:.4g} kHz"
+            )
         if not high < self.rate / 2:
             raise ConfigError(
                 f"a sampling rate of {self.rate:g} Hz is too low for a carrier of "
@@ -178,8 +201,9 @@ class Baseband:
         real = np.asarray(np.fft.rfftfreq(n, 1 / self.rate)[1:], float)
         f = real.astype(complex)
         r = self.rangefinder
-        spectrum = r.send * drive_spectrum(r.drive, f, self.rate, n, 0.0)
+        spectrum = r.send * sent_spectrum(r, f, self.rate, n, 0.0)
         spectrum *= r.resonator(f) * anti_alias(real, self.rate) * self.per_volt
+        spectrum *= np.exp(-2j * pi * real * r.lead)
         samples = np.fft.irfft(np.concatenate([[0], spectrum]) * self.rate, n)[: self.n_samples]
         return self._of_samples(samples)
 
@@ -232,7 +256,7 @@ class Baseband:
         time = np.arange(samples.shape[-1]) / self.rate
         fade = np.sin(pi / 2 * np.clip((time - self.clear - AFTER_CLIPPING) / FADE, 0, 1)) ** 2
         spectrum = np.fft.fft(samples * fade, self.period, axis=-1)[..., self.bins] / self.rate
-        return self.transformed(spectrum)
+        return self.transformed(spectrum * self.turn)
 
     def _clipped(self) -> float:
         """Return the time in s at which the ring-down has fallen below full scale."""
@@ -254,12 +278,24 @@ class Baseband:
         low, high = (at(air_at(self.temperature + d)) for d in (-half, half))
         return at(self.air), (high - low) / (2 * half)
 
-    def _sent(self) -> Complex:
-        r = self.rangefinder
+    def _drive(self) -> Complex:
+        """Return the spectrum of the drive, filtered as by the converter."""
         grid = np.asarray(np.arange(1, self.period // 2 + 1) * self.step, complex)
-        sent = drive_spectrum(r.drive, grid, self.rate, self.period, 0.0)[self.bins - 1]
-        lead = np.exp(-2j * pi * self.frequency * r.lead)
-        return np.asarray(sent * anti_alias(self.frequency, self.rate) * lead)
+        sent = sent_spectrum(self.rangefinder, grid, self.rate, self.period, 0.0)[self.bins - 1]
+        return np.asarray(sent * anti_alias(self.frequency, self.rate))
+
+
+def is_compressed(rangefinder: Rangefinder) -> bool:
+    """Return whether a rangefinder's drive is longer than the reciprocal of its bandwidth."""
+    drive = rangefinder.drive
+    return getattr(drive, "bandwidth", 0.0) * drive.duration > 1
+
+
+def half_width(rangefinder: Rangefinder) -> float:
+    """Return half the width in Hz of the band of a rangefinder's inversion."""
+    drive = rangefinder.drive
+    carrier = getattr(drive, "frequency", rangefinder.resonance)
+    return max(HALF_WIDTH * carrier, CHIRP_BAND * getattr(drive, "bandwidth", 0.0))
 
 
 def _edges(n: int, width: int) -> Array:

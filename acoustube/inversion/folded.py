@@ -23,9 +23,15 @@ from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import HALF_WIDTH, TAPER, Baseband
+from acoustube.inversion.baseband import (
+    HALF_WIDTH,
+    TAPER,
+    Baseband,
+    half_width,
+    is_compressed,
+)
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import drive_spectrum
+from acoustube.ranging.analogue import sent_spectrum
 from acoustube.waves.scattering import Complex
 
 HALF_BAND = 0.13
@@ -86,7 +92,7 @@ class FoldedBaseband(Baseband):
         """Return the ring-down that the rangefinder's parameters give, in the baseband."""
         r, n, rate = self.rangefinder, FINER * self.period, FINER * self.rate
         f = np.asarray(np.fft.rfftfreq(n, 1 / rate)[1:], float).astype(complex)
-        spectrum = r.send * drive_spectrum(r.drive, f, rate, n, 0.0) * r.resonator(f)
+        spectrum = r.send * sent_spectrum(r, f, rate, n, 0.0) * r.resonator(f)
         spectrum *= np.exp(-2j * pi * f * r.lead) * self.per_volt
         samples = np.fft.irfft(np.concatenate([[0], spectrum]) * rate, n)[::FINER]
         return self._of_samples(samples[: self.n_samples])
@@ -99,11 +105,11 @@ class FoldedBaseband(Baseband):
         # Both halves of the band hold the whole record.
         return super()._of_samples(samples) / 2
 
-    def _sent(self) -> Complex:
+    def _drive(self) -> Complex:
         r = self.rangefinder
         grid = np.arange(1, self.bins[-1] + 1) * self.step
-        sent = drive_spectrum(r.drive, grid.astype(complex), self.rate, self.period, 0.0)
-        return np.asarray(sent[self.bins - 1] * np.exp(-2j * pi * self.frequency * r.lead))
+        sent = sent_spectrum(r, grid.astype(complex), self.rate, self.period, 0.0)
+        return np.asarray(sent[self.bins - 1])
 
 
 @checked(rangefinder=Rangefinder)
@@ -120,6 +126,7 @@ def baseband_of(
     The parameters and errors are those of :class:`acoustube.inversion.Baseband`.
     """
     carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
-    below = (1 + HALF_WIDTH) * carrier < rangefinder.sampling_rate / 2
+    below = carrier + half_width(rangefinder) < rangefinder.sampling_rate / 2
+    below = below or is_compressed(rangefinder)  # a folded chirp is refused
     kind = Baseband if below else FoldedBaseband
     return kind(rangefinder, radius, length, temperature, modes, n_samples)

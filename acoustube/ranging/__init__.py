@@ -4,18 +4,26 @@ A resonant transducer sends a burst into the tube and receives the echoes throug
 resonance, after its own ring-down. Noise, drift and the ADC follow. Each part can be switched off;
 :data:`IDEAL` has none of them.
 
-Reading order: rangefinder (parameters), analogue (voltage), digitiser (counts of many cycles).
+Reading order: drives, rangefinder (parameters), analogue (voltage), digitiser (counts of many
+cycles), audibility.
 """
 
 from acoustube.ranging.analogue import blockage, clutter, response
+from acoustube.ranging.audibility import a_weighting, audible_level
 from acoustube.ranging.digitiser import digitise, record
-from acoustube.ranging.rangefinder import IDEAL, Burst, Drive, Rangefinder
+from acoustube.ranging.drives import Burst, Chirp, Tones
+from acoustube.ranging.rangefinder import IDEAL, LOUDSPEAKER, Drive, Rangefinder
 
 __all__ = [
     "IDEAL",
+    "LOUDSPEAKER",
     "Burst",
+    "Chirp",
     "Drive",
     "Rangefinder",
+    "Tones",
+    "a_weighting",
+    "audible_level",
     "blockage",
     "clutter",
     "digitise",

@@ -28,7 +28,8 @@ from acoustube.base.checks import (
 )
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.ranging.rangefinder import Burst, Drive, Rangefinder
+from acoustube.ranging.drives import Burst, Chirp, Tones
+from acoustube.ranging.rangefinder import Drive, Rangefinder
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.network import (
     WRAPAROUND_ATTENUATION,
@@ -210,8 +211,9 @@ def response(
 
     Notes
     -----
-    With the spectrum E of the drive, the resonator's response H, the face's reflection coefficient
-    r and the pressure p at the face over the launched pressure, the voltage is
+    With the spectrum E of the drive behind loudspeaker and microphone, the resonator's response H,
+    the face's reflection coefficient r and the pressure p at the face over the launched pressure,
+    the voltage is
     ``send H E + gain H^2 E (p - 1) / (1 + r)``: the incident wave is received.
     Computed in the frequency domain and filtered without delay, so that nothing is left at half
     the sampling rate (a cosine from 0.8 of it): no finer step is needed, nothing is aliased.
@@ -222,7 +224,7 @@ def response(
     damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
     real = np.asarray(np.fft.rfftfreq(n_cycle, 1 / rate)[1:], float)
     frequency = real - 0.5j * damping / pi
-    sent = drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
+    sent = sent_spectrum(rangefinder, frequency, rate, n_cycle, damping)
     sent *= rangefinder.resonator(frequency) * anti_alias(real, rate)
     sent *= np.exp(-2j * pi * frequency * rangefinder.lead)
     received = sent * rangefinder.resonator(frequency)
@@ -245,6 +247,17 @@ def response(
     return time, np.fft.irfft(spectrum * rate, n_cycle)[:n] * np.exp(damping * time)
 
 
+def sent_spectrum(
+    rangefinder: Rangefinder, frequency: Complex, rate: float, n_cycle: int, damping: float
+) -> Complex:
+    """Return the spectrum in s of a drive behind its loudspeaker, before any resonance.
+
+    The arguments are those of :func:`drive_spectrum`, with the rangefinder of the drive.
+    """
+    spectrum = drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
+    return np.asarray(spectrum * rangefinder.passband(frequency))
+
+
 def drive_spectrum(
     drive: Drive, frequency: Complex, rate: float, n_cycle: int, damping: float
 ) -> Complex:
@@ -252,7 +265,7 @@ def drive_spectrum(
 
     Parameters
     ----------
-    drive : Burst, Pulse or SampledPulse
+    drive : Burst, Chirp, Tones, Pulse or SampledPulse
     frequency : ndarray
         Multiples of ``rate / n_cycle`` in Hz, from the first to the last that is wanted, (n,).
     rate : float
@@ -262,7 +275,7 @@ def drive_spectrum(
     damping : float
         Rate in 1/s of the decaying exponential that the drive is multiplied by.
     """
-    if isinstance(drive, Burst):
+    if isinstance(drive, Burst | Chirp | Tones):
         return drive.spectrum(frequency)
     step = 1 / (DRIVE_OVERSAMPLING * rate)
     time = np.arange(int(np.ceil(drive.duration / step)) + 1) * step

@@ -16,61 +16,18 @@ import dataclasses
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import pi
+from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.rules import Choice, Number, Section, setting
+from acoustube.base.rules import Number, Section, setting
+from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.waves.scattering import Complex
 from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 
-
-@dataclass(frozen=True, kw_only=True)
-class Burst(Section):
-    """Tone burst of unit amplitude.
-
-    Attributes
-    ----------
-    frequency : float
-        In Hz. Default 42 kHz (data sheet).
-    cycles : float
-        Default 13 (data sheet).
-    shape : str
-        ``square``, as from a logic output (default, chosen), or ``sine``.
-    """
-
-    frequency: float = setting(42e3, Number(1e3, 1e6, "Hz", "frequency of the drive"))
-    cycles: float = setting(13.0, Number(0.5, 1e3, "", "cycles of the drive"))
-    shape: str = setting("square", Choice(("square", "sine"), "form of the drive"))
-
-    @property
-    def duration(self) -> float:
-        """Duration in s."""
-        return self.cycles / self.frequency
-
-    def spectrum(self, frequency: Complex) -> Complex:
-        """Return the Fourier transform in s at frequencies in Hz, real or complex, not zero.
-
-        Closed forms, so that no overtone is aliased: a square is a sum of steps with the transforms
-        exp(-j omega t) / (j omega), a sine burst two sinc functions.
-        """
-        omega, carrier, end = 2 * pi * frequency, 2 * pi * self.frequency, self.duration
-        if self.shape == "square":
-            edges = np.arange(int(np.ceil(2 * self.cycles))) / (2 * self.frequency)
-            steps = np.where(np.arange(len(edges)) % 2, -2.0, 2.0)
-            steps[0] = 1.0
-            edges, steps = np.append(edges, end), np.append(steps, -np.sign(steps[-1]))
-            return np.exp(-1j * np.outer(omega, edges)) @ steps / (1j * omega)
-        lines = [
-            end * np.exp(0.5j * end * off) * np.sinc(end * off / (2 * pi))
-            for off in (carrier - omega, -carrier - omega)
-        ]
-        return np.asarray((lines[0] - lines[1]) / 2j)
-
-
-Drive = Burst | Pulse | SampledPulse
+Drive = Burst | Chirp | Tones | Pulse | SampledPulse
 
 
 @dataclass(frozen=True)
@@ -98,7 +55,9 @@ def _complex(value: Any) -> Any:
     return value
 
 
-DRIVE = _Kind(lambda value: isinstance(value, Drive), "a Burst, a Pulse or a SampledPulse")
+DRIVE = _Kind(
+    lambda value: isinstance(value, Drive), "a Burst, a Chirp, Tones, a Pulse or a SampledPulse"
+)
 FLAG = _Kind(lambda value: isinstance(value, bool), "True or False")
 FACE = _Kind(
     lambda value: isinstance(value, int | float | complex) and abs(value) <= 1 and value != -1,
@@ -114,13 +73,17 @@ class Rangefinder(Section):
 
     Attributes
     ----------
-    drive : Burst, Pulse or SampledPulse
+    drive : Burst, Chirp, Tones, Pulse or SampledPulse
         Drive of the transducer, of unit amplitude. Default: 13 cycles of 42 kHz (data sheet).
     resonance : float
         Resonance frequency of the transducer in Hz. Default 42 kHz (data sheet).
     quality_factor : float
         Quality factor: resonance frequency over bandwidth at -3 dB; 0 for a flat response. Default
         14 (3 kHz), chosen: usual for such transducers; the data sheet does not state it.
+    low_corner, high_corner : float
+        Corner frequencies in Hz of a second-order Butterworth high-pass and low-pass in the path of
+        the drive, for a loudspeaker in a closed box and the band of a microphone; 0 for none.
+        Default 0.
     send : float
         Voltage in V received from its own steady drive at resonance, far over full scale. Default
         170, chosen so that a press with a reflection coefficient of 0.2 has a peak of its own from
@@ -182,6 +145,8 @@ class Rangefinder(Section):
     drive: Drive = field(default=Burst(), metadata={"rule": DRIVE})
     resonance: float = setting(42e3, Number(1e3, 1e6, "Hz", "resonance of the transducer"))
     quality_factor: float = setting(14.0, Number(0, 1e3, "", "0 for a flat transducer"))
+    low_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the high-pass; 0 for none"))
+    high_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the low-pass; 0 for none"))
     send: float = setting(170.0, Number(0, 1e6, "V", "received level of the own drive"))
     gain: float = setting(1.25, Number(0, 1e6, "V", "received level of a complete reflection"))
     face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
@@ -203,6 +168,15 @@ class Rangefinder(Section):
     temperature_noise: float = setting(0.1, Number(0, 50, "K", "error of the temperature"))
     temperature_resolution: float = setting(0.1, Number(0, 50, "K", "step of the temperature"))
 
+    def __post_init__(self) -> None:
+        """Validate the values and the order of the corners."""
+        super().__post_init__()
+        if 0 < self.high_corner <= self.low_corner:
+            raise ConfigError(
+                f"is not below high_corner = {self.high_corner:g} Hz", setting="low_corner",
+                value=self.low_corner, advice="give a lower frequency, or 0 for none",
+            )  # fmt: skip
+
     def resonator(self, frequency: Complex) -> Complex:
         """Return the transducer's response at frequencies in Hz, real or complex, not zero.
 
@@ -210,6 +184,22 @@ class Rangefinder(Section):
         """
         off = frequency / self.resonance - self.resonance / frequency
         return 1 / (1 + 1j * self.quality_factor * off)
+
+    def passband(self, frequency: Complex) -> Complex:
+        """Return the response of loudspeaker and microphone together at frequencies in Hz.
+
+        Butterworth filters of second order, 1 / (1 + sqrt(2) s + s^2), with s = j f / f_high of the
+        low-pass and s = f_low / (j f) of the high-pass.
+        """
+        f = np.asarray(frequency)
+        found = np.ones(f.shape, complex)
+        if self.high_corner > 0:
+            s = 1j * f / self.high_corner
+            found /= 1 + sqrt(2) * s + s**2
+        if self.low_corner > 0:
+            s = self.low_corner / (1j * f)
+            found /= 1 + sqrt(2) * s + s**2
+        return found
 
     def to_json(self) -> str:
         """Return all parameters as JSON, complex numbers as [real, imaginary]."""
@@ -230,4 +220,16 @@ IDEAL = Rangefinder(
 """Ideal sensor: unquantised counts, and a complete reflection has the amplitude of the drive.
 
 Its drive is the band-limited pulse of the sleeve paper's simulations.
+"""
+
+LOUDSPEAKER = Rangefinder(
+    drive=Chirp(frequency=9e3, bandwidth=12e3, duration=1e-3), quality_factor=0.0, low_corner=1e3,
+    high_corner=18e3, send=0.8, gain=1.04, resonance=9e3,
+)  # fmt: skip
+"""A small loudspeaker and a microphone beside it with the default tube and converter.
+
+Chosen: the corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone;
+the amplifier is set so that the own drive just does not clip, 0.8 of 0.9 V, and since the
+microphone hears launched and returning sound alike, `gain` is `send` times one and the face's
+reflection.
 """

@@ -74,7 +74,7 @@ def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
 
 
 def chosen(
-    calibration: str | None, prominence: float | None
+    calibration: str | None, prominence: float | None, usual: Processing | None = None
 ) -> tuple[Calibration | None, Processing]:
     """Return the requested calibration, if any, and the processing with it.
 
@@ -84,6 +84,8 @@ def chosen(
         A file of a calibration or of a twin, which gives one, or the name of a calibration.
     prominence : float or None
         In place of the calibration's.
+    usual : Processing, optional
+        Without a calibration.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def chosen(
     if calibration is not None:
         path = calibration_path(calibration)
         known = twin_calibration(path) if is_twin(path) else signals.load(path)
-    how = Processing() if known is None else known.processing
+    how = (usual or Processing()) if known is None else known.processing
     return known, how if prominence is None else replace(how, prominence=prominence)
 
 
@@ -184,13 +186,16 @@ def read_cycles(paths: Sequence[Path], **options: Any) -> Iterator[tuple[Path, x
 
 
 def read_recordings(
-    paths: Sequence[Path], options: Mapping[str, Any], pulse_at: str | float | None
+    paths: Sequence[Path],
+    options: Mapping[str, Any],
+    pulse_at: str | float | None,
+    how: Processing | None = None,
 ) -> list[tuple[Path, xr.Dataset]]:
     """Return recordings whose time is zero at the start of the send pulse, with their files."""
     found = []
     for path, data in read_cycles(paths, **options):
         try:
-            found.append((path, aligned(data, pulse_at, Processing())[0]))
+            found.append((path, aligned(data, pulse_at, how or Processing())[0]))
         except ValueError as error:
             raise ConfigError(about(path, error)) from error
     return found

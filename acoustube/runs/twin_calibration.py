@@ -13,10 +13,10 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
-from acoustube.ranging import Rangefinder, blockage, record
+from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
 from acoustube.runs.sensor_file import KIND, OF_OTHERS, finite_numbers, twin_settings
 from acoustube.runs.sweep.dataset import rangefinder_in
-from acoustube.signals import Calibration
+from acoustube.signals import Calibration, Processing
 
 FIRST, APART = 0.2, 0.05
 """The nearest closure, and the distance from one to the next, in m: those of the sleeve paper."""
@@ -32,6 +32,8 @@ AIR = 20.0
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
 """Prominences that are tried, in standard deviations of untouched cycles; the first is used at
 which at most this fraction of the untouched cycles shows an echo."""
+LOW_PASS = 10e3
+"""Highest cut-off in Hz of the envelope's low-pass; for low carriers it is half of them."""
 OUTSIDE = 0.9
 """Upper end of the closures' band, as a fraction of half the sampling rate."""
 
@@ -107,7 +109,7 @@ def thermometer(path: Path) -> float:
     """Return the error in K of a sensor's thermometer, reading minus air, as its file states."""
     document = read_document(path)
     if KIND not in document:
-        document = {name: one for name, one in document.items() if name not in OF_OTHERS}
+        document = _without_others(document)
     return rangefinder_in(document, path).temperature_bias
 
 
@@ -125,3 +127,36 @@ def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | Non
         return calibration, 0.0
     own = str(sensor) if is_twin(sensor) else None
     return calibration or own, thermometer(sensor)
+
+
+def processing_of(sensor: Path | None) -> Processing:
+    """Return the processing of the cycles of a sensor's file: its carrier, and a chirp's band.
+
+    Parameters
+    ----------
+    sensor : Path or None
+        Without one, or with that of a twin, the sleeve paper's processing.
+
+    Raises
+    ------
+    ConfigError
+        If the drive is of several tones, which have no compressed pulse of one maximum.
+    """
+    document = {} if sensor is None else read_document(sensor)
+    if sensor is None or KIND in document:
+        return Processing()
+    drive = rangefinder_in(_without_others(document), sensor).drive
+    if isinstance(drive, Tones):
+        raise ConfigError(
+            f"{sensor}: kind = 'Tones' has no single echo's maximum to be located; use Chirp here, "
+            "or acoustube invert"
+        )
+    assert isinstance(drive, Burst | Chirp)
+    own = Processing(frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2))
+    if isinstance(drive, Burst):
+        return own
+    return replace(own, bandwidth=drive.bandwidth, pulse_cycles=drive.duration * drive.frequency)
+
+
+def _without_others(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: one for name, one in document.items() if name not in OF_OTHERS}

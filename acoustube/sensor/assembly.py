@@ -16,7 +16,7 @@ from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.inversion import Library
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, drive_spectrum
+from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, sent_spectrum
 from acoustube.sensor.cycles import Parts, Shape
 from acoustube.sensor.network import Constants, Pair
 from acoustube.sensor.tables import PressTables, press_tables
@@ -62,7 +62,7 @@ def assembled(
     damping = log(WRAPAROUND_ATTENUATION) * step
     grid = np.arange(1, period // 2 + 1) * step
     damped = grid - 0.5j * damping / pi
-    received = drive_spectrum(r.drive, damped, r.sampling_rate, period, damping)
+    received = sent_spectrum(r, damped, r.sampling_rate, period, damping)
     received = received * r.resonator(damped) ** 2 * anti_alias(grid, r.sampling_rate)
     received *= np.exp(-2j * pi * damped * r.lead)
     inside = _band(grid, received, (library.band[0] * stretch, library.band[1] * stretch))

@@ -5,14 +5,15 @@ Localization and Force Sensing" (the sleeve paper): :func:`locate` for recording
 :func:`process` for simulated signals (section II-D), which need no matched filter and have no
 offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
 
-Reading order: filters, peaks, processing, time_of_flight, localise, lead, tracker; calibration,
-calibration_file.
+Reading order: filters, compression, peaks, processing, time_of_flight, localise, lead, tracker;
+calibration, calibration_file.
 """
 
 from acoustube.base.moved import renamed
 from acoustube.base.sampling import sampling_rate
 from acoustube.signals.calibration import Calibration, calibrate
 from acoustube.signals.calibration_file import load, save
+from acoustube.signals.compression import chirp_template
 from acoustube.signals.filters import (
     FILTER_ORDER,
     TimeGain,
@@ -42,6 +43,7 @@ __all__ = [
     "Tracker",
     "blind_time",
     "calibrate",
+    "chirp_template",
     "compensate",
     "distance",
     "envelope",

@@ -32,6 +32,9 @@ PROMINENCE_SIGMAS = 2.8
 """Least prominence in standard deviations of untouched cycles (sleeve paper, section II-E)."""
 HALF_NORMAL_RATIO = 0.8937
 """Standard deviation of the half-normal distribution (rectified normal noise) over its median."""
+RAYLEIGH_RATIO = 0.6028 / np.sqrt(2 * np.log(2))
+"""The same standard deviation, sqrt(1 - 2 / pi) of a component's, over the median of the magnitude
+of two normal components: of a compressed chirp, whose samples are magnitudes."""
 SEARCH_HALF_WIDTH = 0.3
 """Half the width in m of the search window around a closure's distance."""
 CLOSURE_SIGMAS = 6.0
@@ -250,12 +253,13 @@ def untouched_deviation(
     places = nominal_distance(time, speed_of_sound(temperature), options["pulse_duration"])
     cycles = gain_and_match(cycles, places, settings.gain, options["template"])
     sent = process(time, untouched, temperature=temperature, **options).send_amplitude
-    scaled = np.abs(normalise(cycles, sent))
+    scaled = normalise(np.abs(cycles), sent)
     distance = np.broadcast_to(places, scaled.shape)
     inside = (distance >= settings.nearest) & (distance <= settings.farthest)
     if not inside.any():
         raise ValueError("the untouched cycles end before the search window; record longer ones")
-    return HALF_NORMAL_RATIO * float(np.median(scaled[inside]))
+    ratio = HALF_NORMAL_RATIO if settings.bandwidth is None else RAYLEIGH_RATIO
+    return ratio * float(np.median(scaled[inside]))
 
 
 def _check_cycles(n_samples: int, **cycles: ArrayLike) -> None:

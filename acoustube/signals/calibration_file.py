@@ -25,7 +25,8 @@ _FITS = ("c1", "c2", "c3", "c4", "slope", "intercept")
 _LISTS = ("true_distance", "estimated_distance", "amplitude")
 _UNITS = {
     "frequency": "Hz", "pulse_cycles": "carrier cycles sent", "offset_cutoff": "Hz",
-    "template_cycles": "carrier cycles of the matched filter", "cutoff": "Hz, of the envelope",
+    "template_cycles": "carrier cycles of the matched filter", "bandwidth": "Hz, of a chirp",
+    "window": "of the chirp's template", "cutoff": "Hz, of the envelope",
     "prominence": "relative to the send pulse", "nearest": "m", "farthest": "m", "send_shift": "s",
     "gain": "c1 tanh(c2 (l - c3)) + c4", "sampling_rate": "Hz", "c1": "1", "c2": "1/m", "c3": "m",
     "c4": "1", "slope": "m/m", "intercept": "m, before the shift", "amplitude_rmse": "1",
@@ -78,6 +79,8 @@ def in_toml(calibration: Calibration) -> str:
 
 def _toml(value: Any, unit: str) -> Item:
     """Return the TOML item of a number or an array of numbers, with the unit as a comment."""
+    if isinstance(value, str):
+        return tomlkit.item(value).comment(unit)
     several = np.ndim(value) > 0
     item = toml_array(float(one) for one in value) if several else tomlkit.item(float(value))
     return item.comment(unit)

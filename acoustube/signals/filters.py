@@ -13,13 +13,13 @@ References
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from acoustube.base.checks import CYCLES, FREQUENCY, RATE, SAMPLES, Reals, checked
+from acoustube.base.checks import CYCLES, FREQUENCY, RATE, SAMPLES, Complex, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 
@@ -168,34 +168,35 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     return np.asarray(wave / np.linalg.norm(wave))
 
 
-@checked(samples=SAMPLES, template=Reals(ndim=1))
-def matched_filter(samples: ArrayLike, template: ArrayLike) -> Array:
+@checked(samples=SAMPLES, template=Complex(0, 1e100, axes=1))
+def matched_filter(samples: ArrayLike, template: ArrayLike) -> Any:
     """Correlate cycles with a template, without delay.
 
     Parameters
     ----------
     samples : array of shape (..., time)
     template : array of shape (n,)
-        An odd number of samples, fewer than a cycle's.
+        An odd number of samples, fewer than a cycle's, real or complex.
 
     Returns
     -------
     array of shape (..., time)
-        The correlation with a pulse like the template is highest at that pulse's middle. White
-        noise keeps its standard deviation where the template has unit energy.
+        Complex where the template is, with the envelope as its magnitude. The correlation with a
+        pulse like the template is highest at that pulse's middle. White noise keeps its standard
+        deviation where the template has unit energy.
 
     Raises
     ------
     ValueError
         If the template is longer than a cycle.
     """
-    samples, template = np.asarray(samples, dtype=float), np.asarray(template, dtype=float)
+    samples, template = np.asarray(samples, dtype=float), np.asarray(template)
     if template.size > samples.shape[-1]:
         raise ValueError(
             f"the record of {samples.shape[-1]} samples is shorter than the matched filter's "
             f"template of {template.size}; record more"
         )
-    kernel = template[::-1].reshape((1,) * (samples.ndim - 1) + (-1,))
+    kernel = template[::-1].conj().reshape((1,) * (samples.ndim - 1) + (-1,))
     return np.asarray(signal.oaconvolve(samples, kernel, mode="same", axes=-1))
 
 

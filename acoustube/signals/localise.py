@@ -5,6 +5,8 @@ Localization and Force Sensing".
 
 References
 ----------
+* Envelope of narrow-band noise and its slope: Rice, S. O., Mathematical analysis of random noise,
+  Bell System Technical Journal 24 (1945), 46-156. doi:10.1002/j.1538-7305.1945.tb00453.x
 * Standard deviation from a median: Hampel, F. R., The influence curve and its role in robust
   estimation, Journal of the American Statistical Association 69 (1974), 383-393.
   doi:10.1080/01621459.1974.10482962
@@ -13,6 +15,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,6 +54,8 @@ measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59
 SAMPLING_DEVIATION_RECTIFIED, SAMPLING_DEVIATION_MATCHED = 0.13, 0.24
 """Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier:
 measured (benchmarks/signals_peak_noise.py: 0.11 and 0.23)."""
+SAMPLING_DEVIATION_COMPRESSED = 0.01
+"""The same of a compressed chirp, whose envelope is a magnitude: the parabola's error."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,7 @@ def locate(
     temperature_deviation=checks.KELVIN,
     offset_cutoff=checks.FREQUENCY,
     gain=TimeGain,
-    template=checks.Reals(ndim=1),
+    template=checks.Complex(0, 1e100, axes=1),
     cutoff=checks.FREQUENCY,
     prominence=checks.PROMINENCE,
     nearest=checks.Reals(-1e6, 1e6, "m"),
@@ -196,7 +201,8 @@ def process(
     gain : TimeGain, optional
         See :func:`compensate`.
     template : array, optional
-        See :func:`matched_filter`.
+        See :func:`matched_filter`. A complex one, of :func:`chirp_template`, compresses the pulse:
+        its magnitude is the envelope, with no low-pass, and gives the time of the send pulse too.
     cutoff : float
         Cut-off of the envelope's low-pass in Hz.
     prominence : float
@@ -228,13 +234,16 @@ def process(
     below the cut-off and shift a 42 kHz echo by up to 0.3 samples (0.2 mm) at 200 kHz, 0.1 samples
     (0.01 mm) at 2 MHz. The parabolic refinement adds no further error.
 
-    The search window starts :func:`blind_time` after the send pulse's maximum, or later.
+    The search window starts :func:`blind_time` after the send pulse's maximum, or later; after that
+    of a compressed pulse its whole duration, in which an echo begins while it is sent, and the side
+    lobes of the send pulse end.
 
     Noise shifts a maximum by the noise's slope over the envelope's curvature. The slope's standard
     deviation is estimated from the differences of adjacent samples after the send pulse, by their
     median, which is robust against a few echoes. It is smaller there than at an echo, because noise
     alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
-    and includes the sampling.
+    and includes the sampling. The slope of a compressed pulse's envelope is that of one quadrature
+    component with and without an echo (Rice), so that nothing is to be corrected.
     """
     time, pressure = _check_signal(time, pressure)
     _check_rows(temperature, pressure.shape[:-1])
@@ -242,17 +251,24 @@ def process(
     if offset_cutoff is not None:
         check_cutoff("offset_cutoff", offset_cutoff, rate)
         pressure = remove_offset(pressure, rate, offset_cutoff)
-    raw = envelope(pressure, rate, cutoff)
+    compressed = template is not None and np.iscomplexobj(template)
+    raw = _envelope(pressure, template if compressed else None, rate, cutoff)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
     send_time, send_amplitude = send_pulse(time, raw, before=send_end)
-    clipped, edge = plateaus(time, raw, send_amplitude, before=send_end, least=pulse_duration / 2)
-    send_time = np.where(clipped, edge + pulse_duration / 2, send_time) + send_shift
-    faded = send_time + blind_time(pulse_duration, cutoff)
+    if not compressed:
+        clipped, edge = plateaus(
+            time, raw, send_amplitude, before=send_end, least=pulse_duration / 2
+        )
+        send_time = np.where(clipped, edge + pulse_duration / 2, send_time)
+    send_time = send_time + send_shift
+    faded = send_time + (pulse_duration if compressed else blind_time(pulse_duration, cutoff))
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
     stop = send_time + 2 * (np.asarray(farthest) - probe_position) / speed
     if gain is not None or template is not None:
         places = probe_position + nominal_distance(time, speed, pulse_duration)
-        raw = envelope(gain_and_match(pressure, places, gain, template), rate, cutoff)
+        if gain is not None:
+            pressure = compensate(pressure, places, gain)
+        raw = _envelope(pressure, template, rate, cutoff)
         ahead = time < np.broadcast_to(start, raw.shape[:-1])[..., np.newaxis]
         send_amplitude = np.max(raw, axis=-1, where=ahead, initial=0.0)
     scaled = normalise(raw, send_amplitude)
@@ -260,7 +276,9 @@ def process(
     return_time, amplitude, height = strongest_echo(echoes)
     found = distance(return_time - send_time, temperature)
     ratio, samples = NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
-    if template is not None:
+    if compressed:
+        ratio, samples = 1.0, SAMPLING_DEVIATION_COMPRESSED
+    elif template is not None:
         ratio, samples = NOISE_RATIO_MATCHED, SAMPLING_DEVIATION_MATCHED
     by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / ratio
     by_sampling = speed / 2 * samples / rate
@@ -279,9 +297,17 @@ def process(
     )
 
 
+def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: float) -> Array:
+    """Return the envelope of cycles behind a matched filter; that of a complex one is exact."""
+    if template is None:
+        return envelope(samples, rate, cutoff)
+    matched = matched_filter(samples, template)
+    return np.abs(matched) if np.iscomplexobj(matched) else envelope(matched, rate, cutoff)
+
+
 def gain_and_match(
     samples: Array, distance: Array, gain: TimeGain | None, template: ArrayLike | None
-) -> Array:
+) -> Any:
     """Return cycles (..., time) after gain and matched filter; None leaves a step out."""
     if gain is not None:
         samples = compensate(samples, distance, gain)

@@ -23,7 +23,7 @@ from acoustube.base.rules import Number, nearest
 from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
-from acoustube.ranging import Burst, Rangefinder
+from acoustube.ranging import Burst, Chirp, Rangefinder, Tones
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.sensor_file import KIND, OF_OTHERS, sensor_document
 from acoustube.runs.sweep import store
@@ -34,6 +34,8 @@ from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
+DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
+"""Drives that a file can give."""
 CYCLES_PER_FILE = 5000
 SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
 """Costs measured on one idle core, for the estimates."""
@@ -273,15 +275,17 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
         raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
     drive = None if drive is None else dict(drive)
     kind = "Burst" if drive is None else drive.pop("kind", "Burst")
-    if kind != "Burst":
-        raise ConfigError(f"{path}: kind = {kind!r} cannot be given by a file; use 'Burst'")
-    for names, of in ((given, Rangefinder), (drive or {}, Burst)):
+    if kind not in DRIVES:
+        raise ConfigError(
+            f"{path}: kind = {kind!r} cannot be given by a file; use {' or '.join(DRIVES)}"
+        )
+    for names, of in ((given, Rangefinder), (drive or {}, DRIVES[kind])):
         known = [field.name for field in dataclasses.fields(of)]
         for name in names:
             if name not in known:
                 raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")
     try:
-        parts: dict[str, Any] = {} if drive is None else {"drive": Burst(**drive)}
+        parts: dict[str, Any] = {} if drive is None else {"drive": DRIVES[kind](**drive)}
         return Rangefinder(**given, **parts)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error

@@ -1,0 +1,66 @@
+"""How loud a rangefinder's drive is to the ear, relative to a steady tone.
+
+References
+----------
+* A-weighting: IEC 61672-1:2013, Electroacoustics: sound level meters, annex E.
+"""
+
+from __future__ import annotations
+
+from math import log10
+
+import numpy as np
+
+from acoustube.base.checks import FREQUENCIES, checked
+from acoustube.base.types import Array
+from acoustube.ranging.analogue import sent_spectrum
+from acoustube.ranging.rangefinder import Rangefinder
+
+POLES = 20.598997, 107.65265, 737.86223, 12194.217
+"""Frequencies in Hz of the weighting's poles."""
+HEARD = 20e3
+"""Highest frequency in Hz that is counted."""
+STEP = 10.0
+"""Step in Hz of the integral."""
+
+
+@checked(frequency=FREQUENCIES)
+def a_weighting(frequency: Array) -> Array:
+    """Return the factor of the A-weighting for sound pressures at frequencies in Hz, 1 at 1 kHz."""
+
+    def factor(f: Array) -> Array:
+        f = np.asarray(f, float) ** 2
+        low, second, third, high = (pole**2 for pole in POLES)
+        return np.asarray(
+            high * f**2 / ((f + low) * np.sqrt((f + second) * (f + third)) * (f + high))
+        )
+
+    return np.asarray(factor(frequency) / factor(np.array(1e3)))
+
+
+@checked(rangefinder=Rangefinder)
+def audible_level(rangefinder: Rangefinder) -> float:
+    """Return the equivalent continuous A-weighted level of the sent cycles in dB.
+
+    Parameters
+    ----------
+    rangefinder : Rangefinder
+
+    Returns
+    -------
+    float
+        Relative to a steady tone of 1 kHz with the amplitude of the drive at the transducer's best
+        frequency; what lies over 20 kHz is not heard and not counted.
+
+    Notes
+    -----
+    By Parseval's theorem the mean square of a pulse in each of `cycle_rate` cycles a second is
+    2 cycle_rate times the integral of |E H|^2 over frequency; that of the tone is 1/2.
+    """
+    r = rangefinder
+    f = np.arange(STEP, HEARD + STEP / 2, STEP)
+    n = round(1 / STEP * r.sampling_rate)
+    sent = sent_spectrum(r, f.astype(complex), r.sampling_rate, n, 0.0)
+    sent = sent * r.resonator(f.astype(complex))
+    heard = float(np.sum((np.abs(sent) * a_weighting(f)) ** 2)) * STEP
+    return 10 * log10(max(4 * r.cycle_rate * heard, 1e-30))
