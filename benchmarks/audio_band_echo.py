@@ -34,7 +34,7 @@ from acoustube.indentation import DepthPath
 from acoustube.lumen import measure, pressed_part
 from acoustube.ranging import Rangefinder
 from acoustube.runs import presses
-from acoustube.runs.design.tubes import BandPlan
+from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.libraries.build import scattering_at
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import Pulse
@@ -69,7 +69,7 @@ def pressed_tube(scale):
     over = {"indenter_mm": ["25"], "inner_diameter_mm": [f"{scale * BORE:g}"], "losses": ["on"],
             "depth_mm": [BORES[scale]]}  # fmt: skip
     (tool,) = tool_plans(over, 0.005)
-    plan = BandPlan(tool.config, tool.settings, tool.pressed, tool.first, 0.005, BAND)
+    plan = ToolPlan(tool.config, tool.settings, tool.pressed, tool.first, 0.005, BAND)
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
     depths, rigid, change, f = [], [], [], None
     for depth in plan.first:

@@ -34,7 +34,8 @@ from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
-from acoustube.runs.design.search import Candidate, Search, front_of
+from acoustube.runs.design.candidates import Candidate
+from acoustube.runs.design.search import Search, front_of
 from acoustube.runs.design.tubes import Sounded, TubeSpec, band_of, plan_of
 from acoustube.runs.inversion import read_sensor
 from acoustube.runs.sweep.tasks import Done
@@ -92,7 +93,7 @@ def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
             )  # fmt: skip
             f = np.asarray(BAND, complex)
             exact = np.abs(r.drive.spectrum(f) * r.resonator(f) ** 2) ** 2
-            found = np.asarray(spectrum(BAND, carrier, cycles, quality))
+            found = np.asarray(spectrum(BAND, electronics_of(r)))
             np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-12 * exact.max())
 
 
@@ -152,10 +153,10 @@ def bound(known, electronics):
 
 
 def weight_of(known, electronics):
-    carrier, cycles, quality, level, rate, *_ = electronics
+    carrier, _, _, level, rate, *_ = electronics
     f = known.frequency
-    sides = (predicting.BAND_EDGE - np.abs(f / carrier - 1)) / predicting.BAND_ROLL
-    power = np.asarray(spectrum(f, carrier, cycles, quality)) / (1 + np.exp(-4 * sides))
+    sides = (predicting.BAND_EDGE - 7 * np.abs(f / carrier - 1)) / predicting.BAND_ROLL
+    power = np.asarray(spectrum(f, electronics)) / (1 + np.exp(-4 * sides))
     return 2 * rate * (f[1] - f[0]) * level**2 * power
 
 
@@ -262,9 +263,9 @@ def test_resolution_is_that_of_the_bandwidth(known):
     """c / 2B of a pulse with an even spectrum, of which the received power is a Gaussian's."""
     usual = electronics_of(Rangefinder())
     f = known.frequency
-    power = np.asarray(spectrum(f, usual.carrier, 13.0, 14.0))
-    power = power / (1 + np.exp(-4 * (predicting.BAND_EDGE - np.abs(f / usual.carrier - 1))
-                                / predicting.BAND_ROLL))  # fmt: skip
+    power = np.asarray(spectrum(f, usual))
+    sides = (predicting.BAND_EDGE - 7 * np.abs(f / usual.carrier - 1)) / predicting.BAND_ROLL
+    power = power / (1 + np.exp(-4 * sides))
     width = np.trapezoid(power, f) ** 2 / np.trapezoid(power**2, f)
     expected = np.hypot(known.sound_speed / (2 * width), predicting.OWN_LENGTH)
     assert predict(known, usual).resolution == pytest.approx(expected, rel=1e-3)

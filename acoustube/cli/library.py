@@ -8,7 +8,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
+from acoustube.base.units import KHZ
 from acoustube.cli._options import Checked, Output, Workers, axis, settings_of
 
 Values = list[str] | None
@@ -39,9 +41,30 @@ class Accuracy(Checked):
     tolerance : float
         Largest relative error of the reflection interpolated between depths, for which depths are
         added.
+    band : tuple
+        Lowest and highest frequency in kHz, for chirps and other wide pulses; 0.8 and 1.2 times
+        --frequency if not given.
     """
 
     tolerance: Annotated[float, Number(1e-4, 0.2, "", "relative")] = 0.005
+    band: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the band."""
+        super().__post_init__()
+        if self.band is not None:
+            for edge in self.band:
+                Number(0.5, 120, "kHz").check("band", edge)
+            if not self.band[0] < self.band[1]:
+                raise ConfigError(
+                    "does not increase", setting="band", value=list(self.band),
+                    advice="give the lower frequency first",
+                )  # fmt: skip
+
+    @property
+    def in_hertz(self) -> tuple[float, float] | None:
+        """The band in Hz."""
+        return None if self.band is None else (self.band[0] / KHZ, self.band[1] / KHZ)
 
 
 def library(
@@ -72,6 +95,6 @@ def library(
     from acoustube.runs.libraries.build import build_library
     from acoustube.runs.libraries.plan import tool_plans
 
-    plans = tool_plans(over, accuracy.tolerance, config)
+    plans = tool_plans(over, accuracy.tolerance, config, accuracy.in_hertz)
     report = output.reporter()
     return 0 if build_library(plans, out, report=report, workers=processes.workers) else 1

@@ -129,7 +129,7 @@ class Baseband:
         low, high = carrier - half, carrier + half
         if not low > self.step:
             raise ConfigError(
-                f"a chirp of {KHZ * self.rangefinder.drive.bandwidth:g} kHz about "
+                f"a chirp of {KHZ * half / CHIRP_BAND:g} kHz about "
                 f"{KHZ * carrier:g} kHz is too wide to invert; use at most "
                 f"{KHZ * carrier / CHIRP_BAND:.4g} kHz"
             )

@@ -54,8 +54,9 @@ measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59
 SAMPLING_DEVIATION_RECTIFIED, SAMPLING_DEVIATION_MATCHED = 0.13, 0.24
 """Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier:
 measured (benchmarks/signals_peak_noise.py: 0.11 and 0.23)."""
-SAMPLING_DEVIATION_COMPRESSED = 0.01
-"""The same of a compressed chirp, whose envelope is a magnitude: the parabola's error."""
+SAMPLING_DEVIATION_COMPRESSED = 0.003
+"""The same of a compressed chirp, whose envelope is a magnitude: the error of the parabola, at
+bandwidths up to 0.3 of the sampling rate."""
 
 
 @dataclass(frozen=True)

@@ -20,21 +20,29 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtr
+from jax.scipy.special import fresnel, ndtr
 
 from acoustube.base.checks import Reals, checked
 from acoustube.base.types import Array
-from acoustube.inversion.baseband import AFTER_CLIPPING, DITHER, FADE, HALF_WIDTH
+from acoustube.inversion.baseband import (
+    AFTER_CLIPPING,
+    CHIRP_BAND,
+    DITHER,
+    FADE,
+    HALF_WIDTH,
+    half_width,
+)
 from acoustube.inversion.design.fisher import Information
-from acoustube.ranging import Burst, Rangefinder
+from acoustube.ranging import Burst, Chirp, Rangefinder
 
 HALF_WAVES = (-3, -2, -1, 1, 2, 3)
 """Half wavelengths that an estimate may be off."""
 DETECTED = 6.0
 """Amplitude of an echo behind its matched filter, in standard deviations of the noise, from which
 half of the echoes are taken for a press; noise alone exceeds it in exp(-18) of its samples."""
-BAND_EDGE, BAND_ROLL = 0.875 * HALF_WIDTH, 0.012
-"""Middle of the ends of the inversion's band from its carrier, in carriers, and their width."""
+BAND_EDGE, BAND_ROLL = 0.875, 0.084
+"""Middle of the ends of the inversion's band from its carrier, in halves of the band, and their
+width."""
 BLIND_ROLL = 0.02
 """Width in m over which the ring-down sets an echo free."""
 OWN_LENGTH = 0.03
@@ -49,7 +57,7 @@ class Electronics(NamedTuple):
     carrier : float
         Of drive and transducer in Hz.
     cycles : float
-        Of a square drive.
+        Periods of the carrier that the drive lasts: of a square burst, or of a chirp.
     quality : float
         Quality factor of the transducer.
     level : float
@@ -61,6 +69,10 @@ class Electronics(NamedTuple):
         Received level of the own drive over full scale.
     ends : float
         1 or 2 rangefinders.
+    bandwidth : float
+        Of a chirp in Hz; 0 of a burst.
+    low_corner, high_corner : float
+        Of loudspeaker and microphone in Hz; 0 for none.
     """
 
     carrier: float | Array
@@ -70,6 +82,9 @@ class Electronics(NamedTuple):
     rate: float | Array
     ring: float | Array
     ends: float | Array
+    bandwidth: float | Array = 0.0
+    low_corner: float | Array = 0.0
+    high_corner: float | Array = 0.0
 
 
 class Prediction(NamedTuple):
@@ -118,7 +133,7 @@ class Prediction(NamedTuple):
 
 
 def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) -> Electronics:
-    """Return the electronics of a rangefinder with a burst at its resonance.
+    """Return the electronics of a rangefinder with a burst or a chirp at its resonance.
 
     Parameters
     ----------
@@ -129,17 +144,18 @@ def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) ->
         Cycles whose mean is inverted.
     """
     r, drive = rangefinder, rangefinder.drive
-    assert isinstance(drive, Burst)
+    assert isinstance(drive, Burst | Chirp)
     noise = r.noise * 2**r.bits / r.full_scale
     variance = noise**2
     if r.quantised:
         # Rounding that noise does not dither is an error of the signal's own band.
-        share = min(2 * HALF_WIDTH * drive.frequency / (r.sampling_rate / 2), 1.0)
+        share = min(2 * half_width(r) / (r.sampling_rate / 2), 1.0)
         variance += 1 / 12 / (1.0 if noise >= DITHER else share)
     level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance / average, 1e-12))
     return Electronics(
-        drive.frequency, drive.cycles, r.quality_factor, level, r.sampling_rate,
-        max(2 * r.send / r.full_scale, 1.0), ends,
+        drive.frequency, drive.duration * drive.frequency, r.quality_factor, level,
+        r.sampling_rate, max(2 * r.send / r.full_scale, 1.0), ends, drive.bandwidth,
+        r.low_corner, r.high_corner,
     )  # fmt: skip
 
 
@@ -232,28 +248,44 @@ def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
     return _score(jnp, found, goal)
 
 
-def spectrum(frequency, carrier, cycles, quality):  # type: ignore[no-untyped-def]
+def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
     """Return the power of a drive's spectrum behind both passages of its transducer, in s2.
 
     Of a square burst, as :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
-    continuous in their number.
+    continuous in their number; of a chirp without its part at negative frequencies.
     """
+    one = Electronics(*electronics)
+    carrier, cycles = one.carrier, one.cycles
     u = jnp.pi / 2 * (frequency / carrier - 1)
     near = jnp.abs(jnp.sin(u)) < 1e-7
     safe = jnp.where(near, 1.0, u)
     kernel = jnp.where(near, 2 * cycles, jnp.sin(2 * cycles * safe) / jnp.sin(safe))
-    drive = (jnp.cos(u) * kernel / (jnp.pi * frequency)) ** 2
+    burst = (jnp.cos(u) * kernel / (jnp.pi * frequency)) ** 2
+    drive = jnp.where(one.bandwidth > 0, _chirp(frequency - carrier, one), burst)
     off = frequency / carrier - carrier / frequency
-    return drive / (1 + (quality * off) ** 2) ** 2
+    # Of the magnitudes of Butterworth filters of second order.
+    high = jnp.where(one.high_corner > 0, one.high_corner, jnp.inf)
+    passed = 1 / ((1 + (one.low_corner / frequency) ** 4) * (1 + (frequency / high) ** 4))
+    return drive * passed / (1 + (one.quality * off) ** 2) ** 2
+
+
+def _chirp(off, one):  # type: ignore[no-untyped-def]
+    """Return the power of a chirp's spectrum at frequencies from its middle: Fresnel integrals."""
+    width = jnp.where(one.bandwidth > 0, one.bandwidth, 1.0)
+    lasting = one.cycles / one.carrier
+    scale = jnp.sqrt(2 * lasting / width)
+    (s0, c0), (s1, c1) = (fresnel(scale * (side * width / 2 - off)) for side in (-1, 1))
+    return ((c1 - c0) ** 2 + (s1 - s0) ** 2) * lasting / width / 8
 
 
 def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
-    carrier, cycles, quality, level, rate, ring, ends = electronics
+    carrier, cycles, quality, level, rate, ring, ends, bandwidth, *_ = electronics
     known = Information(*tensors)
     f = known.frequency
     step = f[1] - f[0]
-    sides = (BAND_EDGE - jnp.abs(f / carrier - 1)) / BAND_ROLL
-    received = spectrum(f, carrier, cycles, quality) * jax.nn.sigmoid(4 * sides)
+    half = jnp.maximum(HALF_WIDTH * carrier, CHIRP_BAND * bandwidth)
+    sides = (BAND_EDGE - jnp.abs(f - carrier) / half) / BAND_ROLL
+    received = spectrum(f, electronics) * jax.nn.sigmoid(4 * sides)
     weight = 2 * rate * step * level**2 * received
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE

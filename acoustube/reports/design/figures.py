@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from acoustube.base.units import CM, MM, PERCENT
+from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.design.choice import Map
-from acoustube.runs.design.search import Candidate
 
 LEVELS = 0.01, 1.0
 """Relative errors of force at the ends of the colour scale."""

@@ -14,10 +14,12 @@ from acoustube.runs.design.choice import Recommended
 
 HEADINGS = {
     "bore_mm": "bore (mm)", "wall_mm": "wall (mm)", "hardness_shore_a": "hardness (Shore A)",
-    "carrier_khz": "carrier (kHz)", "cycles": "cycles", "quality_factor": "quality factor",
+    "carrier_khz": "carrier (kHz)", "cycles": "cycles",
+    "bandwidth_khz": "chirp (kHz)", "transducer": "transducer", "quality_factor": "quality factor",
     "rate_khz": "rate (kHz)", "bits": "bits", "ends": "ends", "reach_m": "reach (m)",
     "force_percent": "force, rms (%)", "force_median_percent": "force, median (%)",
     "resolution_cm": "resolution (cm)", "place_mm": "place (mm)",
+    "nearest_cm": "nearest (cm)", "audible_db": "audible (dB)",
     "wrong_half_wave_percent": "wrong half wave (%)", "detected_percent": "detected (%)",
 }  # fmt: skip
 """Names of the columns of a table of sensors."""

@@ -15,11 +15,14 @@ from acoustube.base.units import CM, KHZ, MM, MS, PERCENT, UM
 
 MOST_VALUES = 64
 MOST_RANGEFINDERS = 1000
-"""Combinations of quality factor, rate, bits and ends that are tried."""
+"""Combinations of transducer, quality factor, bandwidth, rate, bits and ends that are tried."""
 MOST_SAMPLES = 20000
 """Samples of a cycle."""
 LONGEST_PULSE = 5e-3
 """Longest drive in s: the spectra of longer ones are finer than the frequencies of a design."""
+TRANSDUCERS = "resonant", "loudspeaker"
+WIDEST_CHIRP = 1.6
+"""Largest bandwidth of a chirp in its carriers: a little less than the inversion can take."""
 LEAST_RATE = 2.3
 """Lowest sampling rate over the carrier frequency."""
 
@@ -71,6 +74,43 @@ class Numbers:
                 "falls", setting=name, value=list(found), advice="give the lowest value first"
             )
         return (found[0], found[-1]) if self.span else found
+
+
+@dataclass(frozen=True)
+class Words:
+    """Rule for one or more of several words, each once.
+
+    Parameters
+    ----------
+    each : Choice
+        Rule of each.
+    """
+
+    each: Choice
+
+    @property
+    def meaning(self) -> str:
+        """Name of the quantity that is set."""
+        return self.each.meaning
+
+    @property
+    def allowed(self) -> str:
+        """The words, joined."""
+        return f"one or more of {', '.join(self.each.options)}"
+
+    def check(self, name: str, value: Any) -> tuple[str, ...]:
+        """Return the words as a tuple.
+
+        Raises
+        ------
+        ConfigError
+            If one is not a choice, or there are none.
+        """
+        given = tuple(value) if isinstance(value, list | tuple) else (value,)
+        found = tuple(dict.fromkeys(self.each.check(name, one) for one in given))
+        if not found:
+            raise ConfigError("is empty", setting=name, value=[], advice=f"use {self.allowed}")
+        return found
 
 
 def _numbers(default: tuple[float, ...], each: Number, *, span: bool = False) -> Any:
@@ -185,6 +225,13 @@ class Variables(Section):
     cycles: tuple[float, float] = _numbers(
         (3.0, 20.0), Number(1, 100, "", "periods of the drive"), span=True
     )
+    bandwidth_khz: tuple[float, ...] = _numbers(
+        (0.0,), Number(0, 100, "kHz", "bandwidths of a chirp; 0 is a burst")
+    )
+    transducer: tuple[str, ...] = dataclasses.field(
+        default=("resonant",),
+        metadata={"rule": Words(Choice(TRANSDUCERS, "transducers at hand"))},
+    )
     quality_factor: tuple[float, ...] = _numbers(
         (14.0,), Number(0, 100, "", "quality factors of the transducers at hand")
     )
@@ -198,6 +245,19 @@ class Variables(Section):
     def carrier(self) -> tuple[float, float]:
         """Lowest and highest carrier in Hz."""
         return self.carrier_khz[0] / KHZ, self.carrier_khz[1] / KHZ
+
+    def chirp_carrier(self, bandwidth: float) -> tuple[float, float]:
+        """Return the lowest and highest carrier in Hz of a drive of a bandwidth in Hz.
+
+        A chirp lies within the range of the carriers; a carrier that is fixed is its middle.
+        """
+        low, high = self.carrier
+        return (low + bandwidth / 2, high - bandwidth / 2) if high > low else (low, high)
+
+    @property
+    def bandwidths(self) -> tuple[float, ...]:
+        """Bandwidths of the drive in Hz."""
+        return tuple(one / KHZ for one in self.bandwidth_khz)
 
     @property
     def rates(self) -> tuple[float, ...]:
@@ -261,12 +321,21 @@ class DesignGoal:
                 f"makes cycles of over {MOST_SAMPLES} samples", setting="rate_khz",
                 value=max(free.rate_khz), advice="lower it or reach_m",
             )  # fmt: skip
+        for bandwidth in free.bandwidths:
+            low, high = free.chirp_carrier(bandwidth)
+            if not bandwidth <= WIDEST_CHIRP * low or low > high:
+                raise ConfigError(
+                    f"is too wide for chirps within carrier_khz, {free.carrier_khz[0]:g} to "
+                    f"{free.carrier_khz[1]:g} kHz", setting="bandwidth_khz",
+                    value=KHZ * bandwidth, advice="use narrower chirps or widen carrier_khz",
+                )  # fmt: skip
         if free.cycles[1] / free.carrier[0] > LONGEST_PULSE:
             raise ConfigError(
                 f"last over {MS * LONGEST_PULSE:g} ms at {free.carrier_khz[0]:g} kHz",
                 setting="cycles", value=free.cycles[1], advice="lower it or raise carrier_khz",
             )  # fmt: skip
         lists = {"quality_factor": free.quality_factor, "rate_khz": free.rate_khz,
+                 "bandwidth_khz": free.bandwidth_khz, "transducer": free.transducer,
                  "bits": free.bits, "ends": free.ends}  # fmt: skip
         count = math.prod(map(len, lists.values()))
         if count > MOST_RANGEFINDERS:

@@ -1,5 +1,5 @@
 """Design of a sensor for a goal.
 
 Reading order: `acoustube.runs.config.goal` (what it must do), `tubes` (presses and their sound),
-`search` (candidates), `choice` (the recommended sensors), `run` (all of these) and `files`.
+`candidates`, `search`, `choice` (the recommended sensors), `run` (all of these) and `files`.
 """

@@ -14,14 +14,13 @@ from acoustube.base.units import PERCENT
 from acoustube.inversion.design import Contacts, PressedTube
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config.goal import DesignGoal
+from acoustube.runs.design.candidates import Candidate, Choice, rangefinder_of
 from acoustube.runs.design.search import (
     CONTACTS,
-    Candidate,
     contacts_of,
     evaluated,
     known_of,
     modulus_of,
-    rangefinder_of,
 )
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 
@@ -122,8 +121,8 @@ def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
     """Return the sleeve paper's sensor with what is expected of it for a goal."""
     usual = Rangefinder()
     assert isinstance(usual.drive, Burst)
-    made = rangefinder_of(design, usual.resonance, usual.drive.cycles, usual.quality_factor,
-                          usual.sampling_rate, usual.bits)  # fmt: skip
+    own = Choice("resonant", usual.quality_factor, 0.0, usual.sampling_rate, usual.bits, 1)
+    made = rangefinder_of(design, usual.resonance, usual.drive.cycles, own)
     start = Candidate(tube=PAPER, rangefinder=made, ends=1, found=None, score=0.0)  # type: ignore[arg-type]
     return evaluated(design, known_of(design, tubes, PAPER.shore), start)
 

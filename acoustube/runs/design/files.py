@@ -10,10 +10,10 @@ from typing import Any
 import tomlkit
 
 from acoustube.base.units import CM, KHZ
-from acoustube.ranging import Burst
+from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
 from acoustube.runs.config.goal import DesignGoal
-from acoustube.runs.design.search import Candidate
+from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
 
 
@@ -41,7 +41,7 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
 def config_toml(design: DesignGoal, candidate: Candidate) -> str:
     """Return a candidate's tube and a press of it as a file for ``--config``."""
     goal, spec, r = design.goal, candidate.tube, candidate.rangefinder
-    assert isinstance(r.drive, Burst)
+    assert isinstance(r.drive, Burst | Chirp)
     ground: dict[str, Any] = {"support": "held"}
     if goal.support == "arm":
         ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
@@ -49,7 +49,8 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
         {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=round(spec.shore, 3),
         length_cm=max(CM * goal.reach_m, 20.0), indenter_mm=goal.tools_mm[0],
         depth_mm=round(spec.bore / 2, 3), frequency_khz=round(KHZ * r.resonance, 4),
-        cycles=max(round(r.drive.cycles), 2), temperature_c=goal.temperature_c, method="spectral",
+        cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100),
+        temperature_c=goal.temperature_c, method="spectral",
         losses="on", **ground,
     )  # fmt: skip
     return to_toml(config)

@@ -14,6 +14,7 @@ from acoustube.base.units import KHZ
 from acoustube.inversion.design import PressedTube
 from acoustube.ranging import Rangefinder
 from acoustube.runs.config.goal import DesignGoal
+from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.design.choice import (
     PAPER,
     Recommended,
@@ -23,7 +24,7 @@ from acoustube.runs.design.choice import (
     recommended,
     robustness_of,
 )
-from acoustube.runs.design.search import Candidate, Search
+from acoustube.runs.design.search import Search
 from acoustube.runs.design.tubes import (
     REFERENCE_SHORE_A,
     TubeSpec,

@@ -5,14 +5,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from acoustube.base.types import Array
-from acoustube.base.units import CM, KHZ, MM, PERCENT
 from acoustube.inversion.design import (
     Contacts,
     Electronics,
@@ -24,8 +22,15 @@ from acoustube.inversion.design import (
     predict,
 )
 from acoustube.inversion.design.prediction import electronics_of, on_device, score
-from acoustube.ranging import Burst, Rangefinder
+from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
+from acoustube.runs.design.candidates import (
+    Candidate,
+    choice_of,
+    choices_of,
+    rangefinder_of,
+    suits,
+)
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 from acoustube.tube import shear_modulus_from_shore
 
@@ -37,60 +42,6 @@ WIDEST = 4
 """First step of the pattern search in those of the lattice; it is halved to 1."""
 CARRIERS, PULSES, HARDNESSES = 14, 5, 5
 """Values of carrier, cycles and (on a table) hardness that are tried for each tube."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A sensor and its predicted errors.
-
-    Attributes
-    ----------
-    tube : TubeSpec
-    rangefinder : Rangefinder
-    ends : int
-    found : Prediction
-    score : float
-        Logarithm of the force's error with penalties for what the goal lacks.
-    """
-
-    tube: TubeSpec
-    rangefinder: Rangefinder
-    ends: int
-    found: Prediction
-    score: float
-
-    @property
-    def objectives(self) -> Array:
-        """Reach in m, rms relative deviation of force, resolution and median one of place in m."""
-        return np.append(self.found.objectives, np.median(self.found.place))
-
-    def meets(self, design: DesignGoal) -> bool:
-        """Return whether reach, resolution, place and nearest press are as the goal asks for."""
-        goal, (reach, _, resolution, place) = design.goal, self.objectives
-        return bool(
-            reach >= goal.reach_m and resolution <= goal.separation
-            and place <= goal.place_deviation and self.found.nearest <= goal.nearest_m
-        )  # fmt: skip
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """The sensor and its objectives in the units of their names."""
-        r, (reach, force, resolution, place) = self.rangefinder, self.objectives
-        assert isinstance(r.drive, Burst)
-        return {
-            "bore_mm": self.tube.bore, "wall_mm": self.tube.wall,
-            "hardness_shore_a": round(self.tube.shore, 1),
-            "carrier_khz": round(KHZ * r.resonance, 3), "cycles": round(r.drive.cycles, 2),
-            "quality_factor": r.quality_factor, "rate_khz": KHZ * r.sampling_rate,
-            "bits": r.bits, "ends": self.ends, "reach_m": round(float(reach), 3),
-            "force_percent": round(PERCENT * float(force), 3),
-            "force_median_percent": round(PERCENT * float(np.median(self.found.force)), 3),
-            "resolution_cm": round(CM * float(resolution), 2),
-            "place_mm": round(MM * float(place), 3),
-            "wrong_half_wave_percent": round(PERCENT * float(
-                np.average(self.found.wrong, weights=self.found.found + 1e-9)), 2),
-            "detected_percent": round(PERCENT * float(np.mean(self.found.found)), 2),
-        }  # fmt: skip
 
 
 def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
@@ -131,18 +82,6 @@ def known_of(
     return information(
         tubes, contacts or contacts_of(design), modulus=modulus_of(design, shore),
         temperature=goal.temperature_c, hardness=goal.hardness, model=goal.model,
-    )  # fmt: skip
-
-
-def rangefinder_of(
-    design: DesignGoal, carrier: float, cycles: float, quality: float, rate: float, bits: int
-) -> Rangefinder:
-    """Return the default rangefinder with another transducer, pulse and converter, in SI units."""
-    samples = design.goal.samples_at(rate)
-    return Rangefinder(
-        drive=Burst(frequency=float(carrier), cycles=float(cycles)), resonance=float(carrier),
-        quality_factor=float(quality), sampling_rate=float(rate), bits=int(bits),
-        n_samples=max(samples, 512),
     )  # fmt: skip
 
 
@@ -278,18 +217,17 @@ def candidates_of(
 
 def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candidate]:
     """Return the candidates of a tube and a grid of electronics."""
-    free = design.variables
-    carriers = np.geomspace(*free.carrier, CARRIERS if np.ptp(free.carrier) else 1)
+    free, choices = design.variables, []
     cycles = np.geomspace(*free.cycles, PULSES if np.ptp(free.cycles) else 1)
     cycles = np.unique(np.round(2 * cycles) / 2)  # whole half periods
-    choices = [
-        (rangefinder_of(design, *given), ends)
-        for *given, ends in itertools.product(
-            carriers, cycles, free.quality_factor, free.rates, free.bits,
-            free.ends,
-        )
-        if LEAST_RATE * given[0] <= given[3] * (1 + 1e-9)
-    ]  # fmt: skip
+    for choice in choices_of(design):
+        ends = free.chirp_carrier(choice.bandwidth)
+        carriers = np.geomspace(*ends, CARRIERS if np.ptp(ends) else 1)
+        choices += [
+            (rangefinder_of(design, carrier, lasting, choice), choice.ends)
+            for carrier, lasting in itertools.product(carriers, cycles)
+            if suits(carrier, lasting, choice)
+        ]
     if not choices:
         return []
     each = Electronics(
@@ -312,23 +250,24 @@ def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidat
     The number of cycles is rounded to half ones.
     """
     free, goal, r = design.variables, design.goal, best.rangefinder
-    assert isinstance(r.drive, Burst)
+    assert isinstance(r.drive, Burst | Chirp)
+    choice = choice_of(best)
     start = electronics_of(r, best.ends, goal.average)
 
     def objective(logs: Array) -> tuple[float, Array]:
         carrier, cycles = np.exp(logs)
         return gradient(known, start._replace(carrier=carrier, cycles=cycles), goal.asked)
 
-    highest = min(free.carrier[1], r.sampling_rate / LEAST_RATE)
-    bounds = [np.log([free.carrier[0], highest]), np.log(free.cycles)]
-    first = np.log([r.drive.frequency, r.drive.cycles])
+    low, high = free.chirp_carrier(choice.bandwidth)
+    bounds = [np.log([low, min(high, r.sampling_rate / LEAST_RATE)]), np.log(free.cycles)]
+    first = np.log([r.drive.frequency, r.drive.duration * r.drive.frequency])
     end = minimize(objective, first, jac=True, method="L-BFGS-B", bounds=bounds,
                    options={"maxiter": 12})  # fmt: skip
     carrier, cycles = np.exp(end.x)
-    moved = rangefinder_of(
-        design, round(float(carrier), 1), max(round(2 * float(cycles)) / 2, 0.5),
-        r.quality_factor, r.sampling_rate, r.bits,
-    )  # fmt: skip
+    carrier, cycles = round(float(carrier), 1), max(round(2 * float(cycles)) / 2, 0.5)
+    if not suits(carrier, cycles, choice):
+        return best
+    moved = rangefinder_of(design, carrier, cycles, choice)
     candidate = evaluated(design, known, replace(best, rangefinder=moved))
     return candidate if candidate.score < best.score else best
 

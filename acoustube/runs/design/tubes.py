@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +35,8 @@ INTO_LAYER = 0.4
 """Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
 """Ends of the band in the lowest and the highest carrier."""
+CHIRP_MARGIN = 0.61
+"""Ends of the band from the carrier of a chirp, in bandwidths: a little over the inversion's."""
 
 
 class TubeSpec(NamedTuple):
@@ -59,18 +60,6 @@ class TubeSpec(NamedTuple):
         return f"bore {self.bore:g} mm, wall {self.wall:g} mm, {self.shore:g} Shore A"
 
 
-@dataclass(frozen=True, eq=False)
-class BandPlan(ToolPlan):
-    """Plan of a tool's presses whose sound is computed over a given band in Hz."""
-
-    edges: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency in Hz."""
-        return self.edges
-
-
 class Sounded(NamedTuple):
     """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or why there are none."""
 
@@ -84,11 +73,19 @@ class Sounded(NamedTuple):
 
 def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
     """Return the band in Hz that all carriers of a design and further ones in Hz need."""
-    carriers = [*design.variables.carrier, *extra]
-    return round(MARGIN[0] * min(carriers), -2), round(MARGIN[1] * max(carriers), -2)
+    free = design.variables
+    carriers = [*free.carrier, *extra]
+    ends = [
+        (low - CHIRP_MARGIN * width, high + CHIRP_MARGIN * width)
+        for width in free.bandwidths
+        for low, high in [free.chirp_carrier(width)]
+    ]
+    lowest = min(MARGIN[0] * min(carriers), *(low for low, _ in ends))
+    highest = max(MARGIN[1] * max(carriers), *(high for _, high in ends))
+    return round(lowest, -2), round(highest, -2)
 
 
-def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> BandPlan:
+def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> ToolPlan:
     """Return the plan of a tube's presses by one tool of a diameter in mm.
 
     With losses: without them trapped modes are so sharp that between the few depths the reflection
@@ -108,13 +105,13 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
     )  # fmt: skip
     pressed = np.round(np.linspace(0, last, ROWS + 1)[1:], 6) / MM
     first = np.round(np.linspace(SHALLOWEST * spec.bore, last, DEPTHS), 6) / MM
-    return BandPlan(
+    return ToolPlan(
         settings, settings_in_si(settings), tuple(map(float, pressed)), tuple(map(float, first)),
         0.005, band,
     )  # fmt: skip
 
 
-def sounded(plan: BandPlan) -> Done[Sounded]:
+def sounded(plan: ToolPlan) -> Done[Sounded]:
     """Press a tube and compute its reflection at the depths of a plan, or read them."""
     (arrays, stopped), reused = press_rows(plan)
     settings = plan.settings
@@ -212,7 +209,7 @@ def _joined(
         return str(error)
 
 
-def tube_seconds(plan: BandPlan) -> float:
+def tube_seconds(plan: ToolPlan) -> float:
     """Return the expected time in s of a tube under one tool."""
     wide = (plan.band[1] - plan.band[0]) / 17e3
     return press_seconds(plan.settings, plan.pressed[-1]) + len(plan.first) * spectral_seconds(

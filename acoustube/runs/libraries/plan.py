@@ -47,6 +47,8 @@ class ToolPlan:
         Depths in m at which scattering is computed first.
     tolerance : float
         Error of interpolated scattering from which the depths are refined.
+    edges : tuple of float or None
+        Lowest and highest frequency in Hz; by default those about the carrier of the settings.
     """
 
     config: Config
@@ -54,10 +56,13 @@ class ToolPlan:
     pressed: tuple[float, ...]
     first: tuple[float, ...]
     tolerance: float
+    edges: tuple[float, float] | None = None
 
     @property
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency in Hz."""
+        if self.edges is not None:
+            return self.edges
         low, high = (edge * self.settings.pulse.frequency for edge in BAND)
         return low, high
 
@@ -98,7 +103,10 @@ class ToolPlan:
 
 
 def tool_plans(
-    over: Mapping[str, Sequence[str]], tolerance: float, path: str | Path | None = None
+    over: Mapping[str, Sequence[str]],
+    tolerance: float,
+    path: str | Path | None = None,
+    band: tuple[float, float] | None = None,
 ) -> list[ToolPlan]:
     """Return the tools that settings describe.
 
@@ -110,6 +118,8 @@ def tool_plans(
     tolerance : float
     path : str or Path, optional
         TOML file with further settings.
+    band : tuple of float, optional
+        Lowest and highest frequency in Hz, by default 0.8 and 1.2 carriers.
 
     Raises
     ------
@@ -117,10 +127,10 @@ def tool_plans(
         If a setting is wrong, or a tool has too few depths.
     """
     plan = load_plan(path, {**over, "method": ["spectral"]})
-    return [_tool(load_path, tolerance) for load_path in load_paths(cases_of(plan))]
+    return [_tool(load_path, tolerance, band) for load_path in load_paths(cases_of(plan))]
 
 
-def _tool(path: LoadPath, tolerance: float) -> ToolPlan:
+def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) -> ToolPlan:
     config, settings = path.groups[0].cases[0].config, path.settings
     if settings.surface is not None:
         raise ConfigError("a library is of round tubes; leave out the surface")
@@ -136,7 +146,7 @@ def _tool(path: LoadPath, tolerance: float) -> ToolPlan:
     rows = _divided(np.concatenate([before, asked]), widest)
     pressed = tuple(float(d) for d in rows)
     first = tuple(d for d in pressed if d >= asked[0] - ROUNDING)
-    return ToolPlan(config, settings, pressed, first, tolerance)
+    return ToolPlan(config, settings, pressed, first, tolerance, band)
 
 
 def _divided(depths: Array, widest: float) -> Array:

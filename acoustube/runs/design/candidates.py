@@ -1,0 +1,153 @@
+"""Candidates of a design: sensors with their predicted errors, and the choices of electronics."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.inversion.design import Prediction
+from acoustube.ranging import LOUDSPEAKER, Burst, Chirp, Rangefinder, audible_level
+from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
+from acoustube.runs.design.tubes import TubeSpec
+
+LEAST_PRODUCT = 3.0
+"""Least duration of a chirp in reciprocals of its bandwidth: a shorter one is a burst."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A sensor and its predicted errors.
+
+    Attributes
+    ----------
+    tube : TubeSpec
+    rangefinder : Rangefinder
+    ends : int
+    found : Prediction
+    score : float
+        Logarithm of the force's error with penalties for what the goal lacks.
+    """
+
+    tube: TubeSpec
+    rangefinder: Rangefinder
+    ends: int
+    found: Prediction
+    score: float
+
+    @property
+    def objectives(self) -> Array:
+        """Reach in m, rms relative deviation of force, resolution and median one of place in m."""
+        return np.append(self.found.objectives, np.median(self.found.place))
+
+    def meets(self, design: DesignGoal) -> bool:
+        """Return whether reach, resolution, place and nearest press are as the goal asks for."""
+        goal, (reach, _, resolution, place) = design.goal, self.objectives
+        return bool(
+            reach >= goal.reach_m and resolution <= goal.separation
+            and place <= goal.place_deviation and self.found.nearest <= goal.nearest_m
+        )  # fmt: skip
+
+    @property
+    def transducer(self) -> str:
+        """Of :data:`acoustube.runs.config.goal.TRANSDUCERS`."""
+        return "loudspeaker" if self.rangefinder.high_corner > 0 else "resonant"
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The sensor and its objectives in the units of their names."""
+        r, (reach, force, resolution, place) = self.rangefinder, self.objectives
+        assert isinstance(r.drive, Burst | Chirp)
+        return {
+            "bore_mm": self.tube.bore, "wall_mm": self.tube.wall,
+            "hardness_shore_a": round(self.tube.shore, 1),
+            "carrier_khz": round(KHZ * r.resonance, 3), "cycles": round(
+                r.drive.duration * r.drive.frequency, 2),
+            "bandwidth_khz": round(KHZ * r.drive.bandwidth, 3), "transducer": self.transducer,
+            "quality_factor": r.quality_factor, "rate_khz": KHZ * r.sampling_rate,
+            "bits": r.bits, "ends": self.ends, "reach_m": round(float(reach), 3),
+            "force_percent": round(PERCENT * float(force), 3),
+            "force_median_percent": round(PERCENT * float(np.median(self.found.force)), 3),
+            "resolution_cm": round(CM * float(resolution), 2),
+            "place_mm": round(MM * float(place), 3),
+            "nearest_cm": round(CM * float(self.found.nearest), 1),
+            "audible_db": round(audible_level(r), 1),
+            "wrong_half_wave_percent": round(PERCENT * float(
+                np.average(self.found.wrong, weights=self.found.found + 1e-9)), 2),
+            "detected_percent": round(PERCENT * float(np.mean(self.found.found)), 2),
+        }  # fmt: skip
+
+
+class Choice(NamedTuple):
+    """What is chosen of the electronics besides carrier and cycles.
+
+    Attributes
+    ----------
+    transducer : str
+        Of :data:`acoustube.runs.config.goal.TRANSDUCERS`.
+    quality : float
+        Quality factor; 0 of a loudspeaker.
+    bandwidth : float
+        Of a chirp in Hz; 0 of a burst.
+    rate : float
+        Samples per second.
+    bits : int
+    ends : int
+    """
+
+    transducer: str
+    quality: float
+    bandwidth: float
+    rate: float
+    bits: int
+    ends: int
+
+
+def choices_of(design: DesignGoal) -> list[Choice]:
+    """Return all combinations; a loudspeaker has no quality factor."""
+    free = design.variables
+    made = itertools.product(
+        free.transducer, free.quality_factor, free.bandwidths, free.rates, free.bits, free.ends
+    )
+    found = (Choice(*one) for one in made)
+    return list(dict.fromkeys(
+        one._replace(quality=0.0) if one.transducer == "loudspeaker" else one for one in found
+    ))  # fmt: skip
+
+
+def choice_of(candidate: Candidate) -> Choice:
+    """Return what was chosen for a candidate."""
+    r = candidate.rangefinder
+    assert isinstance(r.drive, Burst | Chirp)
+    return Choice(
+        candidate.transducer, r.quality_factor, r.drive.bandwidth, r.sampling_rate, r.bits,
+        candidate.ends,
+    )  # fmt: skip
+
+
+def rangefinder_of(
+    design: DesignGoal, carrier: float, cycles: float, choice: Choice
+) -> Rangefinder:
+    """Return the default rangefinder, or a loudspeaker, with another pulse and converter, in SI."""
+    samples, duration = design.goal.samples_at(choice.rate), float(cycles) / float(carrier)
+    usual = LOUDSPEAKER if choice.transducer == "loudspeaker" else Rangefinder()
+    drive: Burst | Chirp = Burst(frequency=float(carrier), cycles=float(cycles))
+    if choice.bandwidth > 0:
+        drive = Chirp(
+            frequency=float(carrier), bandwidth=float(choice.bandwidth), duration=duration
+        )
+    return replace(
+        usual, drive=drive, resonance=float(carrier), quality_factor=float(choice.quality),
+        sampling_rate=float(choice.rate), bits=int(choice.bits), n_samples=max(samples, 512),
+    )  # fmt: skip
+
+
+def suits(carrier: float, cycles: float, choice: Choice) -> bool:
+    """Return whether a drive is below half of the sampling rate, and a chirp longer than 3 / B."""
+    highest = max(LEAST_RATE / 2 * carrier, carrier + 0.6 * choice.bandwidth)
+    chirped = choice.bandwidth * cycles / carrier
+    return highest <= choice.rate / 2 * (1 + 1e-9) and (not chirped or chirped >= LEAST_PRODUCT)
