@@ -15,6 +15,7 @@ from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Baseband, ForwardModel, Library, Priors
+from acoustube.inversion.baseband import half_width
 from acoustube.inversion.design import (
     Contacts,
     Electronics,
@@ -22,11 +23,12 @@ from acoustube.inversion.design import (
     gradient,
     information,
     predict,
+    predict_pairs,
 )
 from acoustube.inversion.design import prediction as predicting
 from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, score, spectrum
 from acoustube.lumen import pressed_part
-from acoustube.ranging import Burst, Rangefinder
+from acoustube.ranging import Burst, Chirp, Rangefinder
 from acoustube.runs import presses, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.config.goal import DesignGoal, Goal, Variables, in_toml, read_goal
@@ -34,7 +36,8 @@ from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
-from acoustube.runs.design.candidates import Candidate
+from acoustube.runs.design.candidates import Candidate, Choice, choices_of, rangefinder_of
+from acoustube.runs.design.parts import ranges_of
 from acoustube.runs.design.search import Search, front_of
 from acoustube.runs.design.tubes import Sounded, TubeSpec, band_of, plan_of
 from acoustube.runs.inversion import read_sensor
@@ -386,7 +389,8 @@ def instead(plan):
     bore = 1e3 * plan.settings.tube.inner_diameter
     one = made_up(TubeSpec(bore, 1.6, 35.0))[0]
     s = matrices(one.depth, frequency)[:, :, 0, 0, 0, 0]
-    return Done(Sounded(one.depth, one.force, frequency, s, one.sound_speed), False)
+    passed = matrices(one.depth, frequency)[:, :, 1, 0, 0, 0]
+    return Done(Sounded(one.depth, one.force, frequency, s, one.sound_speed, "", passed), False)
 
 
 def serially(tasks, board, **_options):
@@ -426,7 +430,10 @@ def test_command_writes_front_sensors_maps_and_page(tmp_path):
     assert {one.tube.inner_diameter_mm for one in configs} >= {7.9}
     assert {one.waves.losses for one in configs} == {"on"}
     page = (out / "design.html").read_text()
-    assert page.count("data:image/png") == 5
+    assert page.count("data:image/png") == 9
+    assert page.count("Two presses 15 cm apart") == 4
+    assert page.count("quality factor</th><td>") == 4
+    assert (out / "force-drawing.svg").read_bytes().lstrip().startswith(b"<?xml")
     assert all(words in page for words in ("bore +5 %", "-5 Shore A", "+10 K", "hardness of the"))
     assert all((out / name).stat().st_size > 5000 for name in ("front.png", "force-map.png"))
     again = run_here(*words)
@@ -484,3 +491,127 @@ def test_reflection_between_the_depths_of_a_design_is_that_of_a_tube_with_losses
         own = CubicSpline(tube.frequency, tube.reflection_at([depth])[0])(exact.frequency)
         off = own - exact.s[:, 0, 0, 0, 0]
         assert np.linalg.norm(off) < 0.06 * np.linalg.norm(exact.s[:, 0, 0, 0, 0])
+
+
+# Two presses.
+
+
+def passing(**changes):
+    depth = np.arange(1e-3, 7.01e-3, 0.5e-3)
+    frequency = np.arange(33e3, 52e3, 100.0)
+    whole = matrices(depth, frequency)
+    return analytic(frequency, transmission=whole[:, :, 1, 0, 0, 0], **changes)
+
+
+def pair_contacts(places=(0.5, 0.7), forces=(18.0, 50.0)):
+    return contacts(np.array(places), np.array(forces))
+
+
+def test_bound_of_two_presses_is_that_of_the_inversions_jacobian():
+    """As of one press: three modes, echoes between presses and face, a tapered band."""
+    library = Library((tool(),))
+    base = Baseband(Rangefinder(), RADIUS, 2.5, 20.0, library.modes)
+    model, priors = ForwardModel(library, base), Priors()
+    tube, given = passing(), pair_contacts()
+    found = predict_pairs([tube], given, electronics_of(Rangefinder()), 0.15)
+    for i, place in enumerate(given.place):
+        depth = tube.depth_at(np.array([given.force[i], given.force[1 - i]]))
+        rows = model.baseband(
+            (0, 0), np.array([[place, place + 0.15]]), depth[None], np.zeros((1, 6))
+        )[1][0]
+        matrix = 2 * (rows.conj() @ rows.T).real / base.noise(1)
+        matrix += np.diag(np.concatenate([np.zeros(4), priors.deviations**-2]))
+        exact = np.sqrt(np.diag(np.linalg.inv(matrix)))[:4]
+        own = np.stack([found.place[i], found.depth[i]], axis=1).ravel()
+        np.testing.assert_allclose(own, exact, rtol=0.25)
+
+
+def test_presses_apart_are_told_and_those_at_one_place_are_not():
+    """A second press far behind a faint one costs nothing but what the first one takes of it.
+
+    That of 18 N behind one of 50 N, at 1.2 m, is hardly heard.
+    """
+    electronics, tube = electronics_of(Rangefinder()), passing()
+    far = predict_pairs([tube], pair_contacts(), electronics, 0.5)
+    near = predict_pairs([tube], pair_contacts(), electronics, 0.001)
+    assert far.told[0] > 0.999
+    assert far.told[1] < 0.5
+    assert np.all(near.depth > 2 * far.depth)
+    assert np.all(near.told <= far.told)
+    clear = passing()
+    clear = dataclasses.replace(clear, transmission=np.ones_like(clear.transmission))
+    free = predict_pairs([clear], pair_contacts(), electronics, 0.5)
+    alone = predict(information([clear], pair_contacts(), model=0.0), electronics)
+    np.testing.assert_allclose(free.depth[:, 0], alone.depth, rtol=0.1)
+    assert np.all(free.place[:, 1] < far.place[:, 1])
+
+
+def test_pairs_need_the_transmission_of_the_tube():
+    with pytest.raises(ConfigError, match="transmission"):
+        predict_pairs([analytic()], pair_contacts(), electronics_of(Rangefinder()), 0.15)
+    with pytest.raises(ConfigError, match="transmission"):
+        dataclasses.replace(analytic(), transmission=np.ones((2, 2), complex))
+
+
+# Chirps and loudspeakers.
+
+
+@pytest.mark.parametrize("sensor", ["loudspeaker", "resonant"])
+def test_chirp_has_the_power_of_the_rangefinders_own(sensor):
+    """Within 2 % in the sum over frequency; the part at negative frequencies interferes."""
+    design = DesignGoal(variables=Variables(bandwidth_khz=[8], carrier_khz=[5, 40]))
+    choice = Choice(sensor, 4.0 if sensor == "resonant" else 0.0, 8e3, 200e3, 12, 1)
+    r = rangefinder_of(design, 14e3, 20.0, choice)
+    assert isinstance(r.drive, Chirp)
+    with jax.enable_x64(True):
+        found = np.asarray(spectrum(BAND, electronics_of(r)))
+    exact = np.abs(r.drive.spectrum(BAND) * r.passband(BAND) * r.resonator(BAND) ** 2) ** 2
+    assert found.sum() == pytest.approx(exact.sum(), rel=0.02)
+    assert np.abs(found - exact).max() < 0.1 * exact.max()
+
+
+def test_chirp_resolves_finer_than_a_burst_and_its_ring_down_is_that_of_the_inversion(known):
+    design = DesignGoal(variables=Variables(bandwidth_khz=[0, 8], carrier_khz=[10, 42]))
+    found = {}
+    for width in (0.0, 8e3):
+        choice = Choice("loudspeaker", 0.0, width, 200e3, 12, 1)
+        r = rangefinder_of(design, 15e3, 15.0, choice)
+        found[width] = predict(known, electronics_of(r))
+        base = Baseband(r, RADIUS, 2.5, 20.0, ("00",))
+        assert found[width].nearest == pytest.approx(base.nearest, rel=1e-3)
+    assert found[8e3].resolution < 0.8 * found[0.0].resolution
+    assert np.all(found[8e3].wrong <= found[0.0].wrong + 1e-12)
+
+
+def test_choices_lie_in_the_band_that_is_computed():
+    design = DesignGoal(
+        variables=Variables(
+            bandwidth_khz=[0, 6],
+            transducer=["resonant", "loudspeaker"],
+            quality_factor=[3, 14],
+            carrier_khz=[10, 42],
+        )
+    )
+    choices = choices_of(design)
+    assert len(choices) == 6  # a loudspeaker has no quality factor
+    low, high = band_of(design)
+    for choice in choices:
+        ends = design.variables.chirp_carrier(choice.bandwidth)
+        for carrier in ends:
+            r = rangefinder_of(design, carrier, 20.0, choice)
+            half = half_width(r)
+            assert low <= carrier - half < carrier + half <= high
+
+
+def test_ranges_of_parts_hold_the_sensor_and_end_where_its_errors_grow():
+    design = DesignGoal(goal=Goal(forces_n=(4, 90)), variables=Variables(carrier_khz=(15, 42)))
+    choice = Choice("resonant", 14.0, 0.0, 200e3, 12, 1)
+    one = Candidate(
+        tube=TubeSpec(7.9, 1.6, 35.0), rangefinder=rangefinder_of(design, 40e3, 13.0, choice),
+        ends=1, found=None, score=0.0,
+    )  # fmt: skip
+    ranges = ranges_of(design, [analytic()], one)
+    for name, value in (("carrier (kHz)", 40), ("cycles", 13), ("quality factor", 14)):
+        low, high = ranges[name]
+        assert low <= value <= high
+        assert high > low

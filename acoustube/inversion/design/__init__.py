@@ -1,15 +1,16 @@
 """Expected accuracy of a sensor before it is built, for choosing tube, transducer and pulse.
 
 Reading order: `echoes` (what a tube's presses reflect, and the contacts that are drawn),
-`fisher` (information of a contact over frequency) and `prediction` (standard
-deviations, half-wave errors, reach and resolution for one pulse, differentiable).
+`fisher` (information of a contact over frequency), `prediction` (standard deviations, half-wave
+errors, reach and resolution for one pulse, differentiable) and `pairs` (two presses at once).
 """
 
 from acoustube.inversion.design.echoes import Contacts, PressedTube
 from acoustube.inversion.design.fisher import Information, information
+from acoustube.inversion.design.pairs import Pairs, predict_pairs
 from acoustube.inversion.design.prediction import Electronics, Prediction, gradient, predict
 
 __all__ = [
-    "Contacts", "Electronics", "Information", "Prediction", "PressedTube", "gradient",
-    "information", "predict",
+    "Contacts", "Electronics", "Information", "Pairs", "Prediction", "PressedTube", "gradient",
+    "information", "predict", "predict_pairs",
 ]  # fmt: skip

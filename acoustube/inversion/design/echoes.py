@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,6 +39,8 @@ class PressedTube:
         Reflection coefficient of the plane mode, (n, n_f).
     sound_speed : float
         In m/s.
+    transmission : ndarray, optional
+        Transmission coefficient of the plane mode, (n, n_f), for a press behind this one.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class PressedTube:
     frequency: Array
     reflection: Complex
     sound_speed: float
+    transmission: Complex | None = None
 
     def __post_init__(self) -> None:
         """Check that the arrays belong together."""
@@ -60,12 +63,18 @@ class PressedTube:
             self, radius=BORE, diameter=LENGTH, depth=Reals(0, 1.0, "m", ndim=1),
             force=Reals(0, 1e9, "N", ndim=1), frequency=Reals(0, 1e12, "Hz", ndim=1),
             reflection=checks.Complex(0, 1e6), sound_speed=SPEED,
+            transmission=checks.Optional(checks.Complex(0, 1e6)),
         )  # fmt: skip
         n = len(self.depth)
         if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):
             raise ConfigError(
                 f"a tube has {n} depths and reflections of shape {self.reflection.shape}; give "
                 f"{FEWEST} or more depths and (n, {len(self.frequency)})"
+            )
+        if self.transmission is not None and self.transmission.shape != self.reflection.shape:
+            raise ConfigError(
+                f"transmission has shape {self.transmission.shape} and reflection "
+                f"{self.reflection.shape}; give both at each depth and frequency"
             )
         if not (np.all(np.diff(self.depth) > 0) and np.all(np.diff(self.force) > 0)):
             raise ConfigError("depths and forces of a tube must increase; sort them")
@@ -76,6 +85,14 @@ class PressedTube:
         none = np.zeros((1, len(self.frequency)), complex)
         depth = np.concatenate([[0.0], self.depth])
         return CubicSpline(depth, np.concatenate([none, self.reflection]))
+
+    @cached_property
+    def _transmission_spline(self) -> CubicSpline:
+        """Transmission over depth; the untouched tube transmits all."""
+        whole = np.ones((1, len(self.frequency)), complex)
+        depth = np.concatenate([[0.0], self.depth])
+        assert self.transmission is not None
+        return CubicSpline(depth, np.concatenate([whole, self.transmission]))
 
     @cached_property
     def _depth_of(self) -> PchipInterpolator:
@@ -96,6 +113,10 @@ class PressedTube:
     def reflection_at(self, depth: Array, derivative: int = 0) -> Complex:
         """Return reflections at depths in m, (n, n_f), or their derivatives by depth per m."""
         return np.asarray(self._spline(depth, derivative))
+
+    def transmission_at(self, depth: Array, derivative: int = 0) -> Complex:
+        """Return transmissions at depths in m, (n, n_f), or their derivatives by depth per m."""
+        return np.asarray(self._transmission_spline(depth, derivative))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,6 +152,18 @@ class Contacts:
             tool=Reals(0, 1e6, ndim=1, kinds="iu"), lightest=force, strongest=force, length=LENGTH,
         )  # fmt: skip
         check_alike(place=self.place, force=self.force, tool=self.tool)
+
+    def at(self, chosen: Array) -> Contacts:
+        """Return some of the contacts.
+
+        Parameters
+        ----------
+        chosen : ndarray
+            Mask or numbers.
+        """
+        return replace(
+            self, place=self.place[chosen], force=self.force[chosen], tool=self.tool[chosen]
+        )
 
     @property
     def force_prior(self) -> float:

@@ -278,14 +278,37 @@ def _chirp(off, one):  # type: ignore[no-untyped-def]
     return ((c1 - c0) ** 2 + (s1 - s0) ** 2) * lasting / width / 8
 
 
+def _received(frequency, electronics):  # type: ignore[no-untyped-def]
+    """Return the power of the received spectrum in the band of the inversion, in s2."""
+    one = Electronics(*electronics)
+    half = jnp.maximum(HALF_WIDTH * one.carrier, CHIRP_BAND * one.bandwidth)
+    sides = (BAND_EDGE - jnp.abs(frequency - one.carrier) / half) / BAND_ROLL
+    return spectrum(frequency, electronics) * jax.nn.sigmoid(4 * sides)
+
+
+def weight_of(frequency: Array, electronics: Electronics) -> Array:
+    """Return the information of a reflection of 1 at each frequency.
+
+    Parameters
+    ----------
+    frequency : ndarray
+        In Hz, even, (n_f,).
+    electronics : Electronics
+        Numbers.
+    """
+    step = frequency[1] - frequency[0]
+    with jax.enable_x64(True):
+        given = [jnp.asarray(float(one)) for one in electronics]
+        received = np.asarray(_received(jnp.asarray(frequency), given))
+    return np.asarray(2 * electronics.rate * step * electronics.level**2 * received)
+
+
 def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
-    carrier, cycles, quality, level, rate, ring, ends, bandwidth, *_ = electronics
+    carrier, cycles, quality, level, rate, ring, ends, *_ = electronics
     known = Information(*tensors)
     f = known.frequency
     step = f[1] - f[0]
-    half = jnp.maximum(HALF_WIDTH * carrier, CHIRP_BAND * bandwidth)
-    sides = (BAND_EDGE - jnp.abs(f - carrier) / half) / BAND_ROLL
-    received = spectrum(f, electronics) * jax.nn.sigmoid(4 * sides)
+    received = _received(f, electronics)
     weight = 2 * rate * step * level**2 * received
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE

@@ -8,6 +8,8 @@ from html import escape
 from importlib.resources import files
 from string import Template
 
+import numpy as np
+
 from acoustube.base.units import CM, MM, PERCENT
 from acoustube.base.version import __version__
 from acoustube.runs.design.choice import Recommended
@@ -26,7 +28,11 @@ HEADINGS = {
 
 
 def page_of(
-    goal: str, sensors: Sequence[Recommended], pictures: Mapping[str, bytes], notes: Sequence[str]
+    goal: str,
+    sensors: Sequence[Recommended],
+    pictures: Mapping[str, bytes],
+    notes: Sequence[str],
+    separation: float,
 ) -> str:
     """Return the page as HTML that needs no other file.
 
@@ -36,9 +42,11 @@ def page_of(
         The goal as TOML.
     sensors : sequence of Recommended
     pictures : mapping of str to bytes
-        PNG by the name of the sensor, and ``front``.
+        PNG by the name of the sensor, ``NAME drawing`` and ``front``.
     notes : sequence of str
         Sentences on the validity of the results.
+    separation : float
+        Distance of two presses in m.
     """
     rows = "".join(
         f"<tr><th scope=row>{escape(one.name)}</th>"
@@ -49,13 +57,47 @@ def page_of(
     return template.substitute(
         headings="".join(f"<th>{escape(HEADINGS[name])}</th>" for name in sensors[0].candidate.row),
         rows=rows, front=_image(pictures["front"], "front of the candidates"),
-        sensors="".join(_sensor(one, pictures[one.name]) for one in sensors),
+        sensors="".join(
+            _sensor(one, pictures[one.name], pictures[f"{one.name} drawing"], separation)
+            for one in sensors
+        ),
         notes="".join(f"<li>{escape(note)}</li>" for note in notes),
         goal=escape(goal), version=escape(__version__),
     )  # fmt: skip
 
 
-def _sensor(one: Recommended, picture: bytes) -> str:
+def _pairs(one: Recommended, separation: float) -> str:
+    """Return what is told of two presses at once, as a sentence and a table."""
+    if one.pairs is None:
+        return ""
+    told, force = one.pairs.told, PERCENT * np.median(one.pairs.force, axis=0)
+    place = MM * np.median(one.pairs.place, axis=0)
+    rows = "".join(
+        f"<tr><th scope=row>{name}</th><td>{place[i]:.2f}</td><td>{force[i]:.1f}</td></tr>"
+        for i, name in enumerate(("first", "second"))
+    )
+    return (
+        f"<h3>Two presses {CM * separation:g} cm apart</h3><p>In {len(told)} pairs the second is "
+        f"told with a probability of {PERCENT * np.mean(told):.1f} % in the mean, "
+        f"{PERCENT * np.min(told):.1f} % at least.</p><table><tr><th>press</th>"
+        f"<th>place, median (mm)</th><th>force, median (%)</th></tr>{rows}</table>"
+    )
+
+
+def _ranges(one: Recommended) -> str:
+    """Return the ranges of the parts as a table."""
+    rows = "".join(
+        f"<tr><th scope=row>{escape(name)}</th><td>{low:.4g}</td><td>{high:.4g}</td></tr>"
+        for name, (low, high) in one.ranges.items()
+    )
+    return (
+        "<h3>Parts</h3><p>One at a time, each with its own calibration; within these the error of "
+        "force grows by a tenth at most, the goal&#8217;s demands counted with it.</p><table>"
+        f"<tr><th>part</th><th>from</th><th>to</th></tr>{rows}</table>"
+    )
+
+
+def _sensor(one: Recommended, picture: bytes, drawn: bytes, separation: float) -> str:
     limits = "".join(
         f"<li>{escape(name)}: {PERCENT * share:.0f} %</li>"
         for name, share in sorted(one.limits.items(), key=lambda item: -item[1])
@@ -70,7 +112,8 @@ def _sensor(one: Recommended, picture: bytes) -> str:
         "<th>force (%)</th><th>resolution (cm)</th><th>place (mm)</th></tr>" + changed + "</table>"
     )  # fmt: skip
     return (
-        f"<h2>{escape(one.name)}: {escape(one.words)}</h2>{_image(picture, f'maps of {one.name}')}"
+        f"<h2>{escape(one.name)}: {escape(one.words)}</h2>{_image(drawn, f'drawing of {one.name}')}"
+        f"{_image(picture, f'maps of {one.name}')}{_pairs(one, separation)}{_ranges(one)}"
         f"<h3>Mean square error of force, by cause</h3><ul>{limits}</ul>{table}"
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from acoustube.air import air_at
 from acoustube.base.types import Array
 from acoustube.base.units import PERCENT
-from acoustube.inversion.design import Contacts, PressedTube
+from acoustube.inversion.design import Contacts, Pairs, PressedTube
 from acoustube.ranging import Burst, Rangefinder
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.candidates import Candidate, Choice, rangefinder_of
@@ -73,6 +73,10 @@ class Recommended(NamedTuple):
         Shares of the force's variance, by cause.
     robustness : dict of str to ndarray
         Objectives with a change, by the change.
+    ranges : dict of str to (float, float)
+        See :func:`acoustube.runs.design.parts.ranges_of`.
+    pairs : Pairs or None
+        See :func:`acoustube.runs.design.parts.pairs_of`.
     """
 
     name: str
@@ -81,6 +85,8 @@ class Recommended(NamedTuple):
     map: Map
     limits: dict[str, float]
     robustness: dict[str, Array]
+    ranges: dict[str, tuple[float, float]]
+    pairs: Pairs | None
 
 
 def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[str, str, Candidate]]:

@@ -10,11 +10,15 @@ from typing import Any
 import tomlkit
 
 from acoustube.base.units import CM, KHZ
+from acoustube.inversion.baseband import CHIRP_BAND
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
+
+BAND_MARGIN = 0.04
+"""Margin of a library's band for other temperatures."""
 
 
 def front_csv(front: Sequence[Candidate]) -> str:
@@ -33,9 +37,19 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
     document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
     if candidate.ends == 2:
         document.add(tomlkit.comment("The sensor has a second one of its kind at the far end."))
+    if isinstance(candidate.rangefinder.drive, Chirp):
+        low, high = library_band(candidate.rangefinder.drive)
+        document.add(tomlkit.comment(f"Its library: acoustube library --band {low:g} {high:g}"))
     document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
     add_rangefinder(document, candidate.rangefinder)
     return tomlkit.dumps(document)
+
+
+def library_band(drive: Chirp) -> tuple[float, float]:
+    """Return the ends in kHz of the band of a library for a chirp, in air within some 20 K."""
+    half = (1 + BAND_MARGIN) * CHIRP_BAND * drive.bandwidth
+    low, high = drive.frequency - half, drive.frequency + half
+    return round(KHZ * low * (1 - BAND_MARGIN), 1), round(KHZ * high * (1 + BAND_MARGIN), 1)
 
 
 def config_toml(design: DesignGoal, candidate: Candidate) -> str:

@@ -24,6 +24,7 @@ from acoustube.runs.design.choice import (
     recommended,
     robustness_of,
 )
+from acoustube.runs.design.parts import pairs_of, ranges_of
 from acoustube.runs.design.search import Search
 from acoustube.runs.design.tubes import (
     REFERENCE_SHORE_A,
@@ -41,7 +42,7 @@ ASSUMED = (
     ("Presses are on the coarse mesh; what the calibration leaves of clutter is not contained."),
     (
         "Level, noise and ring-down of the electronics are those of the default rangefinder at "
-        "every carrier."
+        "every carrier; of a loudspeaker those of acoustube.ranging.LOUDSPEAKER."
     ),
 )
 """What the predictions assume."""
@@ -178,7 +179,8 @@ def _searched(
         changed = robustness_of(design, one, parts, compute) if robust else {}
         sensors.append(
             Recommended(name, words, one, error_map(design, parts, one),
-                        limits_of(design, one), changed)
+                        limits_of(design, one), changed, ranges_of(design, parts, one),
+                        pairs_of(design, parts, one))
         )  # fmt: skip
     failed = dict(search.failed)
     if isinstance(own, str):
@@ -187,7 +189,8 @@ def _searched(
         paper = paper_sensor(design, own)
         sensors.append(
             Recommended("paper", "the sleeve paper's sensor", paper, error_map(design, own, paper),
-                        limits_of(design, paper), {})
+                        limits_of(design, paper), {}, ranges_of(design, own, paper),
+                        pairs_of(design, own, paper))
         )  # fmt: skip
     return Designed(design, seed, search.kept, sensors, len(search.best), failed)
 

@@ -69,6 +69,7 @@ class Sounded(NamedTuple):
     reflection: Complex
     sound_speed: float
     reason: str = ""
+    transmission: Complex | None = None
 
 
 def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
@@ -128,6 +129,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
     )  # fmt: skip
     kept: list[float] = []
     reflection: list[Complex] = []
+    passed: list[Complex] = []
     frequency, reason = np.zeros(0), ""
     for depth in reached:
         found, known = scattering_at(plan, depth, pressed_part(path.at([depth])))
@@ -140,6 +142,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
         frequency = np.asarray(found.frequency, float)
         kept.append(depth)
         reflection.append(found.s[:, 0, 0, 0, 0])
+        passed.append(found.s[:, 1, 0, 0, 0])
     if len(kept) < FEWEST:
         return Done(none._replace(reason=reason), reused)
     force = np.asarray(path.contact_force(kept), float)
@@ -147,7 +150,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
     return Done(
         Sounded(
             np.array(kept)[rising], force[rising], frequency, np.array(reflection)[rising],
-            settings.air.sound_speed,
+            settings.air.sound_speed, transmission=np.array(passed)[rising],
         ),
         reused,
     )  # fmt: skip
@@ -161,6 +164,7 @@ def pressed_tubes(
         PressedTube(
             radius=spec.bore / 2 / MM, diameter=tool / MM, depth=one.depth, force=one.force,
             frequency=one.frequency, reflection=one.reflection, sound_speed=one.sound_speed,
+            transmission=one.transmission,
         )
         for tool, one in zip(tools, found, strict=True)
     ]  # fmt: skip

@@ -1,0 +1,105 @@
+"""Ranges of a recommended sensor's parts, and what it tells of two presses at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.base.units import KHZ
+from acoustube.inversion.design import Electronics, Pairs, PressedTube, predict, predict_pairs
+from acoustube.inversion.design.prediction import electronics_of, on_device, score
+from acoustube.runs.config.goal import DesignGoal
+from acoustube.runs.design.candidates import Candidate
+from acoustube.runs.design.search import contacts_of, known_of, modulus_of
+
+WORSE = 1.1
+"""Factor of the penalised error of force up to which a part is in its range."""
+FACTORS = np.geomspace(0.5, 2.0, 141)
+"""Factors of a part's value that are tried."""
+HARDNESSES = np.arange(-15.0, 15.1, 1.0)
+"""Changes of the wall's hardness in Shore A that are tried."""
+
+
+def ranges_of(
+    design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
+) -> dict[str, tuple[float, float]]:
+    """Return the ranges of parts, one at a time, in which the error grows by a tenth at most.
+
+    Parameters
+    ----------
+    design : DesignGoal
+    tubes : sequence of PressedTube
+        Of the candidate.
+    candidate : Candidate
+
+    Returns
+    -------
+    dict of str to (float, float)
+        Lowest and highest value by the name of the part with its unit. The carrier is that of drive
+        and transducer, the noise that of the converter, relative. On a table, where it needs no
+        other press, the hardness too. Each sensor has a calibration and a library of its own.
+    """
+    shore, average = candidate.tube.shore, design.goal.average
+    known = on_device(known_of(design, tubes, shore))
+    usual = electronics_of(candidate.rangefinder, candidate.ends, average)
+    start = float(score(predict(known, usual), design.goal.asked))
+
+    def within(values: Array, scores: Array, own: float) -> tuple[float, float]:
+        good = scores <= start + np.log(WORSE) + 1e-9
+        middle = int(np.argmin(np.abs(values - own)))
+        low = high = middle
+        while low > 0 and good[low - 1]:
+            low -= 1
+        while high < len(values) - 1 and good[high + 1]:
+            high += 1
+        return float(values[low]), float(values[high])
+
+    found = {}
+    for name, part, scale in (
+        ("carrier (kHz)", "carrier", KHZ), ("cycles", "cycles", 1.0),
+        ("bandwidth (kHz)", "bandwidth", KHZ), ("quality factor", "quality", 1.0),
+        ("noise (relative)", "level", 1.0),
+    ):  # fmt: skip
+        own = float(getattr(usual, part))
+        if own == 0:
+            continue
+        many = Electronics(*(np.full(len(FACTORS), one) for one in usual))
+        factors = 1 / FACTORS if part == "level" else FACTORS
+        many = many._replace(**{part: own * factors})
+        values = FACTORS if part == "level" else own * FACTORS * scale
+        scores = score(predict(known, many), design.goal.asked)
+        found[name] = within(values, scores, 1.0 if part == "level" else own * scale)
+    if design.goal.support == "table":
+        shores = np.clip(shore + HARDNESSES, 10, 90)
+        scores = np.array([
+            score(predict(known_of(design, tubes, float(one)), usual), design.goal.asked)
+            for one in shores
+        ])  # fmt: skip
+        found["hardness (Shore A)"] = within(shores, scores, shore)
+    return found
+
+
+def pairs_of(
+    design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
+) -> Pairs | None:
+    """Return what a sensor tells of two presses the goal's distance apart; None if not computed.
+
+    The presses of the pairs are the goal's contacts behind the ring-down that do not close the
+    lumen and whose second press is still on the tube; one rangefinder listens.
+    """
+    goal = design.goal
+    contacts = contacts_of(design)
+    here = contacts.place >= float(candidate.found.nearest)
+    here &= contacts.place + goal.separation <= goal.reach_m
+    modulus = modulus_of(design, candidate.tube.shore)
+    strongest = np.array([tube.force[-1] for tube in tubes])
+    here &= contacts.force / modulus <= strongest[contacts.tool]
+    if here.sum() < 2 or any(tube.transmission is None for tube in tubes):
+        return None
+    return predict_pairs(
+        tubes, contacts.at(here), electronics_of(candidate.rangefinder, 1, goal.average),
+        goal.separation, modulus=modulus,
+        temperature=goal.temperature_c, hardness=goal.hardness, model=goal.model,
+    )  # fmt: skip
