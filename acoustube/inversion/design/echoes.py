@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from acoustube.base import checks
@@ -153,13 +154,13 @@ class Contacts:
         )  # fmt: skip
         check_alike(place=self.place, force=self.force, tool=self.tool)
 
-    def at(self, chosen: Array) -> Contacts:
+    def at(self, chosen: NDArray[np.bool_]) -> Contacts:
         """Return some of the contacts.
 
         Parameters
         ----------
-        chosen : ndarray
-            Mask or numbers.
+        chosen : ndarray of bool
+            (n,).
         """
         return replace(
             self, place=self.place[chosen], force=self.force[chosen], tool=self.tool[chosen]

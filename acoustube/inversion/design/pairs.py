@@ -8,6 +8,7 @@ Echoes between the presses and modes other than the plane one are left out, as o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -152,5 +153,5 @@ def _told(echo: Complex, columns: Complex, weight: Array) -> float:
     """Return the probability that an echo is told from changes of other parameters."""
     matrix = np.eye(len(columns)) + ((columns.conj() * weight) @ columns.T).real
     along = ((columns.conj() * weight) @ echo).real
-    energy = float((np.abs(echo) ** 2 * weight).sum()) - along @ np.linalg.solve(matrix, along)
-    return float(ndtr(np.sqrt(max(energy, 0.0)) - DETECTED))
+    energy = float((np.abs(echo) ** 2 * weight).sum() - along @ np.linalg.solve(matrix, along))
+    return float(ndtr(sqrt(max(energy, 0.0)) - DETECTED))
