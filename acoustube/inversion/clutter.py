@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from acoustube.base.checks import Optional, Reals, checked
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
-from acoustube.inversion.spline_sums import between
 from acoustube.waves.scattering import Complex
 
 SPACING = 1e-3
@@ -65,6 +64,8 @@ class Clutter:
             (n, n_f), per m and per K.
         """
         assert self.behind is not None
+        from acoustube.inversion.spline_sums import between  # Numba, without which the sensor does
+
         n_t, n_z, _ = self.behind.shape
         columns = np.clip(place / CELL, 0, n_z - 1.000001)
         rows = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)

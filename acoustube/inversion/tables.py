@@ -10,7 +10,6 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import spline_filter1d
 
 from acoustube.base.types import Array
-from acoustube.inversion.spline_sums import sums
 from acoustube.inversion.tools import Tool
 from acoustube.waves.scattering import Complex
 
@@ -116,6 +115,8 @@ class ToolTable:
             Whether nothing lies behind the press: all but the reflection at its front and the plane
             wave's transmission is zero then.
         """
+        from acoustube.inversion.spline_sums import sums  # Numba, without which the sensor does
+
         values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
         place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
         parts = sums(

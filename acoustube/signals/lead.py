@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.units import MS
 from acoustube.signals.filters import envelope, remove_offset
-from acoustube.signals.localise import plateaus
-from acoustube.signals.peaks import send_pulse
+from acoustube.signals.peaks import plateaus, send_pulse
 from acoustube.signals.processing import Processing
 
 MOST_CYCLES = 500

@@ -35,7 +35,13 @@ from acoustube.signals.filters import (
     normalise,
     remove_offset,
 )
-from acoustube.signals.peaks import Echoes, find_echoes, send_pulse, strongest_echo
+from acoustube.signals.peaks import (
+    Echoes,
+    find_echoes,
+    plateaus,
+    send_pulse,
+    strongest_echo,
+)
 from acoustube.signals.processing import Processing, process_arguments
 from acoustube.signals.time_of_flight import (
     blind_time,
@@ -44,8 +50,6 @@ from acoustube.signals.time_of_flight import (
     speed_of_sound,
 )
 
-PLATEAU_LEVEL = 0.95
-"""Fraction of the send pulse's height above which a sample is part of a plateau (clipping)."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their absolute values."""
 NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
@@ -253,14 +257,9 @@ def process(
         check_cutoff("offset_cutoff", offset_cutoff, rate)
         pressure = remove_offset(pressure, rate, offset_cutoff)
     compressed = template is not None and np.iscomplexobj(template)
-    raw = _envelope(pressure, template if compressed else None, rate, cutoff)
     send_end = probe_position / float(np.min(speed)) + pulse_duration + 1 / cutoff
-    send_time, send_amplitude = send_pulse(time, raw, before=send_end)
-    if not compressed:
-        clipped, edge = plateaus(
-            time, raw, send_amplitude, before=send_end, least=pulse_duration / 2
-        )
-        send_time = np.where(clipped, edge + pulse_duration / 2, send_time)
+    raw = _envelope(pressure, template if compressed else None, rate, cutoff)
+    send_time, send_amplitude = _sent(time, raw, send_end, None if compressed else pulse_duration)
     send_time = send_time + send_shift
     faded = send_time + (pulse_duration if compressed else blind_time(pulse_duration, cutoff))
     start = np.maximum(faded, send_time + 2 * (np.asarray(nearest) - probe_position) / speed)
@@ -298,6 +297,15 @@ def process(
     )
 
 
+def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[Array, Array]:
+    """Return time and amplitude of the send pulse, of a clipped burst by its rise and duration."""
+    sent, amplitude = send_pulse(time, raw, before=end)
+    if duration is None:
+        return sent, amplitude
+    clipped, edge = plateaus(time, raw, amplitude, before=end, least=duration / 2)
+    return np.where(clipped, edge + duration / 2, sent), amplitude
+
+
 def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: float) -> Array:
     """Return the envelope of cycles behind a matched filter; that of a complex one is exact."""
     if template is None:
@@ -313,43 +321,6 @@ def gain_and_match(
     if gain is not None:
         samples = compensate(samples, distance, gain)
     return samples if template is None else matched_filter(samples, template)
-
-
-def plateaus(
-    time: Array, envelope: Array, height: Array, *, before: float, least: float
-) -> tuple[NDArray[np.bool_], Array]:
-    """Return which send pulses have a plateau, as clipped ones do, and when they rise.
-
-    A clipped send pulse has no distinct maximum, but a plateau whose maximum is arbitrary.
-
-    Parameters
-    ----------
-    time : array of shape (time,)
-        In s.
-    envelope : array of shape (..., time)
-    height : array of shape (...)
-        Height of the send pulse.
-    before : float
-        Time in s after the send pulse.
-    least : float
-        Least duration of a plateau in s.
-
-    Returns
-    -------
-    flat : array of bool, shape (...)
-    rise : array of shape (...)
-        Time in s at which the envelope reaches half the height.
-    """
-    ahead = envelope[..., : int(np.searchsorted(time, before))]
-    step, top = time[1] - time[0], np.asarray(height)[..., np.newaxis]
-    flat = step * np.sum(ahead > PLATEAU_LEVEL * top, axis=-1) > least
-    high = ahead >= top / 2
-    first = np.argmax(high, axis=-1)[..., np.newaxis]
-    here = np.take_along_axis(ahead, first, axis=-1)[..., 0]
-    earlier = np.take_along_axis(ahead, np.maximum(first - 1, 0), axis=-1)[..., 0]
-    rise = here - earlier
-    fraction = np.divide(here - top[..., 0] / 2, rise, out=np.zeros_like(rise), where=rise > 0)
-    return flat, time[first[..., 0]] - fraction * step
 
 
 def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> Array:

@@ -11,6 +11,9 @@ from scipy import signal
 from acoustube.base.checks import PROMINENCE, SAMPLES, SECONDS, TIMES, Reals, checked
 from acoustube.base.types import Array
 
+PLATEAU_LEVEL = 0.95
+"""Fraction of the send pulse's height above which a sample is part of a plateau (clipping)."""
+
 
 @dataclass(frozen=True)
 class Echoes:
@@ -191,3 +194,40 @@ def strongest_echo(echoes: Echoes) -> tuple[Array, Array, Array]:
         for values in (echoes.times, echoes.amplitudes, echoes.prominences)
     )
     return times, heights, prominences
+
+
+def plateaus(
+    time: Array, envelope: Array, height: Array, *, before: float, least: float
+) -> tuple[NDArray[np.bool_], Array]:
+    """Return which send pulses have a plateau, as clipped ones do, and when they rise.
+
+    A clipped send pulse has no distinct maximum, but a plateau whose maximum is arbitrary.
+
+    Parameters
+    ----------
+    time : array of shape (time,)
+        In s.
+    envelope : array of shape (..., time)
+    height : array of shape (...)
+        Height of the send pulse.
+    before : float
+        Time in s after the send pulse.
+    least : float
+        Least duration of a plateau in s.
+
+    Returns
+    -------
+    flat : array of bool, shape (...)
+    rise : array of shape (...)
+        Time in s at which the envelope reaches half the height.
+    """
+    ahead = envelope[..., : int(np.searchsorted(time, before))]
+    step, top = time[1] - time[0], np.asarray(height)[..., np.newaxis]
+    flat = step * np.sum(ahead > PLATEAU_LEVEL * top, axis=-1) > least
+    high = ahead >= top / 2
+    first = np.argmax(high, axis=-1)[..., np.newaxis]
+    here = np.take_along_axis(ahead, first, axis=-1)[..., 0]
+    earlier = np.take_along_axis(ahead, np.maximum(first - 1, 0), axis=-1)[..., 0]
+    rise = here - earlier
+    fraction = np.divide(here - top[..., 0] / 2, rise, out=np.zeros_like(rise), where=rise > 0)
+    return flat, time[first[..., 0]] - fraction * step

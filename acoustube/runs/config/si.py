@@ -15,11 +15,11 @@ from typing import Any, Literal
 from acoustube.air import Air, air_at
 from acoustube.indentation import Indenter, Layer, MeshSize, Support
 from acoustube.runs.config.config import Config, Mechanics
-from acoustube.runs.config.settings import IndentationSettings, TubeSettings
-from acoustube.tube import Tube, shear_modulus_from_shore
+from acoustube.runs.config.settings import IndentationSettings
+from acoustube.runs.config.tube_in_si import CENTI, KILO, MEGA, MILLI, tube_in_si
+from acoustube.tube import Tube
 from acoustube.waves import Pulse, SourceEnd
 
-MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
 FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg": math.pi / 180}
 """Factors to SI units; temperatures stay in degC, and fractions in per cent."""
 
@@ -152,7 +152,7 @@ def _press_fields(config: Config | Mechanics) -> dict[str, Any]:
     """Return the attributes of :class:`SIPress` by name."""
     press, n = config.indentation, config.indentation.steps
     return {
-        "tube": _tube(config.tube),
+        "tube": tube_in_si(config.tube),
         "surface": config.tube.surface,
         "indenter": _indenter(press),
         "layer": _layer(press),
@@ -161,22 +161,6 @@ def _press_fields(config: Config | Mechanics) -> dict[str, Any]:
         "depth": MILLI * press.depth_mm,
         "depths": tuple(MILLI * (press.depth_mm * i / n) for i in range(1, n + 1)),
     }
-
-
-def _tube(settings: TubeSettings) -> Tube:
-    return Tube(
-        inner_diameter=MILLI * settings.inner_diameter_mm,
-        wall_thickness=MILLI * settings.wall_mm,
-        length=CENTI * settings.length_cm,
-        shear_modulus=_shear_modulus(settings),
-        poisson_ratio=settings.poisson_ratio,
-    )
-
-
-def _shear_modulus(settings: TubeSettings) -> float:
-    if settings.shear_modulus_mpa is not None:
-        return MEGA * settings.shear_modulus_mpa
-    return shear_modulus_from_shore(settings.hardness_shore_a)
 
 
 def _indenter(settings: IndentationSettings) -> Indenter:

@@ -22,7 +22,7 @@ from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.inversion import Library, Tool
 from acoustube.runs.config import configured
-from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.config.tube_in_si import tube_in_si
 from acoustube.runs.provenance import configuration
 
 if TYPE_CHECKING:
@@ -130,10 +130,10 @@ def _wall(configuration: str | None) -> dict[str, Any]:
     """Return the wall's modulus in Pa and Poisson's ratio, where forces are proportional to it."""
     if configuration is None:
         return {}
-    settings = settings_in_si(configured(json.loads(configuration)))
-    tube = settings.tube
-    if settings.layer is not None:
+    config = configured(json.loads(configuration))
+    if config.indentation.layer_mm is not None:
         return {}
+    tube = tube_in_si(config.tube)
     return {"young_modulus": tube.young_modulus, "poisson_ratio": tube.poisson_ratio}
 
 

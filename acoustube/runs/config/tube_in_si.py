@@ -1,0 +1,25 @@
+"""The tube of settings in SI units, without the stages of press and sound."""
+
+from __future__ import annotations
+
+from acoustube.runs.config.settings import TubeSettings
+from acoustube.tube import Tube, shear_modulus_from_shore
+
+MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
+
+
+def tube_in_si(settings: TubeSettings) -> Tube:
+    """Return the tube of settings."""
+    return Tube(
+        inner_diameter=MILLI * settings.inner_diameter_mm,
+        wall_thickness=MILLI * settings.wall_mm,
+        length=CENTI * settings.length_cm,
+        shear_modulus=_shear_modulus(settings),
+        poisson_ratio=settings.poisson_ratio,
+    )
+
+
+def _shear_modulus(settings: TubeSettings) -> float:
+    if settings.shear_modulus_mpa is not None:
+        return MEGA * settings.shear_modulus_mpa
+    return shear_modulus_from_shore(settings.hardness_shore_a)
