@@ -18,8 +18,10 @@ from acoustube.inversion import (
     Tool,
     measured_clutter,
 )
+from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.fit import Weights, restricted_deviance
 from acoustube.inversion.network import Waves, echo
+from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import Matrices, ToolTable
 from acoustube.ranging import Rangefinder, record
@@ -126,6 +128,10 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     # Frequencies are given ones, which its interpolation returns within rounding.
     expected = (pressure - 1) / 1.3
     assert np.abs(found.value[0] - expected).max() < 1e-9 * np.abs(expected).max()
+    # By the network of wrapped tubes too, with all derivatives, here of a straight one.
+    sections = StraightPath(k, k, air.sound_speed).sections(places[None], np.zeros(1))
+    for one, other in zip(coupled_echo(given, sections, 0.3), found, strict=True):
+        assert np.abs(one - other).max() < 1e-9 * np.abs(other).max()
 
 
 def test_table_interpolates_depth_and_frequency(base):

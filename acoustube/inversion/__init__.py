@@ -1,7 +1,8 @@
 """Waveform inversion: number, places, depths and forces of presses from the whole echo.
 
 Reading order: `tools` (scattering of tools over depth) and `tables` (its interpolation),
-`network` (presses joined by straight tube), `baseband` and `clutter` (the rangefinder and its
+`paths` and `wrap` (propagation along straight and wrapped tubes), `network` (presses along a
+tube), `baseband` and `clutter` (the rangefinder and its
 tube), `model` (the forward model), `fit` (its likelihood), `search` (candidates), `hypotheses`
 (sets of presses), `peeling` (presses in the order of time) and `estimate` (their posterior). For
 streams: `motion` (the filter), `proposals` and `births`, `tracks` (one explanation of the cycles)
@@ -16,9 +17,10 @@ from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Motion
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.tracking import ContactTracker, Tracked
+from acoustube.inversion.wrap import Wrap
 
 __all__ = [
     "Baseband", "Clutter", "Contact", "ContactTracker", "Estimate", "ForwardModel", "Inversion",
-    "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "baseband_of",
+    "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "Wrap", "baseband_of",
     "measured_clutter", "unknown_clutter",
 ]  # fmt: skip

@@ -14,7 +14,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
+from acoustube.inversion.paths import MOST_MODES, Path, StraightPath
 from acoustube.inversion.quantiser import linearised
+from acoustube.inversion.wrap import Wrap, WrappedPath
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import anti_alias, sent_spectrum
 from acoustube.waves.modes import axial_wavenumber
@@ -54,6 +56,8 @@ class Baseband:
         Whose wavenumbers are needed, the plane mode first.
     n_samples : int, optional
         Samples of a cycle; those of the rangefinder by default.
+    wrap : Wrap, optional
+        Of a tube that is bent; it is straight by default.
 
     Raises
     ------
@@ -66,7 +70,7 @@ class Baseband:
 
     @checked(
         rangefinder=Rangefinder, radius=BORE, length=TUBE, temperature=TEMPERATURE,
-        modes=Several(str, 1), n_samples=Optional(CYCLE),
+        modes=Several(str, 1), n_samples=Optional(CYCLE), wrap=Optional(Wrap),
     )  # fmt: skip
     def __init__(
         self,
@@ -76,6 +80,7 @@ class Baseband:
         temperature: float,
         modes: tuple[str, ...],
         n_samples: int | None = None,
+        wrap: Wrap | None = None,
     ) -> None:
         self.rangefinder, self.radius, self.length = rangefinder, radius, length
         self.temperature, self.modes = temperature, modes
@@ -110,6 +115,7 @@ class Baseband:
             )
         self.k, self.k_by_temperature = self._wavenumbers()
         self.speed, self.speed_by_temperature = _speeds(temperature)
+        self.path = self._path(wrap)
         self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
         lead = np.exp(-2j * pi * self.frequency * rangefinder.lead)
         self.sent = drive * self.turn * lead
@@ -277,6 +283,16 @@ class Baseband:
         half = 0.5
         low, high = (at(air_at(self.temperature + d)) for d in (-half, half))
         return at(self.air), (high - low) / (2 * half)
+
+    def _path(self, wrap: Wrap | None) -> Path:
+        m = min(MOST_MODES, len(self.modes))
+        k, heat = self.k[:, :m], self.k_by_temperature[:, :m]
+        if wrap is None:
+            return StraightPath(k, heat, self.speed)
+        relative = self.speed_by_temperature / self.speed
+        return WrappedPath(
+            wrap, self.air, self.frequency, self.radius, self.modes[:m], k, heat, relative
+        )
 
     def _drive(self) -> Complex:
         """Return the spectrum of the drive, filtered as by the converter."""

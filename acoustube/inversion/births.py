@@ -68,9 +68,8 @@ def new_deviations(motion: Motion) -> Array:
 
 def uniform(model: ForwardModel, tool: int) -> float:
     """Return the logarithm of the ratio of a contact's prior area, distance x depth, to START's."""
-    base = model.base
     low, high = model.tables[tool].range
-    volume = (base.length - base.nearest) * (high - low)
+    volume = float(np.ptp(model.span)) * (high - low)
     return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
 
 

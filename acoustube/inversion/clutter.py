@@ -141,12 +141,11 @@ class Reflectors:
         Reflector by reflector at the face, then summed from the far end to each place.
         """
         first = np.searchsorted(self.places, np.arange(0, at.length + CELL, CELL))
-        waves, heated = at.k[:, 0], at.k_by_temperature[:, 0]
-        field = self.strength * np.exp(-2j * np.outer(waves, self.places))
-        slope = -2j * np.outer(heated, self.places)
+        phase, heated = at.path.plane(self.places)
+        field, slope = self.strength * np.exp(-2j * phase), -2j * heated
         field, turn = field * np.exp(-WARM * slope), np.exp(WARM_STEP * slope)
         n_t = round(2 * WARM / WARM_STEP) + 1
-        tables = np.zeros((2, n_t, len(first), len(waves)), np.complex64)
+        tables = np.zeros((2, n_t, len(first), len(phase)), np.complex64)
         filled = first < len(self.places)
         for i in range(n_t):
             for table, kept in zip(tables, (field, field * slope), strict=True):
@@ -177,5 +176,5 @@ def _reflectors(base: Baseband) -> tuple[Array, Complex]:
     places = np.arange(0.5 * SPACING, base.length - 2 * FAR_DEVIATION, SPACING)
     end = base.length + FAR_DEVIATION * np.array([-1.5, -0.5, 0.5, 1.5])
     places = np.concatenate([places, end])
-    waves = np.exp(-2j * np.outer(base.k[:, 0], places))
+    waves = np.exp(-2j * base.path.plane(places)[0])
     return places, base.transformed((base.gain[:, None] * waves * base.reflector_scale(places)).T).T

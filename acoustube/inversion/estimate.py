@@ -249,7 +249,8 @@ class Inverter:
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
             number={i: float(p) for i, p in enumerate(odds)},
-            place=base.window * base.speed / 2, measured=measured, explained=explained, **nuisance,
+            place=base.path.place_at(base.window), measured=measured, explained=explained,
+            **nuisance,
         )  # fmt: skip
 
     def _scale_error(self, place: float) -> float:

@@ -239,9 +239,8 @@ def maximise(
 def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Array:
     """Return parameters within the ranges of places and depths, with rising places."""
     places, depths, nuisances = split(np.array(parameters))
-    base = model.base
     for i, tool in enumerate(tools):
-        places[:, i] = np.clip(places[:, i], base.nearest, base.length - 0.02)
+        places[:, i] = np.clip(places[:, i], *model.span)
         if i:
             places[:, i] = np.maximum(places[:, i], places[:, i - 1] + CLOSEST)
         depths[:, i] = np.clip(depths[:, i], *model.tables[tool].range)
@@ -338,11 +337,8 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 
     Places and depths are uniform a priori.
     """
-    base = model.base
-    volume = sum(
-        2 * log((base.length - base.nearest) * float(np.diff(model.tables[tool].range)[0]))
-        for tool in tools
-    )
+    length = model.span[1] - model.span[0]
+    volume = sum(2 * log(length * float(np.diff(model.tables[tool].range)[0])) for tool in tools)
     volume += float(np.log(2 * pi * model.priors.deviations**2).sum())
     p = fits.parameters.shape[1]
     curvature = np.linalg.slogdet(fits.information)[1] - p * log(2 * pi)

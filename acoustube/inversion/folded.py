@@ -30,6 +30,7 @@ from acoustube.inversion.baseband import (
     half_width,
     is_compressed,
 )
+from acoustube.inversion.wrap import Wrap
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import sent_spectrum
 from acoustube.waves.scattering import Complex
@@ -120,6 +121,7 @@ def baseband_of(
     temperature: float,
     modes: tuple[str, ...],
     n_samples: int | None = None,
+    wrap: Wrap | None = None,
 ) -> Baseband:
     """Return the baseband of a rangefinder: folded where its band is not below the Nyquist rate.
 
@@ -129,4 +131,4 @@ def baseband_of(
     below = carrier + half_width(rangefinder) < rangefinder.sampling_rate / 2
     below = below or is_compressed(rangefinder)  # a folded chirp is refused
     kind = Baseband if below else FoldedBaseband
-    return kind(rangefinder, radius, length, temperature, modes, n_samples)
+    return kind(rangefinder, radius, length, temperature, modes, n_samples, wrap)

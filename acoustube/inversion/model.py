@@ -12,13 +12,13 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, unknown_clutter
-from acoustube.inversion.network import Waves, echo
+from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.network import Echo, Waves, echo
+from acoustube.inversion.paths import MOST_MODES
 from acoustube.inversion.tables import Matrices, table_of
 from acoustube.inversion.tools import Library
 from acoustube.waves.scattering import Complex
 
-MOST_MODES = 3
-"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
 """Parameters besides places and depths, in their order."""
 
@@ -80,6 +80,13 @@ class ForwardModel:
     clutter : Clutter, optional
         Of the tube; by default only its statistics are known.
     priors : Priors, optional
+
+    Attributes
+    ----------
+    path : Path
+        Propagation along the tube.
+    span : (float, float)
+        Nearest and farthest place in m of a press.
     """
 
     @checked(
@@ -101,6 +108,8 @@ class ForwardModel:
         self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
         self.tables = [table_of(tool, base.frequency.tobytes(), modes) for tool in library.tools]
         self.modes = modes
+        self.path = base.path
+        self.span = self.path.span(base.nearest, base.length)
 
     def baseband(
         self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
@@ -130,13 +139,7 @@ class ForwardModel:
         spectrum = np.zeros((n, 2 * m + len(NUISANCES) + 1, len(base.frequency)), complex)
         if m:
             stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
-            matrices = [
-                self.tables[tool](depths[:, i], stretch, last=i == m - 1)
-                for i, tool in enumerate(tools)
-            ]
-            heat = base.k_by_temperature[:, : self.modes]
-            waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
-            found = echo(matrices, places, waves, base.rangefinder.face_reflection)
+            found, matrices = self._echo(tools, places, depths, temperature, stretch)
             factor, by_resonance, by_quality = base.press_gain(nuisances[:, 3:5])
             turn = np.exp(gain + 1j * phase)[:, None]
             factor = factor * turn
@@ -157,6 +160,25 @@ class ForwardModel:
             spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
         samples = base.transformed(spectrum)
         return samples[:, 0] + self.clutter.ring, samples[:, 1:]
+
+    def _echo(
+        self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
+        stretch: Array,
+    ) -> tuple[Echo, list[Matrices]]:  # fmt: skip
+        """Return the echo at the face, and the matrices of the presses along the path."""
+        base, path, last = self.base, self.path, len(tools) - 1
+        given = [
+            self.tables[tool](depths[:, i], stretch, last=i == last and not path.converts)
+            for i, tool in enumerate(tools)
+        ]
+        face = base.rangefinder.face_reflection
+        if not path.converts:
+            heat = base.k_by_temperature[:, : self.modes]
+            waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
+            return echo(given, places, waves, face), given
+        joined = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
+        sections, entry = path.sections(places, temperature), path.entry(temperature)
+        return coupled_echo(joined, sections, face, entry), joined
 
     def _add_clutter(
         self,

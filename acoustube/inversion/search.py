@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.fit import CLOSEST, Weights
 from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.paths import Path, stretches
 from acoustube.waves.scattering import Complex
 
 COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
@@ -24,6 +25,8 @@ APART = 0.03
 """Distance in m of candidates that count as different places."""
 DISTINCT = 1.5e-3, 0.5e-3
 """Differences of place and depth in m from which two maxima about a place are separate."""
+KEPT = 40
+"""Places whose reflection is remembered."""
 CHUNK = 40
 """Nodes whose templates are computed at once."""
 
@@ -77,8 +80,10 @@ class Templates:
         low, high = table.range
         self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
         stretch = np.full(len(self.depths), model.stretch)
-        self.reflection = table(self.depths, stretch).value[:, :, 0, :, 0, :]
-        self.places = np.arange(base.nearest, base.length - 0.05, COARSE)
+        self.whole = table(self.depths, stretch)
+        low, high = model.span
+        self.places = np.arange(low, min(high, base.length - 0.05), COARSE)
+        self._reflections: dict[float, Complex] = {}
 
     def search(
         self,
@@ -108,12 +113,10 @@ class Templates:
             Deviation in K.
         """
         base = self.model.base
-        waves = base.k[:, : self.model.modes]
-        waves = waves + temperature * base.k_by_temperature[:, : self.model.modes]
         field = base.adjoint(whiten(residual) @ whiten.matrix.conj())
         coarse = np.empty((len(self.depths), len(self.places)))
-        zones = self._zones(fronts, waves)
-        owner = self._owners(fronts, self.places)
+        zones, starts = self._zones(fronts, temperature)
+        owner = np.searchsorted(starts, self.places, side="right") - 1
         matrix = whiten.matrix.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
             here = owner == number_of_zone
@@ -135,30 +138,54 @@ class Templates:
         gain = 2 * (2 * zone.correlate(field, places).real - zone.energy_at(places))
         return separate(gain, places, self.depths, count)
 
-    def _zones(self, fronts: list[Front], waves: Complex) -> list[_Zone]:
-        base = self.model.base
-        found = [_Zone([(base.gain * self.reflection[:, :, 0, 0], 2 * waves[:, 0])], 0.0)]
-        for front in fronts:
-            parts = []
-            m = waves.shape[1]
-            for a in range(m):
-                for b in range(m):
-                    shape = base.gain * front.out[:, a] * front.into[:, b]
-                    parts.append((shape * self.reflection[:, :, a, b], waves[:, a] + waves[:, b]))
-            found.append(_Zone(parts, front.place))
-        return found
+    def _zones(self, fronts: list[Front], temperature: float) -> tuple[list[_Zone], Array]:
+        """Return templates of the tube before, between and behind presses, and where each begins.
 
-    @staticmethod
-    def _owners(fronts: list[Front], places: Array) -> NDArray[np.intp]:
-        return np.searchsorted(np.array([front.place for front in fronts]), places)
+        Where the presses' matrices vary along the tube, of its stretches.
+        """
+        path, gain = self.model.path, self.model.base.gain
+        before = [at_face(self.model, temperature), *fronts]
+        low, high = self.model.span
+        places = stretches(path, min(low, 0.0), high, [front.place for front in fronts])
+        found = []
+        for (start, number), (stop, _) in zip(places, [*places[1:], (high, 0)], strict=True):
+            front, reflection = before[number], self._reflection(0.5 * (start + stop))
+            parts: list[tuple[Complex, int, int]] = []
+            for a, b in itertools.combinations_with_replacement(range(path.modes), 2):
+                shape = front.out[:, a] * front.into[:, b] * reflection[:, :, a, b]
+                if a != b:
+                    shape = shape + front.out[:, b] * front.into[:, a] * reflection[:, :, b, a]
+                if np.any(shape):
+                    parts.append((gain * shape, a, b))
+            found.append(_Zone(parts, path, front, temperature))
+        return found, np.array([start for start, _ in places])
+
+    def _reflection(self, place: float) -> Complex:
+        """Return the reflection at all depths of a press at a place, (n_depths, n_f, m, m)."""
+        path = self.model.path
+        place = place if path.converts else 0.0
+        if place not in self._reflections:
+            if len(self._reflections) > KEPT:
+                self._reflections.clear()
+            at = np.full(len(self.depths), place)
+            joined = path.joined(self.whole, at, np.zeros(len(at)))
+            self._reflections[place] = joined.value[:, :, 0, :, 0, :]
+        return self._reflections[place]
 
 
 class _Zone:
-    """Templates of one stretch of the tube: sums of spectra with wavenumbers, from an origin."""
+    """Templates of one stretch of the tube: sums of spectra that travel as two modes each."""
 
-    def __init__(self, parts: Sequence[tuple[Complex, Complex]], origin: float) -> None:
-        self.parts, self.origin = parts, origin
+    def __init__(
+        self, parts: Sequence[tuple[Complex, int, int]], path: Path, front: Front, warmer: float
+    ) -> None:
+        self.parts, self.path, self.origin, self.warmer = parts, path, front.place, warmer
+        self.start = path.phases(np.array([front.place]), warmer, behind=True)
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
+
+    def phases(self, places: Array) -> Complex:
+        """Return the modes' phases from the origin to places, (n_places, n_f, m)."""
+        return self.path.phases(places, self.warmer) - self.start
 
     def set_energy(self, base: Baseband, whiten: Complex, places: Array) -> None:
         """Compute the energies of templates at nodes about places, whitened by a matrix."""
@@ -182,18 +209,18 @@ class _Zone:
     def correlate(self, field: Complex, places: Array) -> Complex:
         """Return the products with a field, (n_depths, n_places)."""
         total: Complex = np.zeros((len(self.parts[0][0]), len(places)), complex)
-        for shape, wave in self.parts:
-            turn = np.exp(1j * np.outer(wave.conj(), places - self.origin))
-            total += (shape.conj() * field) @ turn
+        phases = self.phases(places).conj()
+        for shape, a, b in self.parts:
+            total += (shape.conj() * field) @ np.exp(1j * (phases[..., a] + phases[..., b])).T
         return total
 
     def spectra(self, places: Array) -> Complex:
         """Return the spectra at places, (n_depths, n_places, n_f)."""
         first = self.parts[0][0]
         total: Complex = np.zeros((len(first), len(places), first.shape[1]), complex)
-        for shape, wave in self.parts:
-            turn = np.exp(-1j * np.outer(places - self.origin, wave))
-            total += shape[:, None] * turn
+        phases = self.phases(places)
+        for shape, a, b in self.parts:
+            total += shape[:, None] * np.exp(-1j * (phases[..., a] + phases[..., b]))
         return total
 
 
@@ -246,21 +273,29 @@ def candidates(found: list[tuple[float, float, float]]) -> Candidates:
     return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
 
+def at_face(model: ForwardModel, temperature: float) -> Front:
+    """Return the plane wave from the face, in the modes by which sound propagates from there."""
+    entry = model.path.entry(np.array([temperature]))
+    if entry is None:
+        plane = np.zeros((len(model.base.frequency), model.path.modes), complex)
+        plane[:, 0] = 1.0
+        return Front(0.0, plane, plane)
+    return Front(-np.inf, entry.matrix[0, :, :, 0], entry.matrix[0, :, :, 0])
+
+
 def front_of(
     model: ForwardModel, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
 ) -> list[Front]:
     """Return what each of several presses leaves behind it, multiple reflections left out."""
-    base, n = model.base, len(places)
-    waves = base.k[:, : model.modes] + nuisances[0] * base.k_by_temperature[:, : model.modes]
-    stretch = model.stretch + model.stretch_by_temperature * nuisances[0] + nuisances[5]
-    into = np.zeros((len(waves), model.modes), complex)
-    into[:, 0] = 1.0
-    out, at, found = into.copy(), 0.0, []
-    for i in range(n):
-        path = np.exp(-1j * waves * (places[i] - at))
-        s = model.tables[tools[i]](depths[i : i + 1], np.array([stretch])).value[0]
-        into = (s[:, 1, :, 0, :] @ (path * into)[..., None])[..., 0]
-        out = ((path * out)[:, None, :] @ s[:, 0, :, 1, :])[:, 0]
-        at = float(places[i])
-        found.append(Front(at, into, out))
+    path, warm = model.path, nuisances[:1]
+    stretch = model.stretch + model.stretch_by_temperature * warm + nuisances[5:6]
+    _, into, out = at_face(model, float(warm[0]))
+    found = []
+    for i, section in enumerate(path.sections(places[None], warm)):
+        s = model.tables[tools[i]](depths[i : i + 1], stretch)
+        s = path.joined(s, places[i : i + 1], warm).value[0]
+        along = section.factor[0]
+        into = (s[:, 1, :, 0, :] @ (along * into)[..., None])[..., 0]
+        out = ((along * out)[:, None, :] @ s[:, 0, :, 1, :])[:, 0]
+        found.append(Front(float(places[i]), into, out))
     return found

@@ -34,11 +34,15 @@ class Matrices(NamedTuple):
         Per m.
     by_stretch : ndarray
         Per relative change of frequency.
+    by_place, by_temperature : ndarray or None
+        Per m and per K, where the joints with a bent tube are part of a press; None for zero.
     """
 
     value: Complex
     by_depth: Complex
     by_stretch: Complex
+    by_place: Complex | None = None
+    by_temperature: Complex | None = None
 
 
 @lru_cache(maxsize=8)

@@ -83,6 +83,11 @@ class ContactTracker:
     motion : Motion, optional
     cycle_rate : float, optional
         Cycles per second; that of the rangefinder by default.
+
+    Raises
+    ------
+    ConfigError
+        If the tube is wrapped.
     """
 
     @checked(
@@ -96,6 +101,11 @@ class ContactTracker:
         motion: Motion | None = None,
         cycle_rate: float | None = None,
     ) -> None:
+        if model.path.converts:
+            raise ConfigError(
+                "contacts are followed from cycle to cycle on straight tubes alone, and this one "
+                "is wrapped; record cycles and invert them"
+            )
         self.model, self.most = model, most
         self.motion = motion or Motion()
         self.step = 1 / (cycle_rate or model.base.rangefinder.cycle_rate)
@@ -213,7 +223,7 @@ class ContactTracker:
         return Tracked(
             contacts, numbers, self._misfit(found.rest[0], explained),
             told(first), told(first + NUISANCES.index("gain")),
-            base.window * base.speed / 2, measured, explained,
+            base.path.place_at(base.window), measured, explained,
         )  # fmt: skip
 
     def _lasting(self, found: Update) -> Array:

@@ -24,6 +24,7 @@ from acoustube.inversion import (
     Inverter,
     Library,
     Priors,
+    Wrap,
     baseband_of,
 )
 from acoustube.inversion.clutter import Reflectors, reflectors
@@ -31,6 +32,7 @@ from acoustube.ranging import Rangefinder
 from acoustube.runs.config import read_document
 from acoustube.runs.sensor_file import sensor_document, young_modulus
 from acoustube.runs.sweep.dataset import rangefinder_in
+from acoustube.runs.wrap import read_wrap
 
 CONTACT_COLUMNS = (
     "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
@@ -57,12 +59,15 @@ class Sensor:
     priors : Priors
     young_modulus : (float, float) or None
         Of the wall and its standard deviation, in Pa; None for that of the library.
+    wrap : Wrap or None
+        Of the tube; None for a straight one.
     """
 
     rangefinder: Rangefinder | None = None
     length: float | None = None
     priors: Priors = field(default_factory=Priors)
     young_modulus: tuple[float, float] | None = None
+    wrap: Wrap | None = None
 
     def own(self, library: Library) -> Library:
         """Return a library with the forces of the sensor's wall."""
@@ -80,8 +85,9 @@ def read_sensor(path: Path) -> Sensor:
     ----------
     path : Path
         With ``length_cm``, the parameters of :class:`acoustube.ranging.Rangefinder`, its drive in a
-        table ``[drive]``, and standard deviations of :class:`acoustube.inversion.Priors` in a table
-        ``[priors]``. Or that of a twin.
+        table ``[drive]``, standard deviations of :class:`acoustube.inversion.Priors` in a table
+        ``[priors]``, and a table ``[wrap]`` (:func:`acoustube.runs.wrap.read_wrap`). Or that of a
+        twin.
 
     Raises
     ------
@@ -91,6 +97,7 @@ def read_sensor(path: Path) -> Sensor:
     given = read_document(path)
     document, modulus = sensor_document(given, path), young_modulus(given, path)
     length, priors = document.pop("length_cm", None), document.pop("priors", {})
+    wrap = read_wrap(document.pop("wrap"), path) if "wrap" in document else None
     known = [one.name for one in dataclasses.fields(Priors)]
     if not isinstance(priors, dict):
         raise ConfigError(f"{path}: priors = {priors!r} must be a section, written [priors]")
@@ -104,7 +111,7 @@ def read_sensor(path: Path) -> Sensor:
         raise ConfigError(f"{path}: {error}") from error
     return Sensor(
         rangefinder=rangefinder_in(document, path), length=metres, priors=found,
-        young_modulus=modulus,
+        young_modulus=modulus, wrap=wrap,
     )  # fmt: skip
 
 
@@ -207,7 +214,13 @@ class RecordingInverter:
         self, rangefinder: Rangefinder, length: float, air: float, n_samples: int
     ) -> Baseband:
         return baseband_of(
-            rangefinder, self.tool_library.radius, length, air, self.tool_library.modes, n_samples
+            rangefinder,
+            self.tool_library.radius,
+            length,
+            air,
+            self.tool_library.modes,
+            n_samples,
+            self.sensor.wrap,
         )
 
     def _bias(self, data: xr.Dataset, rangefinder: Rangefinder) -> float:

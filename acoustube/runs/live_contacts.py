@@ -94,6 +94,11 @@ class Follower:
         sensor = Sensor() if how.sensor is None else read_sensor(how.sensor)
         self.tool_library = sensor.own(open_library(how.folder))
         rangefinder = sensor.rangefinder or Rangefinder(sampling_rate=rate, bits=BITS)
+        if sensor.wrap is not None:
+            raise ConfigError(
+                f"{how.sensor} states a wrap, and live follows contacts on straight tubes alone; "
+                "record cycles and give them to acoustube invert, or leave out --library"
+            )
         if abs(rangefinder.sampling_rate / rate - 1) > 1e-3:
             raise ConfigError(
                 f"the stream has rate = {rate:g} Hz and the sensor sampling_rate = "

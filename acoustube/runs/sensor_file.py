@@ -18,7 +18,7 @@ from acoustube.ranging import Rangefinder
 KIND = "twin"
 """Name of the table that only files of twins have."""
 MODULUS = "young_modulus_mpa"
-OF_OTHERS = ("length_cm", "priors")
+OF_OTHERS = ("length_cm", "priors", "wrap")
 """Entries of a sensor's file in addition to the parameters of the rangefinder."""
 
 

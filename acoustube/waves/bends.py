@@ -233,7 +233,7 @@ def _power_normalised(
         [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in names]
     )
     propagates = frequency[:, None] > cut_ons
-    place = [bore.names.index(name) for name in names]
+    place = mode_places(names, bore)
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
     waves = wavenumbers(names, frequency, radius, air, lossy=lossy)
@@ -297,19 +297,59 @@ def _result_modes(
     if wanted is None:
         reached = bore.zeros < 2 * pi * frequency[-1] * radius / air.sound_speed
         return tuple(name for name, is_in in zip(bore.names, reached, strict=True) if is_in)
+    mode_places(wanted, bore)
+    return tuple(wanted)
+
+
+def mode_places(wanted: Sequence[str], bore: BoreModes) -> list[int]:
+    """Return the numbers of modes among those of a bore; raise if one is not."""
     unknown = [name for name in wanted if name not in bore.names]
     if unknown:
         raise ConfigError(
             f"are not among those computed, {', '.join(bore.names)}", setting="modes",
             value=", ".join(unknown), allowed=tuple(bore.names), advice="raise highest",
         )  # fmt: skip
-    return tuple(wanted)
+    return [bore.names.index(name) for name in wanted]
 
 
 def _bend_scattering(
     air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> Complex:
     """Return the scattering matrix of a bend, not power-normalised, (n, 2 m, 2 m)."""
+    generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
+    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # 0 of the plane mode alone
+    n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
+    slice_ = expm(generator * (part.length / 2**n_doublings))
+    s = _as_scattering(slice_, admittance)
+    for _ in range(n_doublings):
+        s = star_product(s, s)
+    return s
+
+
+def bend_generator(
+    air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
+) -> tuple[Complex, Complex]:
+    """Return the matrix of the coupled equations of a bend, and the straight modes' admittances.
+
+    Parameters
+    ----------
+    air : Air
+    frequency : ndarray
+        In Hz, (n,).
+    bore : BoreModes
+        The m modes of the sums.
+    radius : float
+        Of the bore in m.
+    part : Bent
+    lossy : bool
+
+    Returns
+    -------
+    generator : ndarray
+        Of the m coefficients of pressure and the m of velocity over k, in 1/m, (n, 2 m, 2 m).
+    admittance : ndarray
+        k_z over k of each mode in the straight bore, (n, m).
+    """
     k = (2 * pi * frequency / air.sound_speed)[:, None, None]
     waves = wavenumbers(bore.names, frequency, radius, air, lossy=lossy)
     waves = np.where(np.abs(waves) < CUT_ON_MARGIN * k[:, 0], CUT_ON_MARGIN * k[:, 0], waves)
@@ -324,13 +364,7 @@ def _bend_scattering(
     generator[:, :m, :m] = generator[:, m:, m:] = part.torsion * bore.twist
     generator[:, :m, m:] = -1j * k * to_pressure
     generator[:, m:, :m] = -1j * k * to_velocity
-    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # 0 of the plane mode alone
-    n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
-    slice_ = expm(generator * (part.length / 2**n_doublings))
-    s = _as_scattering(slice_, waves / k[:, 0])
-    for _ in range(n_doublings):
-        s = star_product(s, s)
-    return s
+    return generator, waves / k[:, 0]
 
 
 def _as_scattering(transfer: Complex, admittance: Complex) -> Complex:

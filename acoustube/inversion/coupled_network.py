@@ -1,0 +1,140 @@
+"""Reflection at the face of presses along a tube whose modes are not those of the straight tube.
+
+The equations of :mod:`acoustube.inversion.network`, with wavenumbers that vary along the tube,
+matrices that vary with place and temperature, and a conversion of the modes before the first press.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acoustube.inversion.network import Echo
+from acoustube.inversion.paths import Entry, Section
+from acoustube.inversion.tables import Matrices
+from acoustube.waves.scattering import Complex
+
+
+def coupled_echo(
+    presses: list[Matrices], sections: list[Section], face: complex, entry: Entry | None = None
+) -> Echo:
+    """Return the echo of presses at the face of the source.
+
+    Parameters
+    ----------
+    presses : list of Matrices
+        One for each press, from the face on.
+    sections : list of Section
+        The propagation before each press.
+    face : complex
+        Reflection coefficient of the face, of all modes.
+    entry : Entry, optional
+        The way from the face to where the first section begins, if it does not at the face.
+
+    Returns
+    -------
+    Echo
+        Its value is that of (p - 1) / (1 + face), with the pressure p at the face of the plane
+        wave.
+    """
+    blocks = [_blocks(press.value) for press in presses]
+    paths = [section.factor for section in sections]
+    eye = np.eye(paths[0].shape[-1])
+    # From the last press to the face: the reflection before each press and what it loops with.
+    loads: list[Complex] = []
+    loops: list[tuple[Complex, Complex] | None] = []
+    behind: Complex | None = None
+    for (r1, t12, t21, r2), path in zip(blocks[::-1], paths[::-1], strict=True):
+        if behind is None:
+            reflection, loop = r1, None
+        else:
+            loop = np.linalg.inv(eye - behind @ r2), behind
+            reflection = r1 + t12 @ (loop[0] @ (behind @ t21))
+        behind = path[..., :, None] * reflection * path[..., None, :]
+        loads.insert(0, behind)
+        loops.insert(0, loop)
+    value, heated, left, right = _at_face(loads[0], face, entry)
+    by_place: list[Complex] = []
+    by_depth: list[Complex] = []
+    stretched = np.zeros_like(value)
+    for i, (_, t12, t21, r2) in enumerate(blocks):
+        onwards, back = _apply(loads[i], right), _apply_left(left, loads[i])
+        both = -1j * (left * onwards + back * right)
+        heated += _sum(sections[i].by_temperature, both)
+        if i:
+            by_place[-1] = by_place[-1] - _sum(sections[i].at_start, both)
+        by_place.append(_sum(sections[i].at_end, both))
+        left, right = np.asarray(left * paths[i]), np.asarray(paths[i] * right)
+        loop = loops[i]
+        if loop is None:
+            out, into, next_left, next_right = None, None, left, right
+        else:
+            # Waves between this press and the next, towards the face and away from it.
+            inner, load = loop
+            sent = _apply(t21, right)
+            into = _apply(inner, _apply(load, sent))
+            out = _apply_left(_apply_left(_apply_left(left, t12), inner), load)
+            next_left = _apply_left(_apply_left(left, t12), inner)
+            next_right = sent + _apply(r2, into)
+        press = presses[i]
+        by_depth.append(_moved(press.by_depth, left, right, out, into))
+        stretched += _moved(press.by_stretch, left, right, out, into)
+        if press.by_place is not None and press.by_temperature is not None:
+            by_place[-1] = by_place[-1] + _moved(press.by_place, left, right, out, into)
+            heated += _moved(press.by_temperature, left, right, out, into)
+        left, right = next_left, next_right
+    return Echo(value, np.stack(by_place, axis=1), np.stack(by_depth, axis=1), heated, stretched)
+
+
+def _at_face(
+    load: Complex, face: complex, entry: Entry | None
+) -> tuple[Complex, Complex, Complex, Complex]:
+    """Return the echo at the face, its part of the derivative by temperature, and the waves.
+
+    The row vector of the waves that reach the face from where the first section begins, and the
+    column vector of those that arrive there.
+    """
+    at_face = load if entry is None else entry.matrix.swapaxes(-1, -2) @ load @ entry.matrix
+    eye = np.eye(at_face.shape[-1])
+    inverse: Complex = np.asarray(np.linalg.inv(eye - face * at_face), complex)
+    left: Complex = np.asarray(inverse[..., 0, :], complex)
+    right: Complex = np.asarray(inverse[..., :, 0], complex)
+    value = _between(left, at_face[..., :, :1], np.ones_like(right[..., :1]))
+    heated = np.zeros_like(value)
+    if entry is not None:
+        onwards, back = _apply(at_face, right), _apply_left(left, at_face)
+        heated += -1j * _sum(entry.by_temperature, left * onwards + back * right)
+        left, right = _apply(entry.matrix, left), _apply(entry.matrix, right)
+    return value, heated, left, right
+
+
+def _blocks(s: Complex) -> tuple[Complex, Complex, Complex, Complex]:
+    """Return the reflection at port 1, transmission 2 to 1 and 1 to 2, reflection at port 2."""
+    return s[..., 0, :, 0, :], s[..., 0, :, 1, :], s[..., 1, :, 0, :], s[..., 1, :, 1, :]
+
+
+def _moved(
+    change: Complex, left: Complex, right: Complex, out: Complex | None, into: Complex | None
+) -> Complex:
+    """Return the change of the echo for a change of a press's matrix."""
+    r1, t12, t21, r2 = _blocks(change)
+    found = _between(left, r1, right)
+    if out is not None and into is not None:
+        found = found + _between(left, t12, into) + _between(out, t21, right)
+        found = found + _between(out, r2, into)
+    return found
+
+
+def _apply(matrix: Complex, vector: Complex) -> Complex:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _apply_left(vector: Complex, matrix: Complex) -> Complex:
+    return np.asarray((vector[..., None, :] @ matrix)[..., 0, :])
+
+
+def _between(left: Complex, matrix: Complex, right: Complex) -> Complex:
+    return np.asarray(_sum(left, _apply(matrix, right)))
+
+
+def _sum(a: Complex, b: Complex) -> Complex:
+    return np.asarray((a * b).sum(axis=-1))

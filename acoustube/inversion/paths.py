@@ -1,0 +1,158 @@
+"""Propagation of the modes between presses: in a straight tube, by their own wavenumbers.
+
+A wrapped tube's is in :mod:`acoustube.inversion.wrap`; both have the same methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.tables import Matrices
+from acoustube.waves.scattering import Complex
+
+MOST_MODES = 3
+"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
+
+
+class Section(NamedTuple):
+    """Propagation from one press to the next, mode by mode.
+
+    Attributes
+    ----------
+    factor : ndarray
+        Of the amplitudes, (n, n_f, m).
+    at_start, at_end : ndarray
+        Wavenumbers in 1/m at its ends, broadcast to (n, n_f, m).
+    by_temperature : ndarray
+        Derivative of the phase by temperature, in rad/K, (n, n_f, m).
+    """
+
+    factor: Complex
+    at_start: Complex
+    at_end: Complex
+    by_temperature: Complex
+
+
+class Entry(NamedTuple):
+    """The way from the face to where a tube is bent.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Amplitudes of the bent tube's modes for those of the straight tube at the face,
+        (n, n_f, m, m_s); its transpose in the other direction.
+    by_temperature : ndarray
+        Derivative of the phases of the straight modes up to there, in rad/K, (n_f, m_s).
+    """
+
+    matrix: Complex
+    by_temperature: Complex
+
+
+class Path(Protocol):
+    """Propagation along a tube.
+
+    Attributes
+    ----------
+    modes : int
+        Number of modes by which sound propagates between presses.
+    stretch : float
+        Largest length in m over which the presses' matrices hardly vary.
+    converts : bool
+        Whether the presses' matrices couple the modes of the sections by themselves, so that all
+        their coefficients are needed.
+    """
+
+    modes: int
+    stretch: float
+    converts: bool
+
+    def span(self, nearest: float, length: float) -> tuple[float, float]:
+        """Return the range of places in m where presses are sought."""
+
+    def entry(self, temperature: Array) -> Entry | None:
+        """Return the way to where the tube is bent, if it is, at deviations in K, (n,)."""
+
+    def sections(self, places: Array, temperature: Array) -> list[Section]:
+        """Return the propagation before each press, at places (n, n_presses) in m."""
+
+    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices:
+        """Return the matrices of presses at places (n,) between the modes of the sections."""
+
+    def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
+        """Return the phases up to presses at places (n,), or to behind them, (n, n_f, m)."""
+
+    def plane(self, places: Array) -> tuple[Complex, Complex]:
+        """Return the plane wave's phases at places (n,), and per K, (n_f, n)."""
+
+    def place_at(self, time: Array) -> Array:
+        """Return the distances in m from which the plane wave is back after times in s."""
+
+
+class StraightPath:
+    """Propagation along a straight tube.
+
+    Parameters
+    ----------
+    k, by_temperature : ndarray
+        Axial wavenumbers in 1/m and their derivatives in 1/(m K), the plane wave's first, (n_f, m).
+    speed : float
+        Of sound, in m/s.
+    """
+
+    stretch = np.inf
+    converts = False
+
+    def __init__(self, k: Complex, by_temperature: Complex, speed: float) -> None:
+        self.k, self.by_temperature, self.speed = k, by_temperature, speed
+        self.modes = k.shape[1]
+
+    def span(self, nearest: float, length: float) -> tuple[float, float]:
+        """Return the range of places in m where presses are sought."""
+        return nearest, length - 0.02
+
+    def entry(self, temperature: Array) -> Entry | None:  # noqa: ARG002
+        """Return nothing: the tube is not bent."""
+        return None
+
+    def sections(self, places: Array, temperature: Array) -> list[Section]:
+        """Return the propagation before each press, at places (n, n_presses) in m."""
+        k = self.k + temperature[:, None, None] * self.by_temperature
+        lengths = np.diff(places, axis=1, prepend=0.0)[:, :, None, None]
+        return [
+            Section(np.exp(-1j * k * one), k, k, self.by_temperature * one)
+            for one in lengths.swapaxes(0, 1)
+        ]
+
+    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices:  # noqa: ARG002
+        """Return the matrices: the modes of the sections are those of the presses."""
+        return matrices
+
+    def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:  # noqa: ARG002
+        """Return the phases at places (n,), (n, n_f, m)."""
+        return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
+
+    def plane(self, places: Array) -> tuple[Complex, Complex]:
+        """Return the plane wave's phases at places (n,), and per K, (n_f, n)."""
+        return np.outer(self.k[:, 0], places), np.outer(self.by_temperature[:, 0], places)
+
+    def place_at(self, time: Array) -> Array:
+        """Return the distances in m from which the plane wave is back after times in s."""
+        return np.asarray(time * self.speed / 2)
+
+
+def stretches(
+    path: Path, low: float, high: float, fronts: Sequence[float]
+) -> list[tuple[float, int]]:
+    """Return where templates change in m, with the number of presses before each."""
+    edges = [low, *fronts, high]
+    found = []
+    for number, (start, stop) in enumerate(pairwise(edges)):
+        parts = 1 if np.isinf(path.stretch) else max(1, round((stop - start) / path.stretch))
+        found += [(float(at), number) for at in np.linspace(start, stop, parts + 1)[:-1]]
+    return found

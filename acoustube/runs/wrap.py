@@ -1,0 +1,94 @@
+"""Wraps of sensors around forearms: how their tubes are bent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Choice, Number, nearest
+from acoustube.base.units import CM, MM
+from acoustube.inversion import Wrap
+from acoustube.sleeve import Helix, design
+from acoustube.sleeve.helix import HANDS
+
+NODES = 9
+"""Places along a tube at which its curvature is given; it varies by a third along a forearm."""
+FOREARM = "forearm_cm"
+SIZES = (
+    ("length of the forearm", Number(3, 150, "cm", "under the sleeve")),
+    ("first girth of the forearm", Number(8, 150, "cm", "near the sensor")),
+    ("second girth of the forearm", Number(8, 150, "cm", "at the other end")),
+)
+WINDING = {
+    "loops": Number(0.25, 100, "", "turns of the tube"),
+    "pitch_cm": Number(0.5, 100, "cm", "advance per turn"),
+    "lead_cm": Number(0, 1000, "cm", "tube between sensor and sleeve"),
+    "tube_diameter_mm": Number(1, 50, "mm", "outer"),
+    "hand": Choice(tuple(HANDS)),
+}
+"""The options of ``acoustube sleeve`` that bend a tube."""
+LONGEST = 100.0
+"""Longest tube in m."""
+
+
+def wrap_of(helix: Helix) -> Wrap:
+    """Return the wrap of a tube of a sleeve."""
+    place = np.linspace(helix.lead, helix.tube_length, NODES)
+    curvature, torsion = helix.bend(helix.height(place))
+    return Wrap(place=place, curvature=curvature, torsion=torsion)
+
+
+def read_wrap(table: Any, path: Path) -> Wrap:
+    """Return the wrap that the table ``[wrap]`` of a sensor's file states.
+
+    Parameters
+    ----------
+    table : mapping
+        ``forearm_cm``, ``loops`` or ``pitch_cm``, and if they differ from those of
+        ``acoustube sleeve`` ``lead_cm``, ``tube_diameter_mm`` and ``hand``.
+    path : Path
+        For messages.
+
+    Raises
+    ------
+    ConfigError
+        If a name or a value is wrong, or the tube cannot be wound so.
+    """
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"{path}: wrap = {table!r} must be a section, written [wrap]")
+    known = (FOREARM, *WINDING)
+    for name in table:
+        if name not in known:
+            raise ConfigError(f"{path}: [wrap] {name} is not known{nearest(name, known)}")
+    try:
+        given = {name: WINDING[name].check(name, table[name]) for name in WINDING if name in table}
+        length, *girths = _forearm(table.get(FOREARM))
+        options = {
+            name: given[words] / unit
+            for name, words, unit in (
+                ("pitch", "pitch_cm", CM), ("lead", "lead_cm", CM),
+                ("outer_diameter", "tube_diameter_mm", MM), ("loops", "loops", 1.0),
+            )
+            if words in given
+        }  # fmt: skip
+        if "hand" in given:
+            options["hand"] = given["hand"]
+        (tube,) = design(length, (girths[0], girths[1]), n_tubes=1, reach=LONGEST, **options)
+        return wrap_of(tube)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: [wrap] {error}") from error
+
+
+def _forearm(sizes: Any) -> list[float]:
+    """Return the length and the girths of a forearm in m."""
+    if not isinstance(sizes, list) or len(sizes) != len(SIZES):
+        raise ConfigError(
+            f"needs {FOREARM} = [26, 18, 26.6], say: length of the sleeve, and girths of the arm "
+            "at the end near the sensor and at the other"
+        )
+    checked = zip(SIZES, sizes, strict=True)
+    return [float(rule.check(name, size)) / CM for (name, rule), size in checked]

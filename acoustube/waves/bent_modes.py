@@ -1,0 +1,185 @@
+"""Modes of a bore of constant curvature and torsion, and its joints with a straight bore.
+
+The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the
+line, have solutions (p, v) exp(-j beta s): the bent bore's own modes, by which sound propagates in
+it without conversion. For each forward one, (Q p, -Q v) with -beta is a backward one, with Q the
+sign of the modes' symmetry about the plane of the bend: the line turned about its normal by half a
+turn is the same line, in the other direction. Reciprocity makes p_i Q v_j + v_i Q p_j zero for two
+of them; they are normalised to p_i Q v_i = 1, that of a straight mode of unit power.
+
+Where a bent bore continues straight, pressure and axial velocity are continuous, so that the
+coefficients of both are equal; all modes of the sums take part, evanescent ones too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from acoustube.air import Air
+from acoustube.base.checks import BORE, FREQUENCIES, Several, checked
+from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
+from acoustube.base.types import Array
+from acoustube.waves.bends import Bent, bend_generator, mode_places
+from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.modes.bore_couplings import bore_modes
+from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.port_waves import Complex
+
+LARGEST_ZERO = 4.5
+"""Largest j'mn of the modes in the sums; with 8 the wavenumbers of the sleeve paper's tube at
+42 kHz change by 0.02 per metre at most, those of (0,0) and (1,1)."""
+PREFERRED = 1e-6
+"""Weight of the direction of the phase where waves neither grow nor decay."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BentModes:
+    """Forward modes of a bent bore, by falling real part of the wavenumber, and their joint.
+
+    Attributes
+    ----------
+    wavenumber : ndarray
+        beta in 1/m, (n_f, m).
+    passed : ndarray
+        Amplitudes of straight modes behind a joint for bent modes incident on it, (n_f, m_s, m).
+        In the other direction it is the transpose.
+    reflected : ndarray
+        Of bent modes by the joint, (n_f, m, m).
+    returned : ndarray
+        Of straight modes by the joint, (n_f, m_s, m_s).
+    fields : ndarray
+        Coefficients of pressure and velocity of the modes in the straight bore's, (n_f, 2, N, m).
+    symmetry : ndarray
+        Signs of the symmetry of the straight bore's N modes about the plane of the bend.
+    signs : ndarray
+        Those of the straight modes at the joint, (m_s,): where the straight bore ends the joint
+        passes ``passed.T * signs`` on, and returns ``returned`` with the signs of both modes.
+    """
+
+    wavenumber: Complex
+    passed: Complex
+    reflected: Complex
+    returned: Complex
+    fields: Complex
+    symmetry: Array
+    signs: Array
+
+    def aligned(self, other: BentModes) -> BentModes:
+        """Return the modes in the order, and with the signs, of others that differ little.
+
+        Parameters
+        ----------
+        other : BentModes
+            Of a neighbouring curvature.
+        """
+        p, v = self.fields[:, 0], self.fields[:, 1]
+        q, w = (self.symmetry[:, None] * other.fields[:, i] for i in (0, 1))
+        overlap = 0.5 * (q.swapaxes(1, 2) @ v + w.swapaxes(1, 2) @ p)
+        order = np.argmax(np.abs(overlap), axis=2)
+        sign = np.sign(np.take_along_axis(overlap, order[..., None], 2)[..., 0].real)
+        sign = np.where(sign == 0, 1.0, sign)
+
+        def taken(part: Complex, axis: int) -> Complex:
+            index = np.expand_dims(order, tuple(i for i in range(1, part.ndim) if i != axis))
+            factor = np.expand_dims(sign, tuple(i for i in range(1, part.ndim) if i != axis))
+            return np.asarray(np.take_along_axis(part, index, axis) * factor)
+
+        wavenumber = np.take_along_axis(self.wavenumber, order, 1)
+        return BentModes(
+            wavenumber=wavenumber, passed=taken(self.passed, 2),
+            reflected=taken(taken(self.reflected, 1), 2), returned=self.returned,
+            fields=taken(self.fields, 3), symmetry=self.symmetry, signs=self.signs,
+        )  # fmt: skip
+
+
+@checked(
+    air=Air,
+    frequency=FREQUENCIES,
+    part=Bent,
+    radius=BORE,
+    modes=Several(str, 1),
+    count=Number(1, 50, whole=True),
+    highest=Number(1, 50),
+)
+def bent_modes(
+    air: Air,
+    frequency: Array,
+    part: Bent,
+    *,
+    radius: float,
+    modes: Sequence[str],
+    count: int,
+    lossy: bool = True,
+    highest: float = LARGEST_ZERO,
+) -> BentModes:
+    """Return the first modes of a bent bore, and the scattering of its joint with a straight one.
+
+    Parameters
+    ----------
+    air : Air
+    frequency : ndarray
+        In Hz, (n_f,).
+    part : Bent
+        Its length does not matter.
+    radius : float
+        Of the bore in m.
+    modes : sequence of str
+        The m_s straight modes at the joint, power-normalised; zero below cut-on.
+    count : int
+        Number m of bent modes.
+    lossy : bool
+        With the losses of the straight bore.
+    highest : float
+        Largest j'mn of the modes in the sums.
+
+    Raises
+    ------
+    ConfigError
+        If a mode is not among those in the sums.
+    """
+    bore = bore_modes(highest)
+    place = mode_places(modes, bore)
+    generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
+    n, (_, size) = len(frequency), admittance.shape
+    if count > size:
+        raise ConfigError(
+            "is larger than the number of modes computed", setting="count", value=count,
+            allowed=(1, size), advice="raise highest",
+        )  # fmt: skip
+    growth, vectors = np.linalg.eig(generator)
+    beta = 1j * growth
+    forward = np.argsort(beta.imag - PREFERRED * beta.real, axis=1)[:, :size]
+    beta = np.take_along_axis(beta, forward, 1)
+    order = np.argsort(-beta.real, axis=1)
+    forward, beta = np.take_along_axis(forward, order, 1), np.take_along_axis(beta, order, 1)
+    vectors = np.take_along_axis(vectors, forward[:, None], 2)
+    p, v = vectors[:, :size], vectors[:, size:]
+    own = np.array([-1.0 if name.endswith("s") else 1.0 for name in bore.names])
+    scale = np.sqrt(np.einsum("nim,i,nim->nm", p, own, v))[:, None]
+    p, v = p / scale, v / scale
+    eye = np.broadcast_to(np.eye(size), (n, size, size))
+    y = admittance[:, :, None] * eye
+    q = own[:, None]
+    outgoing = np.concatenate(
+        [np.concatenate([q * p, -eye], 2), np.concatenate([-q * v, -y], 2)], 1
+    )
+    incident = np.concatenate([np.concatenate([-p, eye], 2), np.concatenate([-v, -y], 2)], 1)
+    s = np.linalg.solve(outgoing, incident)
+    cut_ons = [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in modes]
+    propagates = np.asarray(frequency)[:, None] > np.array(cut_ons)
+    root = np.where(propagates, np.sqrt(np.abs(admittance[:, place])), 0.0)
+    inverse = np.where(root > 0, 1 / np.where(root > 0, root, 1), 0.0)
+    at = np.array(place) + size
+    return BentModes(
+        wavenumber=beta[:, :count],
+        passed=root[:, :, None] * s[:, at][..., :count],
+        reflected=s[:, :count, :count],
+        returned=root[:, :, None] * s[:, at][..., at] * inverse[:, None],
+        fields=np.stack([p[..., :count], v[..., :count]], 1),
+        symmetry=own,
+        signs=own[place],
+    )

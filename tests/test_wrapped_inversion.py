@@ -1,0 +1,246 @@
+"""Inversion of wrapped tubes: bent modes, forward model, Jacobian, presses found again, files."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from commands import run_here
+from test_inversion import CUT_ONS, MODES, RADIUS, press, tool
+from test_inversion import matrices as scattering
+
+from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
+from acoustube.inversion import Baseband, ContactTracker, ForwardModel, Inverter, Library
+from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.tables import Matrices
+from acoustube.inversion.wrap import WrappedPath
+from acoustube.ranging import Rangefinder, record
+from acoustube.recordings import write
+from acoustube.runs.inversion import read_sensor
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.wrap import wrap_of
+from acoustube.sleeve import design, shortened, windings
+from acoustube.waves import Bent, PlacedScatterer, axial_wavenumber, joined_bends
+from acoustube.waves.bends import star_product
+from acoustube.waves.bent_modes import bent_modes
+from acoustube.waves.modes.grid_modes import mode_numbers
+
+AIR = air_at(20.0)
+NAMES = (*MODES, "11s", "21s")
+HELIX = design(0.26, (0.18, 0.266), loops=9, n_tubes=2)[0]
+WRAP = wrap_of(HELIX)
+
+
+def wavenumbers(names, frequency):
+    numbers = [mode_numbers(name) for name in names]
+    return np.stack([axial_wavenumber(*one, frequency, RADIUS, AIR) for one in numbers], -1)
+
+
+@pytest.mark.parametrize("torsion", [0.0, 3.4])
+def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
+    """A bend between straight ends, by its modes and two joints, and by the multimodal method."""
+    frequency, length = np.linspace(36.5e3, 47.5e3, 12), 0.2
+    part = Bent(length=length, curvature=25.0, torsion=torsion)
+    own = bent_modes(AIR, frequency, part, radius=RADIUS, modes=NAMES, count=3)
+    path = np.exp(-1j * own.wavenumber * length)[:, :, None] * np.eye(3)
+    into = own.passed.swapaxes(1, 2) * own.signs
+    once = path @ own.reflected @ path
+    inner = np.linalg.inv(np.eye(3) - own.reflected @ once)
+    through = own.passed @ path @ inner.swapaxes(1, 2) @ into
+    returned = (
+        own.signs[:, None] * own.returned * own.signs + into.swapaxes(1, 2) @ inner @ once @ into
+    )
+    bend = joined_bends(AIR, frequency, [part], radius=RADIUS, modes=NAMES, highest=8.0)
+    half = np.exp(-0.5j * length * wavenumbers(NAMES, frequency))
+    s = half[:, None, :, None, None] * bend.s * half[:, None, None, None, :]
+    # The modes (2,1), next to their cut-on at 42.3 kHz, carry a thousandth of the power.
+    for out, into_mode in ((0, 0), (1, 0), (1, 1), (3, 0), (3, 1)):
+        off = through[:, out, into_mode] - s[:, 1, out, 0, into_mode]
+        assert np.abs(off).max() < 5e-3
+        off = returned[:, out, into_mode] - s[:, 0, out, 0, into_mode]
+        assert np.abs(off).max() < 3e-4
+    assert np.abs(s[:, 0, 1, 0, 0]).max() > 3e-3
+
+
+def by_network(frequency, places, depths):
+    """Return the echo at the face of presses on the wrap, by star products of all modes of bends.
+
+    Of 5 cm and constant curvature each; antisymmetric modes pass the presses.
+    """
+    propagates = frequency[:, None] > np.append(CUT_ONS, CUT_ONS[1:])
+    k, m = wavenumbers(NAMES, frequency), len(NAMES)
+
+    def straight(length):
+        turn = np.exp(-1j * k * length)[:, :, None] * np.eye(m)
+        return np.block([[0 * turn, turn], [turn, 0 * turn]])
+
+    def bent(start, stop):
+        edges = np.linspace(start, stop, 1 + max(1, round((stop - start) / 0.05)))
+        parts = []
+        for low, high in zip(edges[:-1], edges[1:], strict=True):
+            curvature, torsion = HELIX.bend(HELIX.height(0.5 * (low + high)))
+            parts.append(
+                Bent(length=high - low, curvature=float(curvature), torsion=float(torsion))
+            )
+        found = joined_bends(AIR, frequency, parts, radius=RADIUS, modes=NAMES, highest=4.5)
+        half = np.exp(-0.5j * (stop - start) * k)
+        s = half[:, None, :, None, None] * found.s * half[:, None, None, None, :]
+        return s.reshape(len(frequency), 2 * m, 2 * m)
+
+    total, at = straight(HELIX.lead), HELIX.lead
+    for place, depth in zip(places, depths, strict=True):
+        s = np.zeros((len(frequency), 2, m, 2, m), complex)
+        s[:, :, :3, :, :3] = scattering(depth, frequency)[0]
+        for i in (3, 4):
+            s[:, 0, i, 1, i] = s[:, 1, i, 0, i] = 1.0
+        s *= propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
+        pressed = s.reshape(len(frequency), 2 * m, 2 * m)
+        for one in (bent(at, place - WRAP.reach), straight(WRAP.reach), pressed,
+                    straight(WRAP.reach)):  # fmt: skip
+            total = star_product(total, one)
+        at = place + WRAP.reach
+    reflection = total[:, :m, :m]
+    inside = np.linalg.inv(np.eye(m) - 0.3 * reflection)
+    return (inside @ reflection)[:, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("places", "tolerance"), [([0.4], 0.015), ([1.3], 0.03), ([0.6, 1.1], 0.03)]
+)
+def test_echo_of_a_wrapped_tube_is_that_of_its_bends_in_series(places, tolerance):
+    """The change of the echo from 2 to 5 mm: what the presses do not change is not in the model."""
+    frequency = np.linspace(36.5e3, 47.5e3, 12)
+    k, cold = wavenumbers(MODES, frequency), np.zeros(1)
+    path = WrappedPath(WRAP, AIR, frequency, RADIUS, MODES, k, 0 * k, 1.7e-3)
+    propagates = frequency[:, None] > CUT_ONS
+    found, expected = [], []
+    for depth in (2e-3, 5e-3):
+        s = scattering(depth, frequency)
+        s *= propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
+        joined = [path.joined(Matrices(s, s, s), np.array([z]), cold) for z in places]
+        sections = path.sections(np.array([places]), cold)
+        found.append(coupled_echo(joined, sections, 0.3, path.entry(cold)).value[0])
+        expected.append(by_network(frequency, places, [depth] * len(places)))
+    off = (found[1] - found[0]) - (expected[1] - expected[0])
+    assert np.linalg.norm(off) < tolerance * np.linalg.norm(expected[1] - expected[0])
+
+
+@pytest.fixture(scope="module")
+def model():
+    base = Baseband(Rangefinder(), RADIUS, 2.5, 20.0, MODES, wrap=WRAP)
+    return ForwardModel(Library((tool(),)), base)
+
+
+@pytest.mark.parametrize("places", [[0.52], [0.47, 0.66]])
+def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
+    """By fourth-order differences."""
+    m = len(places)
+    presses = np.column_stack([np.array(places) + 3e-3, [4.31e-3, 5.13e-3][:m]])
+    start = np.concatenate([np.ravel(presses), [0.13, 0.02, -0.03, 4e-4, 0.01, 7e-4]])
+
+    def value(parameters):
+        p = parameters[None]
+        return model.baseband((0,) * m, p[:, : 2 * m : 2], p[:, 1 : 2 * m : 2], p[:, 2 * m :])
+
+    jacobian = value(start)[1][0]
+    steps = [1e-6, 1e-6] * m + [1e-3, 1e-3, 1e-3, 1e-6, 1e-3, 1e-6]
+    for i, step in enumerate(steps):
+        e = step * np.eye(len(start))[i]
+        far, near = (value(start + s * e)[0][0] - value(start - s * e)[0][0] for s in (2, 1))
+        difference = (8 * near - far) / (12 * step)
+        assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
+
+
+def bent_around(places, frequency):
+    return windings(
+        HELIX, AIR, frequency, places, reach=WRAP.reach, radius=RADIUS, modes=MODES
+    )  # fmt: skip
+
+
+def wrapped_cycles(depth, place, seed, n_cycles=20):
+    """Cycles of a press on the arm, by the network of loops."""
+    pressed = shortened(press(depth, place, np.arange(20e3, 66e3, 100.0)), WRAP.reach)
+    matrix = pressed.scattering
+    propagates = matrix.frequency[:, None] > matrix.cut_ons
+    s = matrix.s * propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
+    own = PlacedScatterer(dataclasses.replace(matrix, s=s, propagates=propagates), place)
+    bends = bent_around([place], matrix.frequency)
+    return record([*bends, own], radius=RADIUS, n_cycles=n_cycles, seed=seed, temperature=20.0)
+
+
+def test_press_on_an_arm_is_found_at_its_place_and_depth(model):
+    """Recorded by the network of loops, which loses what torsion converts at each loop's end."""
+    cycles = wrapped_cycles(4.3e-3, 0.52, seed=3)["signal"].values
+    found = Inverter(model, most=1)(cycles)
+    assert len(found.contacts) == 1
+    contact = found.contacts[0]
+    assert contact.distance.value == pytest.approx(0.52, abs=1.5e-3)
+    assert contact.depth.value == pytest.approx(4.3e-3, abs=0.1e-3)
+    # The plane wave is back later than along a straight tube of this length.
+    assert np.interp(0.52, found.place, model.base.window) > 1.02 * 2 * 0.52 / AIR.sound_speed
+
+
+WRAPPED = "[wrap]\nforearm_cm = [26, 18, 26.6]\nloops = 9\n"
+
+
+def test_file_of_a_sensor_states_its_wrap(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text(f"length_cm = 250\n{WRAPPED}")
+    found = read_sensor(path).wrap
+    assert found.start == pytest.approx(0.15)
+    assert found.stop == pytest.approx(HELIX.tube_length, rel=1e-9)
+    assert found.curvature == pytest.approx(WRAP.curvature, rel=1e-9)
+    assert found.torsion == pytest.approx(WRAP.torsion, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("wrap = 3", "wrap = 3 must be a section"),
+        ("[wrap]\nloops = 9", "needs forearm_cm = [26, 18, 26.6], say"),
+        ("[wrap]\nforearm_cm = [26, 18]\nloops = 9", "needs forearm_cm"),
+        ("[wrap]\nforearm_cm = [26, 18, 26.6]", "a layout needs loops or a pitch"),
+        (f"{WRAPPED}lead = 3", "lead is not known; did you mean lead_cm"),
+        (f"{WRAPPED}lead_cm = -3", "lead_cm = -3"),
+        (f'{WRAPPED}hand = "both"', "hand"),
+    ],
+)
+def test_wrap_that_cannot_be_is_one_sentence(tmp_path, words, reason):
+    path = tmp_path / "s.toml"
+    path.write_text(words)
+    with pytest.raises(ConfigError) as found:
+        read_sensor(path)
+    assert reason in str(found.value)
+    assert str(path) in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_wrap_beyond_the_tube_has_no_place_for_a_press():
+    late = dataclasses.replace(WRAP, place=WRAP.place + 3.0)
+    base = Baseband(Rangefinder(), RADIUS, 2.5, 20.0, MODES, wrap=late)
+    with pytest.raises(ConfigError, match="has no place for a press"):
+        ForwardModel(Library((tool(),)), base)
+
+
+def test_contacts_of_a_wrapped_tube_are_not_followed(model):
+    with pytest.raises(ConfigError, match="on straight tubes alone"):
+        ContactTracker(model)
+
+
+def test_command_inverts_recordings_of_a_sleeve(tmp_path):
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (tmp_path / "lib").mkdir()
+    files.write_tool(tmp_path / "lib" / plan.name, tool(), plan)
+    write(wrapped_cycles(5.1e-3, 0.72, seed=4), tmp_path / "p.nc")
+    (tmp_path / "s.toml").write_text(WRAPPED)
+    done = run_here(
+        "invert", tmp_path / "p.nc", "--library", tmp_path / "lib", "--sensor",
+        tmp_path / "s.toml", "--group", 20, "--most", 1, "--out", tmp_path / "c.csv",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    head, *rows = (tmp_path / "c.csv").read_text().splitlines()
+    assert len(rows) == 1
+    row = dict(zip(head.split(","), rows[0].split(","), strict=True))
+    assert float(row["distance_cm"]) == pytest.approx(72, abs=0.3)
+    assert float(row["depth_mm"]) == pytest.approx(5.1, abs=0.1)
