@@ -97,6 +97,7 @@ def wrong(press: Indentation, again: Callable[[Array], Indentation]) -> tuple[li
         press = again(np.unique(np.union1d(press.depth[1:], between).round(12)))
         found += [f"{what} at closer rows" for what in unsound(press)]
         lost, allowed = losses(press)
+    wide = np.diff(press.depth) > narrowest
     snapped = ~wide & (lost > allowed / len(lost))
     gained = -np.minimum(lost, 0.0)
     if gained.max() > allowed:
