@@ -34,9 +34,8 @@ from acoustube.indentation import DepthPath
 from acoustube.lumen import measure, pressed_part
 from acoustube.ranging import Rangefinder
 from acoustube.runs import presses
-from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.libraries.build import scattering_at
-from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.libraries.plan import ToolPlan, tool_plans
 from acoustube.waves import Pulse
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.yielding_wall import YieldingWall, wall_compliance, yielding_wavenumber

@@ -1,6 +1,7 @@
 """Inversion of wrapped tubes: bent modes, forward model, Jacobian, presses found again, files."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def by_network(frequency, places, depths):
     def bent(start, stop):
         edges = np.linspace(start, stop, 1 + max(1, round((stop - start) / 0.05)))
         parts = []
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges):
             curvature, torsion = HELIX.bend(HELIX.height(0.5 * (low + high)))
             parts.append(
                 Bent(length=high - low, curvature=float(curvature), torsion=float(torsion))

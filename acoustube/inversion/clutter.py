@@ -166,7 +166,7 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     weight = (shape.conj() @ inverse @ shape).real
     level = shape.conj() @ inverse @ mean / weight if weight > 0 else 0.0
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
-    scale = strength * base.reflector_scale(places)
+    scale = np.asarray(strength * base.reflector_scale(places), complex)
     known = shapes @ strength
     return Reflectors(places, scale, mean - known, prior - prior @ inverse @ prior)
 

@@ -73,8 +73,9 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
     k, heat = np.zeros((2, *waves.k.shape[:-1], MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
-    before = [_stacked([press[i] for press in presses[:-1]], k.shape[:2]) for i in range(3)]
-    last = [_stacked([part], k.shape[:2])[0] for part in presses[-1][:3]]
+    kinds = [(press.value, press.by_depth, press.by_stretch) for press in presses]
+    before = [_stacked([parts[i] for parts in kinds[:-1]], k.shape[:2]) for i in range(3)]
+    last = [_stacked([part], k.shape[:2])[0] for part in kinds[-1]]
     value, by_length, by_depth, heated, stretched = echoes(
         *before, *last, lengths, path, k, heat, complex(face)
     )

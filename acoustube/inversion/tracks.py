@@ -260,9 +260,10 @@ class Track:
             if self.known[i].age >= YOUNG:
                 continue
             others, own = fewer.without(i), best.branches.mean[:1, 2 * rank : 2 * rank + 2]
+            place, depth = own.T
             start = others.added(
-                rank, best.branches.tools[rank], *own.T, new_deviations(self.motion)
-            )  # fmt: skip
+                rank, best.branches.tools[rank], place, depth, new_deviations(self.motion)
+            )
             alone = self._updated(start, samples, 5, whiten=whiten)
             alone = self._with_shifts(others, alone, rank, samples, whiten)
             if alone.evidence[0] + RARE > best.evidence[0]:
