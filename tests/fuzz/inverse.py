@@ -48,6 +48,8 @@ def of_inversions() -> dict[str, Spec]:
             (tool.force_deviation, at, True),
             (i.Priors, {f.name: f.default for f in dataclasses.fields(i.Priors)}),
             (i.Motion, {f.name: f.default for f in dataclasses.fields(i.Motion)}),
+            (i.Wrap, {"place": np.array([0.1, 0.3]), "curvature": np.array([25.0, 24.0]),
+                      "torsion": np.array([3.0, 3.0]), "ovality": 0.0, "reach": 0.03}),
             (i.Baseband, given),
             (i.baseband_of, given),
             (i.ForwardModel, {"library": library, "base": base, "clutter": None, "priors": None}),
