@@ -23,7 +23,7 @@ SIZES = (
     ("first girth of the forearm", Number(8, 150, "cm", "near the sensor")),
     ("second girth of the forearm", Number(8, 150, "cm", "at the other end")),
 )
-WINDING = {
+WINDING: dict[str, Any] = {
     "loops": Number(0.25, 100, "", "turns of the tube"),
     "pitch_cm": Number(0.5, 100, "cm", "advance per turn"),
     "lead_cm": Number(0, 1000, "cm", "tube between sensor and sleeve"),
