@@ -54,8 +54,8 @@ def invert(
     library : Path
         Folder that the command library wrote.
     sensor : Path
-        TOML file with the parameters of the rangefinder, the tube's length_cm, a table [priors], and
-        a table [wrap] if it is worn on a forearm; that of the sleeve paper, straight, if not given.
+        TOML file with the parameters of the rangefinder, the tube's length_cm, a table [priors],
+        and a table [wrap] if it is worn on a forearm; that of the sleeve paper if not given.
     untouched : Path
         Recordings of the tube without contact, from which its clutter is learned.
     out : Path
