@@ -12,6 +12,7 @@ from commands import run_here
 from test_inversion import MODES, RADIUS, matrices, press
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.documents import read_document
 from acoustube.inversion import Baseband, ForwardModel, Inverter, Library, measured_clutter
 from acoustube.inversion.folded import baseband_of
 from acoustube.ranging import (
@@ -28,7 +29,7 @@ from acoustube.ranging import (
 )
 from acoustube.recordings import write
 from acoustube.runs.sensor_file import add_rangefinder
-from acoustube.runs.sweep.dataset import read_rangefinder
+from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.twin_calibration import processing_of
 from acoustube.signals import Processing, calibrate, chirp_template, locate, matched_filter
 
@@ -273,7 +274,7 @@ def test_drives_pass_through_the_sensors_file(tmp_path, drive):
     document = tomlkit.document()
     add_rangefinder(document, sensor)
     path.write_text(tomlkit.dumps(document))
-    assert read_rangefinder(path) == sensor
+    assert rangefinder_in(read_document(path), path) == sensor
     assert json.loads(sensor.to_json())["drive"]["kind"] == type(drive).__name__
 
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.network_sums import MODES, echoes
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
@@ -70,6 +69,8 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
     """
     lengths = np.diff(places, axis=1, prepend=0.0)
     m = waves.k.shape[-1]
+    from acoustube.inversion.network_sums import MODES, echoes  # Numba, as in `tables`
+
     k, heat = np.zeros((2, *waves.k.shape[:-1], MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
@@ -86,6 +87,8 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
     """Return matrices of presses filled up to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
+    from acoustube.inversion.network_sums import MODES
+
     if len(parts) == 1 and parts[0].shape[-1] == MODES:
         return np.ascontiguousarray(parts[0])[None]
     found = np.zeros((len(parts), *shape, 2, MODES, 2, MODES), complex)
