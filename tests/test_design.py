@@ -362,6 +362,9 @@ def test_front_keeps_what_no_other_is_better_than():
             + str(list(range(1, 65))),
             "makes 4096 rangefinders",
         ),
+        ("[variables]\nbandwidth_khz = 40", "too wide for chirps"),
+        ("[variables]\ntransducer = ['horn']", "transducer = 'horn'"),
+        ("[variables]\ntransducer = []", "one or more of resonant"),
         ("goal = 3", "must be a section"),
     ],
 )
