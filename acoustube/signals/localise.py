@@ -275,11 +275,7 @@ def process(
     echoes = find_echoes(time, scaled, start=start, stop=stop, prominence=prominence)
     return_time, amplitude, height = strongest_echo(echoes)
     found = distance(return_time - send_time, temperature)
-    ratio, samples = NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
-    if compressed:
-        ratio, samples = 1.0, SAMPLING_DEVIATION_COMPRESSED
-    elif template is not None:
-        ratio, samples = NOISE_RATIO_MATCHED, SAMPLING_DEVIATION_MATCHED
+    ratio, samples = _noise_constants(template)
     by_noise = speed / 2 * _time_deviation(time, scaled, return_time, send_end) / ratio
     by_sampling = speed / 2 * samples / rate
     by_temperature = found * temperature_deviation / (2 * (np.asarray(temperature) - ABSOLUTE_ZERO))
@@ -304,6 +300,15 @@ def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[
         return sent, amplitude
     clipped, edge = plateaus(time, raw, amplitude, before=end, least=duration / 2)
     return np.where(clipped, edge + duration / 2, sent), amplitude
+
+
+def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
+    """Return the ratio of envelope noise without and with an echo, and the sampling's deviation."""
+    if template is None:
+        return NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
+    if np.iscomplexobj(template):
+        return 1.0, SAMPLING_DEVIATION_COMPRESSED
+    return NOISE_RATIO_MATCHED, SAMPLING_DEVIATION_MATCHED
 
 
 def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: float) -> Array:
