@@ -168,7 +168,9 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
     scale = np.asarray(strength * base.reflector_scale(places), complex)
     known = shapes @ strength
-    return Reflectors(places, scale, mean - known, prior - prior @ inverse @ prior)
+    return Reflectors(
+        places, np.asarray(scale, complex), mean - known, prior - prior @ inverse @ prior
+    )
 
 
 def _reflectors(base: Baseband) -> tuple[Array, Complex]:
