@@ -140,7 +140,7 @@ def _share_below(width: Array, limit: float) -> Array:
     middle = np.concatenate([width[:, :1], middle, width[:, -1:]], axis=1)
     halves = []
     for other in (middle[:, :-1], middle[:, 1:]):
-        span = np.maximum(np.abs(other - width), np.finfo(float).tiny)
+        span = np.maximum(np.abs(other - width), 1e-30)
         halves.append(np.clip((limit - np.minimum(width, other)) / span, 0.0, 1.0))
     return np.asarray((halves[0] + halves[1]) / 2)
 

@@ -47,7 +47,7 @@ CHECKS = 12
 MOVING_SAMPLES = 1e-3
 """For derivatives, factor to the tolerance of the span of directly solved frequencies: their error
 is of the first order in the fields' error."""
-LAYER_DEGREE = 3
+LAYER_DEGREE = 6
 """Degree that limits the number of points round the tube."""
 NO_KNOTS = np.zeros(0)
 """No further quadrature points at kinks of the wall: losses are small corrections."""

@@ -108,6 +108,7 @@ def _coefficients(system: Discretisation, fields: Array) -> Array:
 def _mean_modes(system: Discretisation) -> tuple[Array, Array]:
     """Return the squared wavenumbers of the elements' mean sections in 1/m2, and their modes."""
     rule, sections = system.rule, system.sections
+    starts = np.searchsorted(rule.element, range(len(rule.step)))
     means = []
     for part in (sections.across, sections.mass):
         weighted = part * (rule.weight / 2)[:, None, None]

@@ -1,0 +1,48 @@
+"""What the estimate of the spectral solver's error rests on."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from acoustube.waves import spectral
+from acoustube.waves.spectral import layers
+from acoustube.waves.spectral.discretisation import discretise, respond
+from acoustube.waves.spectral.truncation import missing_along
+
+RADIUS, WAVENUMBER = 4e-3, 700.0
+
+
+def wrinkled(z, t):
+    """Return a tube with four wrinkles of 1.2 mm about its middle."""
+    inside = np.abs(z) < 2.4e-3
+    angle = 2 * np.pi * z / 1.2e-3
+    window = np.where(inside, np.cos(np.pi * z / 4.8e-3) ** 2, 0.0)
+    slope = np.where(inside, -np.pi / 4.8e-3 * np.sin(2 * np.pi * z / 4.8e-3), 0.0)
+    size = 1 + 0.01 * window * np.cos(angle)
+    change = 0.01 * (slope * np.cos(angle) - window * 2 * np.pi / 1.2e-3 * np.sin(angle))
+    around, up = RADIUS * np.sin(t), -RADIUS * np.cos(t)
+    return size * around, size * up, change * around, change * up
+
+
+def test_wrinkles_of_the_wall_are_missed_by_one_degree_more_and_found_by_six():
+    """Against degree 13 along the same elements of 2.4 mm, which resolves them."""
+    wall = spectral.analytic_wall(wrinkled, ends=(-2.4e-3, 2.4e-3), radius=RADIUS, reversible=True)
+    edges = np.array([0.0, 2.4e-3, 4.4e-3])
+    coarse, fine = (discretise(wall, edges, 6, order, False, WAVENUMBER) for order in (7, 13))
+    shift = WAVENUMBER**2
+    response = respond(coarse, shift, 1)
+    whole = respond(fine, shift, 1)[0].impedance - response[0].impedance
+    found = missing_along(coarse, {shift: response})[shift][0].sum(axis=0)
+    shown = response[0].by_element.sum(axis=0)
+    assert found[0, 0] == pytest.approx(whole[0, 0], rel=0.5)
+    assert np.abs(shown[0, 0]) < 0.5 * np.abs(whole[0, 0])
+
+
+def test_wall_is_sealed_by_the_share_of_its_gap_below_the_limit():
+    """Of gaps that rise evenly, that share is exact wherever the limit lies between the points."""
+    width = np.linspace(10.0, 30.0, 11)[None]
+    for limit in (12.3, 20.0, 27.9):
+        share = layers._share_below(width, limit)[0]
+        # The outermost points stand for half as much.
+        assert_allclose(2 * share[1:-1].sum() + share[0] + share[-1], limit - 10.0)
+    assert not layers._share_below(width, 0.0).any()
