@@ -112,7 +112,5 @@ def _mean_modes(system: Discretisation) -> tuple[Array, Array]:
     means = []
     for part in (sections.across, sections.mass):
         weighted = part * (rule.weight / 2)[:, None, None]
-        means.append(
-            np.add.reduceat(weighted, np.searchsorted(rule.element, range(len(rule.step))))
-        )
+        means.append(np.add.reduceat(weighted, starts))
     return inner_modes(*means)
