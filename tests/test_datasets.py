@@ -25,6 +25,7 @@ from acoustube.runs.sweep.cycles import Recipe, seed_of
 from acoustube.runs.sweep.dataset import rangefinder_in, run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
+from acoustube.runs.twin_sessions import recipe_settings
 
 pytestmark = pytest.mark.slow
 
@@ -280,6 +281,17 @@ def test_rangefinder_that_is_written_is_read_again(face, tmp_path):
     path = tmp_path / "sensor.toml"
     path.write_text(tomlkit.dumps(json.loads(written.to_json())))
     assert rangefinder_of_file(path) == written
+
+
+def test_file_of_a_sensor_records_but_for_a_wrapped_tube(tmp_path):
+    """A design's file states the tube's length too; cycles of a wrapped tube would be wrong."""
+    path = tmp_path / "sensor.toml"
+    path.write_text("length_cm = 200\nnoise = 0.001\n[priors]\nstretch = 0.001\n")
+    settings, _ = recipe_settings([path])
+    assert settings["rangefinder"].noise == 1e-3
+    path.write_text("length_cm = 200\n[wrap]\nforearm_cm = [25, 17, 26]\nloops = 9\n")
+    with pytest.raises(ConfigError, match=r"\[wrap\]"):
+        recipe_settings([path])
 
 
 def test_rangefinder_is_read_from_a_file(tmp_path):

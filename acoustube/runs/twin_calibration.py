@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
-from acoustube.runs.sensor_file import KIND, OF_OTHERS, finite_numbers, twin_settings
+from acoustube.runs.sensor_file import KIND, finite_numbers, twin_settings
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration, Processing
 
@@ -107,10 +107,7 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
 
 def thermometer(path: Path) -> float:
     """Return the error in K of a sensor's thermometer, reading minus air, as its file states."""
-    document = read_document(path)
-    if KIND not in document:
-        document = _without_others(document)
-    return rangefinder_in(document, path).temperature_bias
+    return rangefinder_in(read_document(path), path).temperature_bias
 
 
 def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | None, float]:
@@ -145,7 +142,7 @@ def processing_of(sensor: Path | None) -> Processing:
     document = {} if sensor is None else read_document(sensor)
     if sensor is None or KIND in document:
         return Processing()
-    drive = rangefinder_in(_without_others(document), sensor).drive
+    drive = rangefinder_in(document, sensor).drive
     if isinstance(drive, Tones):
         raise ConfigError(
             f"{sensor}: kind = 'Tones' has no single echo's maximum to be located; use Chirp here, "
@@ -156,7 +153,3 @@ def processing_of(sensor: Path | None) -> Processing:
     if isinstance(drive, Burst):
         return own
     return replace(own, bandwidth=drive.bandwidth, pulse_cycles=drive.duration * drive.frequency)
-
-
-def _without_others(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: one for name, one in document.items() if name not in OF_OTHERS}

@@ -118,6 +118,12 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
         If one of several files is not that of a twin, or they are of different samplings.
     """
     documents = [read_document(path) for path in paths]
+    for path, document in zip(paths, documents, strict=True):
+        if "wrap" in document:
+            raise ConfigError(
+                f"{path}: [wrap] is of a wrapped tube, and cycles are recorded of straight ones; "
+                "leave it out"
+            )
     first = rangefinder_in(documents[0], paths[0])
     settings: dict[str, Any] = {"rangefinder": first} | twin_settings(paths[0])
     if len(paths) == 1:

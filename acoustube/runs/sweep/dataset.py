@@ -25,7 +25,7 @@ from acoustube.base.version import __version__
 from acoustube.base.writing import write
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones
 from acoustube.runs.opening import open_dataset
-from acoustube.runs.sensor_file import KIND, OF_OTHERS, sensor_document
+from acoustube.runs.sensor_file import OF_OTHERS, sensor_document
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
 from acoustube.runs.sweep.plan import digest
@@ -268,7 +268,7 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
         If a name or a value is wrong.
     """
     given = sensor_document(document, path)
-    for name in OF_OTHERS if KIND in document else ():
+    for name in OF_OTHERS:
         given.pop(name, None)
     drive = given.pop("drive", None)
     if not isinstance(drive, dict | None):
