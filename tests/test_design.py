@@ -151,7 +151,7 @@ def bound(known, electronics):
     """Return covariances in units of the priors, with every rangefinder heard."""
     weight = weight_of(known, electronics)
     heard = np.stack([np.ones(known.place.shape[1]), np.zeros(known.place.shape[1])])
-    matrix, *_ = predicting._told(known, weight, electronics[0], heard)
+    matrix, *_ = predicting._information(known, weight, electronics[0], heard)
     return np.linalg.inv(np.asarray(matrix))
 
 
@@ -169,7 +169,7 @@ def test_distance_of_half_waves_is_that_of_least_squares(known):
     with jax.enable_x64(True):
         weight = weight_of(known, electronics)
         heard = np.stack([np.ones(8), np.zeros(8)])
-        _, off, distance, _ = predicting._told(known, weight, electronics[0], heard)
+        _, off, distance, _ = predicting._information(known, weight, electronics[0], heard)
         distance, off = np.asarray(distance), np.asarray(off)
     tube, given = analytic(), np.linspace(0.4, 1.6, 8)
     forces = 20.0 * 4.0 ** np.linspace(0, 1, 8)

@@ -8,7 +8,7 @@ from threading import Thread
 
 
 def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
-    """Start compilations, one after the other in the order of need, in a thread of their own.
+    """Start compilations in a thread of their own, one after the other in the order of need.
 
     Whoever calls code that is just being compiled waits for it, since numba compiles one function
     at a time.
@@ -16,8 +16,8 @@ def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
     Parameters
     ----------
     compilations : iterable of callable
-        Each calls functions with arguments of the types of later calls. What fails will fail, and
-        be told, where the code is needed.
+        Each calls functions with arguments of the types of later calls. Exceptions are
+        dropped: what fails here fails, and is reported, where the code is needed.
 
     Returns
     -------

@@ -133,6 +133,7 @@ def _evaluate_library(
     from acoustube.runs import inversion
     from acoustube.runs.inverted_cycles import inverted as estimated
     from acoustube.runs.libraries.files import open_library
+    from acoustube.runs.recordings import read_cycles
     from acoustube.runs.training import error_rows
 
     start = time.perf_counter()
@@ -140,7 +141,7 @@ def _evaluate_library(
     sensor = (
         inversion.Sensor() if inverted.sensor is None else inversion.read_sensor(inverted.sensor)
     )
-    free = inversion.all_recordings(inverted.untouched, {}) if inverted.untouched else []
+    free = list(read_cycles(inverted.untouched)) if inverted.untouched else []
     inverter = inversion.RecordingInverter(library, sensor, free)
     with watched_interrupts() as check, report.progress(check) as show:
         table, estimates = estimated(data, inverter, inverted.group, show)

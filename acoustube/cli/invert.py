@@ -70,12 +70,12 @@ def invert(
     from acoustube import recordings
     from acoustube.runs import inversion
     from acoustube.runs.libraries.files import open_library
-    from acoustube.runs.recordings import opened
+    from acoustube.runs.recordings import opened, read_cycles
 
     options = dataclasses.asdict(recording)
     known = open_library(library)
     own = inversion.Sensor() if sensor is None else inversion.read_sensor(sensor)
-    free = inversion.all_recordings(untouched, options) if untouched else []
+    free = list(read_cycles(untouched, **options)) if untouched else []
     inverter = inversion.RecordingInverter(known, own, free, search.most)
     report = output.reporter(stderr=out is None)
     failures = n_groups = n_contacts = 0

@@ -1,16 +1,16 @@
 """Indentation of the tube: finite elements pressed by rigid indenters until the lumen is closed.
 
-Reading order: ``reference_element`` (shape functions and quadrature), ``mesh`` (the swept round
-tube), ``material`` (strain energies), ``element`` (energy, force and stiffness of an element),
-``padding`` (blocks of elements, few lengths of arrays), ``contact`` (distances and contact laws),
-``indenters`` (rods, punches, spheres and the ground), ``self_contact`` (the lumen's barrier),
-``wrinkle_penalty`` (smooth folds), ``dissection`` (order of elimination), ``multifrontal`` and
-``linear_solver`` (the sparse matrix and its factorisation), ``assembly`` (energy, residual and
-tangent of the whole tube), ``condensed_contact`` and ``negative_curvature`` (Newton steps),
-``newton`` (equilibrium at one depth), ``result``, ``guide`` (a path on a coarse mesh),
-``load_path`` (increments of depth),
-``press`` (the public function), ``depth_path`` (depths between), ``derivatives`` (sensitivities),
-and for imported walls ``wall_surface``, ``boundary_nodes`` and ``tetrahedra``.
+Reading order: `reference_element` (shape functions and quadrature), `mesh` (the swept round tube),
+`material` (strain energies), `element` (energy, force and stiffness of an element), `padding`
+(blocks of elements, so that few sizes of arrays are compiled), `contact` (distances and contact
+laws), `indenters` (rods, punches, spheres and the ground), `self_contact` (the lumen's barrier),
+`wrinkle_penalty` (penalty on sharp folds), `dissection` (order of elimination), `multifrontal` and
+`linear_solver` (the sparse matrix and its factorisation), `assembly` (energy, residual and tangent
+of the whole tube), `condensed_contact` and `negative_curvature` (Newton steps), `newton`
+(equilibrium at one depth), `result` (displacements, forces and energies over depth), `guide` (a
+path on a coarse mesh), `load_path` (increments of depth), `press` (the public function),
+`depth_path` (interpolation between depths), `derivatives` (sensitivities), and for imported walls
+`wall_surface`, `boundary_nodes` and `tetrahedra`.
 """
 
 from acoustube.indentation.depth_path import DepthPath, InterpolationError

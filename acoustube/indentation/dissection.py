@@ -29,7 +29,9 @@ UNEVENNESS = 0.5
 
 
 class Dissection(NamedTuple):
-    """A tree of separators; the parts at its ends count as such. Children come before parents.
+    """Elimination tree of a nested dissection: separators, and the parts at its leaves.
+
+    Both are called separators below; children come before parents.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ RESIDUAL_DECREASE = 0.5
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
-"""The same with condensed contact, where a further step is cheap beside a factorisation."""
+"""The same with condensed contact, where a further step is cheap compared with a factorisation."""
 LEAST_CONDENSED_WORK = 1e9
 """Operations of a factorisation from which on the contact is condensed and solved exactly.
 
@@ -48,8 +48,8 @@ REUSED_TOLERANCE = 0.1
 DIAGONAL_SHIFTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 """Parts of the diagonal that are added, one after the other, to an indefinite tangent.
 
-The diagonal of a nearly incompressible wall is that of its volume: beside it a thin wall bends with
-a stiffness of 1e-6 to 1e-4, and with a larger shift its steps hardly bend it."""
+The diagonal of a nearly incompressible wall is that of its volume: compared with it, a thin wall
+bends with a stiffness of 1e-6 to 1e-4, and with a larger shift its steps hardly bend it."""
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
 """Steps tried from a saddle of the energy, both ways: their largest displacement, in bores, or
 in heights of a body without one."""

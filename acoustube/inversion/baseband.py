@@ -24,7 +24,7 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 7
-"""Half the width of the band in carriers: 36 to 48 kHz about 42 kHz."""
+"""Half the width of the band over the carrier frequency: 36 to 48 kHz about 42 kHz."""
 CHIRP_BAND = 0.6
 """Half the width of a chirp's band in its bandwidths, where that is wider."""
 TAPER = 1 / 6

@@ -14,7 +14,7 @@ from acoustube.waves.scattering import Complex
 
 BIRTH = 120.0
 """Decrease of minus twice the logarithm of the likelihood from which a candidate is fitted: weaker
-echoes do not tell half wavelengths apart."""
+echoes do not resolve half wavelengths."""
 START = 3e-3, 0.5e-3
 """Standard deviations in m of place and depth of a candidate."""
 LANDING = 0.01
@@ -53,7 +53,10 @@ def candidates(
 
 
 def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Array, float]:
-    """Return what the contacts of the best branch pass on, their places, and the temperature."""
+    """Return the waves behind the contacts of the best branch, their places, and the temperature.
+
+    These are the transmitted fields, in the order of the contacts along the tube.
+    """
     places, depths, own = split(branches.mean[:1, : branches.parameters])
     fronts: list[Front] = []
     if branches.tools:

@@ -17,9 +17,9 @@ SPACING = 1e-3
 """Spacing in m of the reflectors that stand for a tube's irregularities: a quarter wavelength at
 85 kHz."""
 CELL = 0.02
-"""Spacing in m of the places up to which clutter is summed in advance."""
+"""Spacing in m of the places up to which clutter is computed in advance."""
 WARM, WARM_STEP = 1.5, 0.1
-"""Range to both sides, and step, of the temperatures in K at which it is summed in advance."""
+"""Range to both sides, and step, of the temperatures in K at which it is computed in advance."""
 RING_DEVIATION = 0.3
 """Relative standard deviation of the ring-down's level where it is not measured."""
 FAR_DEVIATION = 0.01

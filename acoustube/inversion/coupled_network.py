@@ -1,4 +1,4 @@
-"""Reflection at the face of presses along a tube whose modes are not those of the straight tube.
+"""Echo of presses along a wrapped tube, with derivatives by all parameters.
 
 The equations of :mod:`acoustube.inversion.network`, with wavenumbers that vary along the tube,
 matrices that vary with place and temperature, and a conversion of the modes before the first press.
@@ -39,7 +39,8 @@ def coupled_echo(
     blocks = [_blocks(press.value) for press in presses]
     paths = [section.factor for section in sections]
     eye = np.eye(paths[0].shape[-1])
-    # From the last press to the face: the reflection before each press and what it loops with.
+    # From the last press to the face: the reflection seen before each press, and for the multiple
+    # reflections behind it the inverse of I - B R2, with the reflection B of what follows.
     loads: list[Complex] = []
     loops: list[tuple[Complex, Complex] | None] = []
     behind: Complex | None = None
@@ -90,8 +91,8 @@ def _at_face(
 ) -> tuple[Complex, Complex, Complex, Complex]:
     """Return the echo at the face, its part of the derivative by temperature, and the waves.
 
-    The row vector of the waves that reach the face from where the first section begins, and the
-    column vector of those that arrive there.
+    The waves are the row vector of those that reach the face from where the first section begins,
+    and the column vector of those that arrive there.
     """
     at_face = load if entry is None else entry.matrix.swapaxes(-1, -2) @ load @ entry.matrix
     eye = np.eye(at_face.shape[-1])

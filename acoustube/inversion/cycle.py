@@ -1,4 +1,4 @@
-"""What a track of contacts is given of a cycle, and what it keeps of a contact."""
+"""Inputs of a track from a cycle, and the state of a contact that it keeps."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Whether a press more stands, or explains what may be the error of the model of the others.
+"""Test of one press more: whether it is real, or fits an error of the model of the others.
 
 The error of the model is taken as independent from sample to sample of an echo. It is not: a wall
 on another mesh changes an echo as a whole, by far fewer numbers than it has samples. A faint press
 in front of a strong one may explain such an error, and seem likely by the number of its samples. So
-a press more counts only what it explains beyond an error of the model of :data:`SAMPLES` times the
-power: as if so many samples were one.
+one press more is credited only with what it explains beyond an error of the model of
+:data:`SAMPLES` times the power, as if so many samples were one.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from acoustube.inversion.fit import evidence, maximise, split, weights
 from acoustube.inversion.hypotheses import Builder, Hypothesis
 
 SAMPLES = 10
-"""Samples of an echo whose errors are alike: 0.8 ms, of trapped sound."""
+"""Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
 LARGEST = 0.1
 """Largest error of the model that is allowed for: a larger one stands for presses not found yet."""
 ITERATIONS = 6
-"""Of each fit with these weights."""
+"""Iterations of each fit with these weights."""
 
 
 def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis:
@@ -38,7 +38,7 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     -------
     Hypothesis
         `more`, whose deviance is the larger one of its own and that of `fewer` less the gain of
-        evidence with the weights told above.
+        evidence with the weights stated above.
     """
     error = sqrt(SAMPLES) * min(fewer.error, LARGEST)
     model = builder.model

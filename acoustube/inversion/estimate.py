@@ -31,7 +31,8 @@ FEWER = 2 * log(100.0)
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
-"""Unexplained share of the echo from which tube, tool or sensor differ from the library's."""
+"""Fraction of the echo that the model does not explain, from which tube, tool or sensor are said to
+differ from the library's."""
 GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
 EXPLAINED = 1.5
@@ -156,7 +157,7 @@ class Inverter:
 
     @checked(counts=Reals(ndim=2))
     def __call__(self, counts: ArrayLike) -> Inversion:
-        """Return the presses that cycles of one state of the tube tell of.
+        """Return the presses estimated from cycles of one state of the tube.
 
         Parameters
         ----------
@@ -270,7 +271,7 @@ class Inverter:
 
 
 def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the unexplained share of the echo."""
+    """Return the fraction of the echo that the model does not explain."""
     rest = builder.quiet(measured - explained)
     beyond = np.sum(np.abs(rest) ** 2) - builder.model.base.freedom * len(rest)
     return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
@@ -353,7 +354,7 @@ def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses by deviance, the most likely ones with the maxima around them."""
+    """Return hypotheses by deviance, the likeliest maximised again from near half wavelengths."""
     found = sorted(found, key=lambda one: one.deviance)
     best = [found[0], *_others(found[0], found)]
     rest = [one for one in found if one not in best]

@@ -1,6 +1,6 @@
 """Baseband of cycles that are sampled below the Nyquist rate of their carrier.
 
-At 80 kHz the band about 42 kHz is folded about 40 kHz: a sample tells the sum of two frequencies,
+At 80 kHz the band about 42 kHz is folded about 40 kHz: a sample is the sum of two frequencies,
 one of them conjugate. Multiplied by -1 to the power of its number, such a record is the real part
 of the complex baseband about half the sampling rate, which the forward model gives as well; it
 holds half of what a record at twice the rate does.

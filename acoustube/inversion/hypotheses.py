@@ -60,7 +60,7 @@ LOUD = 5.0
 DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m up to which two maxima are one."""
 SAME_MAXIMUM = 4.0
-"""Squared difference, in standard deviations, up to which they are one too."""
+"""Squared difference of two maxima, in standard deviations, up to which they also count as one."""
 HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
@@ -130,16 +130,16 @@ class Builder:
         return self._judged((), fits, 0.0, self.quiet)
 
     def silent(self) -> Hypothesis:
-        """Return the hypothesis of no press with the nuisances with which presses are sought."""
+        """Return the hypothesis of no press with the nuisance parameters of the search."""
         n = len(self.start)
         fits = Fits(self.start[None], np.zeros(1), np.eye(n)[None])
         return Hypothesis((), fits, 0.0, self.quiet, np.inf, np.inf)
 
     def _robust(self) -> Array:
-        """Return the nuisances with which presses are sought.
+        """Return the nuisance parameters of the search: zero but for the temperature.
 
-        The temperature is that of the clutter, where this is known, by a truncated quadratic
-        cost, so that presses do not matter.
+        It is that of the clutter, where this is known, by a truncated quadratic cost, so that
+        presses do not matter.
         """
         start = np.zeros(len(NUISANCES))
         if self.model.clutter.behind is None:
@@ -260,7 +260,7 @@ class Builder:
         return self._fitted(known.tools, known.fits)
 
     def _fitted(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
-        """Return the hypothesis of the most likely of fits, with its model's error."""
+        """Return the hypothesis of the most likely fit, with the error of its model."""
         tried = [self._alone(tools, fits.parameters[i : i + 1]) for i in range(len(fits.cost))]
         return min(tried, key=lambda one: one.deviance)
 
@@ -273,7 +273,7 @@ class Builder:
         return self._judged(tools, fit, error, own)
 
     def shifted(self, known: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with the maxima half wavelengths and depths away."""
+        """Return a hypothesis with further maxima, half wavelengths and steps of depth away."""
         base, m = self.model.base, len(known.tools)
         half = base.air.sound_speed / (2 * float(np.mean(base.frequency)))
         moves = np.array(SHIFTS) * [half, 1.0]
@@ -323,7 +323,7 @@ class Builder:
         return found
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
-        """Return fits with those farther away, where half wavelengths are not told apart."""
+        """Return fits with those farther away, where half wavelengths are not resolved."""
         likely = fits.cost < fits.cost[0] + UNLIKELY
         m = len(tools)
         starts = []

@@ -29,7 +29,7 @@ class Echo(NamedTuple):
     by_depth : ndarray
         Per m, (n, n_presses, n_f).
     by_temperature : ndarray
-        Of the waves in straight tube only, per K, (n, n_f).
+        Of the tube between the presses, and of matrices that vary with it, per K, (n, n_f).
     by_stretch : ndarray
         Of the presses' matrices, per relative change of frequency, (n, n_f).
     """
@@ -86,7 +86,7 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
 
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
-    """Return matrices of presses filled up to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
+    """Return matrices of presses padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
     from acoustube.inversion.network_sums import MODES
 
     if len(parts) == 1 and parts[0].shape[-1] == MODES:

@@ -1,6 +1,6 @@
 """Echo of presses joined by straight tube, and its derivatives, compiled: frequency by frequency.
 
-The equations are told in :mod:`acoustube.inversion.network`. Matrices of three modes are tuples of
+The equations are given in :mod:`acoustube.inversion.network`. Matrices of three modes are tuples of
 nine numbers, row by row, which the compiler keeps in registers.
 """
 
@@ -16,7 +16,7 @@ from acoustube.base.types import Array
 from acoustube.waves.scattering import Complex
 
 MODES = 3
-"""Modes of the matrices; fewer are filled up with zeros."""
+"""Modes of the matrices; fewer are padded with zeros."""
 
 Matrix = tuple[complex, ...]
 Vector = tuple[complex, complex, complex]
@@ -168,7 +168,8 @@ def echoes(
     load, loop = np.empty((2, p, 9), np.complex128)
     for a in range(n):
         for f in range(n_f):
-            # From the last press to the face: the reflection before each, and its loop with it.
+            # From the last press to the face: the reflection seen before each, and for the
+            # multiple reflections behind it the inverse of I - B R2.
             for i in range(p - 1, -1, -1):
                 if i == p - 1:
                     found = _block(last[a, f], 0, 0)

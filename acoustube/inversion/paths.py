@@ -1,6 +1,6 @@
-"""Propagation of the modes between presses: in a straight tube, by their own wavenumbers.
+"""Propagation of modes between presses: the interface, and the straight tube.
 
-A wrapped tube's is in :mod:`acoustube.inversion.wrap`; both have the same methods.
+The wrapped tube is in :mod:`acoustube.inversion.wrap`.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class StraightPath:
 def stretches(
     path: Path, low: float, high: float, fronts: Sequence[float]
 ) -> list[tuple[float, int]]:
-    """Return where templates change in m, with the number of presses before each."""
+    """Return places in m from which new templates apply, with the number of presses before each."""
     edges = [low, *fronts, high]
     found = []
     for number, (start, stop) in enumerate(pairwise(edges)):

@@ -1,4 +1,4 @@
-"""Voltage that cycles of a rounding converter tell of, where noise dithers it little.
+"""Voltage estimated from cycles of a rounding converter with little dither.
 
 With noise of a fifth of a count the mean of rounded samples is a softened staircase of the voltage:
 a weak echo is received with 0.3 to 1.7 times its amplitude, as the offset lies. Offset and noise
@@ -55,7 +55,7 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
         Standard deviation of the noise before rounding, in counts; 0 for cycles that are not
         rounded.
     quiet : int
-        Number of the last samples of a cycle that tell its offset.
+        Number of the last samples of a cycle, from which its offset is estimated.
 
     Notes
     -----

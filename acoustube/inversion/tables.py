@@ -145,7 +145,7 @@ def _refinement(given: Array, wanted: Array) -> Complex:
 
     Conditional mean of a Gaussian process whose impulse response has independent values of a power
     that falls exponentially from :data:`EARLIEST` on: with the time constant :data:`DECAY`, and to
-    :data:`FAINTEST` of it where the samples tell no later time from an earlier one.
+    :data:`FAINTEST` of it where the samples do not distinguish later from earlier times.
     """
     period = 1 / (given[1] - given[0])
     time = np.linspace(EARLIEST, EARLIEST + 0.98 * period, 4 * len(given))

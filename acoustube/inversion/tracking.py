@@ -33,7 +33,7 @@ BETTER = 5.0
 SAME = 0.05
 """Distance in m within which contacts of two tracks are the same."""
 TOLD = 0.5
-"""Least probability of a contact that is told; all are followed."""
+"""Least probability of a contact that is returned; all are followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ class ContactTracker:
         return place * base.speed_by_temperature / base.speed * self.model.priors.thermometer
 
     def _misfit(self, rest: Complex, explained: Complex) -> float:
-        """Return the unexplained share of the echo, nan without contacts."""
+        """Return the fraction of the echo that the model does not explain, nan without contacts."""
         if not self.track.known:
             return float("nan")
         expected = self.model.base.freedom * len(rest)

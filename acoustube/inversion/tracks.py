@@ -45,15 +45,17 @@ FORGET = 0.95
 MEAN = 8
 """Cycles in the mean of whose rests weak contacts are sought."""
 NEAR, NEAR_CONTACTS = 3, 2
-"""Candidates of a contact that is sought again near its place; contacts of a cycle."""
+"""Number of candidates in the search for a contact near its place, and of contacts searched again
+per cycle."""
 RARE = float(np.log(100.0))
 """Logarithm of the prior odds against a contact more."""
 SURE, GONE = 12.0, -2.0
 """Logarithms of the odds of a contact: the most, and those at which it is given up."""
 FAINT, FAINT_TESTS = 0.1e-3, 3
-"""Depth in m from the library's first at which a contact tells nothing, and tests until it goes."""
+"""Depth in m beyond the library's first up to which a contact is not detectable, and tests until it
+is given up."""
 NEW = 2, 4, 7
-"""Ages in cycles at which a contact is sought again."""
+"""Cycles after its first at which the place of a new contact is searched again."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 """Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
 LOUD = 3.0
@@ -61,7 +63,7 @@ LOUD = 3.0
 BAD = 3.0
 """Mean square of the whitened residual of a bad explanation; or a misfit, see there."""
 ADAPTED, RISE = 0.2, 1.5
-"""Share that a cycle has in the estimated error of the model, and the most that it may state of
+"""Weight of a cycle in the estimated error of the model, and the most that it may state of
 it: an echo that is not explained yet is no error."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Relative error of the model at first, and its range."""
@@ -164,7 +166,7 @@ class Track:
         return self._mean_square(found) > BAD or self.misfit(found, cycle) > MISFIT
 
     def misfit(self, found: Update, cycle: Cycle) -> float:
-        """Return the unexplained share of the echo, beyond noise and what is not known of clutter.
+        """Return the fraction of the echo that noise, clutter and the model do not explain.
 
         The echo is that of the contacts in the cycle before, or, in their first one, unlimited.
         """

@@ -1,15 +1,16 @@
-"""Propagation in a wrapped tube: by the bent tube's own modes, which the presses join to.
+"""Propagation along a wrapped tube by the modes of the bent tube, with joints at each press.
 
-A press is computed in a straight tube. In a wrapped one the tube is straight about the press, and
-bent before and behind. In a bend the straight tube's modes couple all along; the bent tube's own
-modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own wavenumber, and sound
-is converted only where the tube becomes straight, at a press and at the start of the wrap. So the
-network of presses is that of a straight tube, but for its modes and the joints, which become part
-of the presses' matrices. Curvature and torsion vary along the arm, so slowly that the bent modes
-follow them (the adiabatic approximation): the phase is the integral of the wavenumber.
+The scattering of a press is computed in a straight tube. In a wrapped one a part about the press is
+taken as straight, the rest as bent. In a bend the straight tube's modes couple all along; the bent
+tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
+wavenumber, and sound is converted only where the tube becomes straight, at a press and at the start
+of the wrap. So the network of presses is that of a straight tube, but for its modes and the joints,
+which become part of the presses' matrices. Curvature and torsion vary along the arm, so slowly that
+the bent modes follow them (the adiabatic approximation): the phase is the integral of the
+wavenumber.
 
 The bent modes kept are three, which become (0,0) and both (1,1) where the tube is straight. Modes
-antisymmetric about the plane of the bend, which the torsion excites, pass a press as if it was not
+antisymmetric about the plane of the bend, which the torsion excites, pass a press as if it were not
 there: the presses' matrices do not have them.
 """
 
@@ -38,7 +39,7 @@ REACH = 0.03
 """Half length in m of the straight part about a press: 29 mm from a 25 mm rod the lumen has 99 % of
 its area."""
 STRETCH = 0.3
-"""Length in m over which templates take the joints as equal."""
+"""Length in m over which templates take the joints as constant."""
 CURVES = Reals(0, 1e6, "1/m", ndim=1)
 TURNS = Reals(-1e6, 1e6, "1/m", ndim=1)
 
@@ -135,7 +136,7 @@ class WrappedPath:
         )
         self.phase = self.wavenumber.antiderivative()
         self.warmer = CubicSpline(wrap.place, warmer).antiderivative()
-        # The antisymmetric modes pass a press alone, over twice the reach.
+        # The antisymmetric modes pass a press unscattered, over twice the reach.
         own_k = _wavenumbers(own, frequency, radius, air)
         self.own_k, self.own_heat = (
             own_k,
@@ -156,7 +157,7 @@ class WrappedPath:
         if not high > low:
             raise ConfigError(
                 f"the wrap from {wrap.start:.3g} to {wrap.stop:.3g} m has no place for a press "
-                f"beyond {low:.3g} m, where echoes can be told from the drive; check lead and loops"
+                f"beyond {low:.3g} m, the nearest that can be located; check lead and loops"
             )
         return low, high
 
@@ -193,7 +194,7 @@ class WrappedPath:
         )
         warm = -1j * reach * self.by_temperature
         heated = [warm[..., None] * one for one in ends]
-        # What the joints return to the press, and after it passes or is reflected once more.
+        # Sound that the press scatters, the joints reflect, and the press scatters once more.
         twice = turn[..., :, None] * turn[..., None, :]
         back, back_moved = (_blocks([twice * self.returned(at, i) for at in ports]) for i in (0, 1))
         back_heated = back * np.tile(warm, 2)[:, :, None] + back * np.tile(warm, 2)[:, None]
@@ -271,7 +272,7 @@ class WrappedPath:
 def _bent(
     wrap: Wrap, air: Air, frequency: Array, radius: float, modes: tuple[str, ...]
 ) -> list[BentModes]:
-    """Return the bent modes at the nodes of a wrap, one after the other in equal order."""
+    """Return the bent modes at the nodes of a wrap, one after the other, in the same order."""
     found: list[BentModes] = []
     for curvature, torsion in zip(wrap.curvature, wrap.torsion, strict=True):
         part = Bent(length=1.0, curvature=float(curvature), torsion=float(torsion),

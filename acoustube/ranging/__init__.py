@@ -4,8 +4,9 @@ A resonant transducer sends a burst into the tube and receives the echoes throug
 resonance, after its own ring-down. Noise, drift and the ADC follow. Each part can be switched off;
 :data:`IDEAL` has none of them.
 
-Reading order: drives, rangefinder (parameters), analogue (voltage), digitiser (counts of many
-cycles), audibility.
+Reading order: `drives` (bursts, chirps and tones, and their spectra), `rangefinder` (parameters),
+`analogue` (voltage before the converter), `digitiser` (noise, drift and counts of many cycles) and
+`audibility` (level of the drive to the ear).
 """
 
 from acoustube.ranging.analogue import blockage, clutter, response

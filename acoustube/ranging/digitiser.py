@@ -95,7 +95,7 @@ def digitise(
 
 
 def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
-    """Return the voltage of each cycle with its trigger's delay and gain; of all, without these."""
+    """Return each cycle's voltage with its trigger's delay and gain; one if neither varies."""
     if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
         return mean
     draws = np.array([_generator(seed, TRIGGER_STREAM, cycle).normal(size=2) for cycle in cycles])

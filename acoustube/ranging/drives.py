@@ -75,7 +75,7 @@ class Burst(Section):
 
     @property
     def bandwidth(self) -> float:
-        """Bandwidth in Hz that a carrier is swept over: none."""
+        """Bandwidth in Hz of the sweep: none."""
         return 0.0
 
     def spectrum(self, frequency: Complex) -> Complex:
@@ -96,7 +96,7 @@ class Burst(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Section):
-    """Linear chirp of unit amplitude: a sine whose frequency rises evenly; call it with times in s.
+    """Linear chirp of unit amplitude: a sine of linearly rising frequency; call it with times in s.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Chirp(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class Tones(Section):
-    """Several tones of a unit amplitude together, or one after the other.
+    """Several tones, one after the other or together; call it with times in s.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ def _fresnel(off: Complex, rate: float, end: float) -> Complex:
     """Return the integral from 0 to `end` of exp(2j pi (off t + rate t^2 / 2)).
 
     With a = off / rate it is exp(-j pi rate a^2) times that of exp(j pi rate u^2) from a to
-    a + end. Each end is written by w(z) = exp(-z^2) erfc(-j z) in its half plane, in which it is
+    a + end. Each end is expressed by w(z) = exp(-z^2) erfc(-j z) in the half plane in which it is
     bounded; where 0 lies between the ends, the whole integral of the real axis is added.
     """
     a = off / rate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube import recordings
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.rules import Number, nearest
@@ -263,22 +262,6 @@ def check_band(library: Library, base: Baseband) -> None:
             f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
             "make one with its --frequency and --temperature"
         )
-
-
-def all_recordings(files: Sequence[Path], options: Mapping[str, Any]) -> list[Any]:
-    """Return recordings, which must all be readable, with their files.
-
-    Raises
-    ------
-    ConfigError
-        If one cannot be read.
-    """
-    found = []
-    for path, data in recordings.read_all(files, **options):
-        if isinstance(data, ConfigError):
-            raise data
-        found.append((path, data))
-    return found
 
 
 def rows_of(path: Path, group: int, found: Inversion, library: Library) -> list[list[object]]:

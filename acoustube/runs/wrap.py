@@ -1,4 +1,4 @@
-"""Wraps of sensors around forearms: how their tubes are bent."""
+"""Curvature of tubes that are wrapped around forearms, from a sleeve or the file of a sensor."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def depth_at(tables: PressTables, force: float, diameter: float | None) -> float
 def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
     """Return depths of a tool, or of one between two, and its forces."""
     size = diameter_of(tables, diameter)
-    low, high, share = _neighbours(tables, np.array(size))
+    low, high, weight = _neighbours(tables, np.array(size))
     paths = []
     for tool in (int(low), int(high)):
         n = int(np.isfinite(tables.depths[tool]).sum())
@@ -142,13 +142,13 @@ def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
     depth = paths[0][0]
     depth = depth[depth <= paths[1][0][-1]]
     forces = [np.interp(depth, *path) for path in paths]
-    return depth, (1 - share) * forces[0] + share * forces[1]
+    return depth, (1 - weight) * forces[0] + weight * forces[1]
 
 
 def _neighbours(
     tables: PressTables, diameter: Array
 ) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]], Array]:
-    """Return the numbers of the tools below and above diameters, and the share of the latter."""
+    """Return the numbers of the tools below and above diameters, and the weight of the latter."""
     known = tables.diameters
     low = np.clip(np.searchsorted(known, diameter, side="right") - 1, 0, max(len(known) - 2, 0))
     high = np.minimum(low + 1, len(known) - 1)

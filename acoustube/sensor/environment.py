@@ -27,7 +27,7 @@ LONGEST_EPISODE = 200
 
 
 class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc]
-    """A finger that is to press a tube at a place with a force, and knows the tube's cycles alone.
+    """Gymnasium environment: press a tube at a given place and force, from its cycles alone.
 
     Parameters
     ----------

@@ -5,8 +5,11 @@ Localization and Force Sensing" (the sleeve paper): :func:`locate` for recording
 :func:`process` for simulated signals (section II-D), which need no matched filter and have no
 offset. All functions take arrays of shape (..., time) and treat each cycle on its own.
 
-Reading order: filters, compression, peaks, processing, time_of_flight, localise, lead, tracker;
-calibration, calibration_file.
+Reading order: `filters` (from a cycle to its envelope), `compression` (template of a chirp),
+`peaks` (send pulse and echoes), `processing` (settings), `time_of_flight` (distances by the speed
+of sound), `localise` (distance of the strongest echo), `lead` (start of the send pulse in a
+record), `tracker` (streams of cycles); `calibration` (from closures at known distances) and
+`calibration_file`.
 """
 
 from acoustube.base.moved import renamed

@@ -34,7 +34,7 @@ def chirp_template(
     duration: float,
     window: str = "hann",
 ) -> NDArray[np.complex128]:
-    """Return the analytic template that compresses a linear chirp, of unit energy.
+    """Return the analytic template, of unit energy, that compresses a linear chirp.
 
     Parameters
     ----------
@@ -60,8 +60,9 @@ def chirp_template(
     Notes
     -----
     The magnitude of :func:`acoustube.signals.matched_filter` with it is the envelope of the
-    compressed chirp, without rectifying and low-pass. Beside the main lobe of a chirp of much more
-    than one bandwidth times duration, its width at -3 dB and the highest side lobe are
+    compressed chirp, without rectifying and low-pass. For a chirp whose bandwidth B times duration
+    is much larger than 1, the width of the main lobe at -3 dB and the level of the highest side
+    lobe are
 
     * rectangular: 0.886 / B, -13.3 dB;
     * hann: 1.44 / B, -31.5 dB, at 1.8 dB less signal-to-noise ratio;

@@ -14,7 +14,7 @@ from acoustube.signals.processing import Processing
 MOST_CYCLES = 500
 """Cycles, evenly spread over a record, in which the send pulse is sought."""
 LEAST_AGREEMENT = 0.9
-"""Least share of cycles in which the send pulse starts at one time."""
+"""Least fraction of cycles in which the send pulse starts at one time."""
 
 
 def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None = None) -> float:

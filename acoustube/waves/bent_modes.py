@@ -33,7 +33,7 @@ LARGEST_ZERO = 4.5
 """Largest j'mn of the modes in the sums; with 8 the wavenumbers of the sleeve paper's tube at
 42 kHz change by 0.02 per metre at most, those of (0,0) and (1,1)."""
 PREFERRED = 1e-6
-"""Weight of the direction of the phase where waves neither grow nor decay."""
+"""Weight of the sign of the wavenumber in the choice of forward waves that do not decay."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,8 +56,9 @@ class BentModes:
     symmetry : ndarray
         Signs of the symmetry of the straight bore's N modes about the plane of the bend.
     signs : ndarray
-        Those of the straight modes at the joint, (m_s,): where the straight bore ends the joint
-        passes ``passed.T * signs`` on, and returns ``returned`` with the signs of both modes.
+        Those of the straight modes at the joint, (m_s,). At the other end of a straight bore, where
+        it becomes bent again, the joint passes ``passed.T * signs`` on, and reflects ``returned``
+        times the signs of both modes.
     """
 
     wavenumber: Complex

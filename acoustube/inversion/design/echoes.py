@@ -1,4 +1,4 @@
-"""Reflection of the plane mode by presses of one tube, over depth, and contacts to be told."""
+"""Reflection of the plane mode by presses of a tube over depth; the contacts to be estimated."""
 
 from __future__ import annotations
 
@@ -168,5 +168,5 @@ class Contacts:
 
     @property
     def force_prior(self) -> float:
-        """Standard deviation of the logarithm of the force where nothing is heard."""
+        """Standard deviation of the logarithm of the force where no echo is received."""
         return float(np.log(self.strongest / self.lightest) / np.sqrt(12))

@@ -56,7 +56,7 @@ class Information(NamedTuple):
         Prior standard deviations of place and depth in m, (2,).
     slope : ndarray
         Relative change of force with depth in 1/m, (n,).
-    told : ndarray
+    within_range : ndarray
         Whether the force is within the tube's range, (n,).
     force_prior : float
         Standard deviation of the logarithm of an unknown force.
@@ -79,7 +79,7 @@ class Information(NamedTuple):
     place: Array
     scale: Array
     slope: Array
-    told: Array
+    within_range: Array
     force_prior: float
     hardness: float
     model: float
@@ -132,7 +132,7 @@ def information(
                  for d in (-0.5, 0.5))  # fmt: skip
     by_heat = high - low
     warmer = -(air_at(temperature + 0.5).sound_speed - air_at(temperature - 0.5).sound_speed)
-    slope, told, echo, by_depth = _presses(tubes, contacts, modulus)
+    slope, within_range, echo, by_depth = _presses(tubes, contacts, modulus)
     by_stretch = f * np.gradient(echo, f, axis=1)
     ends = np.array([contacts.lightest, contacts.strongest]) / modulus
     span = max(np.ptp([tube.depth_at(ends) for tube in tubes]), 1e-4)
@@ -157,8 +157,8 @@ def information(
         frequency=f, sound_speed=air.sound_speed, wavenumber=k.real,
         products=(turned[:, :, :, None] * columns[:, :, None]).real,
         echoes=turned * echo[:, None], power=np.abs(echo) ** 2 * left, place=place, scale=scale,
-        slope=slope, told=told, force_prior=contacts.force_prior, hardness=hardness, model=model,
-        range_grid=grid,
+        slope=slope, within_range=within_range, force_prior=contacts.force_prior,
+        hardness=hardness, model=model, range_grid=grid,
         range_power=np.min(light, axis=0) * np.exp(4 * k.imag * grid[:, None]),
     )  # fmt: skip
 
@@ -166,16 +166,16 @@ def information(
 def _presses(
     tubes: Sequence[PressedTube], contacts: Contacts, modulus: float
 ) -> tuple[Array, Array, Complex, Complex]:
-    """Return relative slope of force, whether told, reflection and its slope by depth."""
+    """Return relative slope of force, whether it is in range, reflection and its slope by depth."""
     n = len(contacts.force)
-    slope, told = np.zeros((2, n))
+    slope, within_range = np.zeros((2, n))
     echo, by_depth = np.zeros((2, n, len(tubes[0].frequency)), complex)
     for i, tube in enumerate(tubes):
         here = contacts.tool == i
         force = contacts.force[here] / modulus
         depth = tube.depth_at(force)
         slope[here] = 1 / (force * tube.compliance_at(force))
-        told[here] = force <= tube.force[-1]
+        within_range[here] = force <= tube.force[-1]
         echo[here] = tube.reflection_at(depth)
         by_depth[here] = tube.reflection_at(depth, 1)
-    return slope, told, echo, by_depth
+    return slope, within_range, echo, by_depth

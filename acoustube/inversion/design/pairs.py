@@ -38,7 +38,8 @@ class Pairs(NamedTuple):
     force : ndarray
         Of the forces, relative, with errors of the wall's modulus and of the model, (n, 2).
     told : ndarray
-        Probabilities that the second press is told from one press with other parameters, (n,).
+        Probabilities that the second press is distinguished from changes of other
+        parameters, (n,).
     """
 
     place: Array
@@ -86,8 +87,8 @@ def predict_pairs(
     Notes
     -----
     The information of eight parameters, places, depths and temperature, stretch, gain and phase in
-    units of their priors. The second press is told where the part of its echo that no change of the
-    other seven explains, to first order, exceeds the level of detection.
+    units of their priors. The second press is distinguished where the part of its echo that no
+    change of the other seven explains, to first order, exceeds the level of detection.
     """
     if any(tube.transmission is None for tube in tubes):
         raise ConfigError("a tube has no transmission; give transmission with its reflection")
@@ -150,7 +151,7 @@ def _passed_by_depth(tube: PressedTube, force: float) -> Complex:
 
 
 def _told(echo: Complex, columns: Complex, weight: Array) -> float:
-    """Return the probability that an echo is told from changes of other parameters."""
+    """Return the probability that an echo is distinguished from changes of other parameters."""
     matrix = np.eye(len(columns)) + ((columns.conj() * weight) @ columns.T).real
     along = ((columns.conj() * weight) @ echo).real
     energy = float((np.abs(echo) ** 2 * weight).sum() - along @ np.linalg.solve(matrix, along))

@@ -44,7 +44,7 @@ BAND_EDGE, BAND_ROLL = 0.875, 0.084
 """Middle of the ends of the inversion's band from its carrier, in halves of the band, and their
 width."""
 BLIND_ROLL = 0.02
-"""Width in m over which the ring-down sets an echo free."""
+"""Width in m of the transition from masked to unmasked echoes behind the ring-down."""
 OWN_LENGTH = 0.03
 """Length in m of the tube that a press deforms: nearer ones touch the same tube."""
 
@@ -88,7 +88,7 @@ class Electronics(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Expected errors.
+    """Expected errors of a sensor's inversion over its tube.
 
     Attributes
     ----------
@@ -313,11 +313,11 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE
     nearest = 0.5 * known.sound_speed * free + OWN_LENGTH  # as of the inversion's baseband
-    heard = jax.nn.sigmoid(4 * (known.place - nearest) / BLIND_ROLL)
-    heard = heard * jnp.stack([1.0, jnp.where(ends > 1.5, 1.0, 0.0)])[:, None]
-    power = (known.power @ weight) * heard
+    unmasked = jax.nn.sigmoid(4 * (known.place - nearest) / BLIND_ROLL)
+    unmasked = unmasked * jnp.stack([1.0, jnp.where(ends > 1.5, 1.0, 0.0)])[:, None]
+    power = (known.power @ weight) * unmasked
     found = ndtr(jnp.sqrt(power.sum(axis=0) + 1e-12) - DETECTED)
-    matrix, missed, distance, shifts = _told(known, weight, carrier, heard)
+    matrix, missed, distance, shifts = _information(known, weight, carrier, unmasked)
     covariance = jnp.linalg.inv(matrix)
     each = ndtr(-jnp.sqrt(jnp.maximum(distance, 1e-9)) / 2)
     each = each / (1 + each.sum(axis=0))[None]
@@ -332,7 +332,9 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     # Of what is missed, only the prior is known.
     place, depth = (found * one + 1 - found for one in (place, depth))
     prior = known.force_prior**2
-    force = jnp.where(known.told > 0, found / (1 / force + 1 / prior) + (1 - found) * prior, prior)
+    force = jnp.where(
+        known.within_range > 0, found / (1 / force + 1 / prior) + (1 - found) * prior, prior
+    )
     far = jnp.log(known.range_power @ weight + 1e-300) - 2 * jnp.log(DETECTED)
     reach = jnp.interp(0.0, -far, known.range_grid) * jnp.where(ends > 1.5, 2.0, 1.0)
     width = step * received.sum() ** 2 / (received**2).sum()
@@ -344,7 +346,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-def _told(known, weight, carrier, heard):  # type: ignore[no-untyped-def]
+def _information(known, weight, carrier, unmasked):  # type: ignore[no-untyped-def]
     """Return information, half waves in m, their squared distances and shifts of depth."""
     half = jnp.interp(carrier, known.frequency, known.wavenumber)
     off = jnp.array(HALF_WAVES) * jnp.pi / half
@@ -354,7 +356,7 @@ def _told(known, weight, carrier, heard):  # type: ignore[no-untyped-def]
     matrix = jnp.eye(4)[None]
     vector, energy = jnp.zeros((len(HALF_WAVES), n, 4)), jnp.zeros((len(HALF_WAVES), n))
     for end in (0, 1):
-        given = heard[end]
+        given = unmasked[end]
         full = (known.products[end] @ weight) * given[:, None, None]
         turn_real, turn_imag = jnp.cos(angle) - 1, -side[end] * jnp.sin(angle)
         real, imag = known.echoes[end].real, known.echoes[end].imag

@@ -29,8 +29,8 @@ DENSITIES = np.geomspace(1e-8, 1e-2, 25)
 """Reflected powers in 1/m among which the most likely one is chosen."""
 RING_SHARE = 1.5e-3
 """Time in s over which the level of the ring-down is fitted."""
-HEARD = 6.0
-"""Level of the far end in standard deviations from which on it is taken for one."""
+DETECTED = 6.0
+"""Level of the far end's echo, in standard deviations, from which on it is taken as detected."""
 AROUND_END = 0.04
 """Half the width in m of the part of the tube that belongs to the far end."""
 ROUNDING = 1 / 12
@@ -58,9 +58,9 @@ class Background:
     send : Measured
         Level of the own drive, steady at resonance.
     far_reflection : Measured
-        Reflection coefficient of the far end; 0 where it is not heard.
+        Reflection coefficient of the far end; 0 where no echo of it is received.
     length : Measured or None
-        Distance of the far end in m; None where it is not heard.
+        Distance of the far end in m; None where no echo of it is received.
     places, reflectivity : ndarray
         Clutter: places in m of reflectors, and their reflection coefficients, (n_z,).
     clutter : Measured
@@ -114,13 +114,13 @@ def fit_background(
     the density of highest evidence.
     """
     band = twin.band
-    heard = band.baseband(twin.untouched.spectrum)
+    received = band.baseband(twin.untouched.spectrum)
     used = (band.time >= band.first) & (band.time <= band.last)
     ring = band.baseband(ring_down(twin))
     early = used & (band.time < band.first + RING_SHARE)
     power = float(np.sum(np.abs(ring[early]) ** 2))
-    level = complex(np.sum(heard[early] * ring[early].conj()) / power) if power > 0 else 0j
-    left = heard - level * ring
+    level = complex(np.sum(received[early] * ring[early].conj()) / power) if power > 0 else 0j
+    left = received - level * ring
     reach = 0.5 * SPEED * band.last - 0.1
     far, end = _far_end(twin, left, used, length, reach, untouched.temperature)
     last = end.value if end is not None else min(length or reach, reach)
@@ -132,11 +132,11 @@ def fit_background(
     clutter_share = np.sqrt(noise * early.sum() / max(power, 1e-300) / early.sum())
     known = level * ring + explained
     if end is not None:
-        known = known + heard - level * ring - left
+        known = known + received - level * ring - left
     return Background(
         send=Measured(value=abs(level), deviation=float(clutter_share) + 0.01 * abs(level)),
         far_reflection=far, length=end, places=places, reflectivity=reflectors, clutter=density,
-        explained=np.where(used, known, 0), recorded=np.where(used, heard, 0),
+        explained=np.where(used, known, 0), recorded=np.where(used, received, 0),
         **_variations(untouched, closed, [twin.untouched, *twin.means], band.carrier),
     )  # fmt: skip
 
@@ -190,7 +190,7 @@ def _far_end(
     reach: float,
     temperature: float,
 ) -> tuple[Measured, Measured | None]:
-    """Return the reflection coefficient of the far end, and its distance where it is heard."""
+    """Return the reflection coefficient of the far end, and its distance where it is received."""
     farthest = float(twin.model.places.max())
     low, high = (0.97 * length, 1.03 * length) if length else (farthest + 0.02, reach)
     high = min(high, reach)
@@ -206,7 +206,7 @@ def _far_end(
     spread = max(
         float(np.median(others)) / 1.18, float(np.sqrt(twin.untouched.variance / energy[best]))
     )
-    if abs(level[best]) < HEARD * spread or best in (0, len(places) - 1):
+    if abs(level[best]) < DETECTED * spread or best in (0, len(places) - 1):
         return Measured(value=0.0, deviation=spread), None
     wave = 2 * pi * twin.band.carrier / SPEED
     place = places[best] - float(np.angle(level[best])) / (2 * wave)

@@ -1,4 +1,4 @@
-"""Sensor that recordings of closures tell of: starting values, fit, rejection and posterior."""
+"""Sensor estimated from recordings of closures: starting values, fit, rejection and posterior."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ WINDOW = (-0.3e-3, 2.0e-3)
 SLACK = 0.01
 """Part of the time of flight by which it may be earlier or later."""
 LEAST_ECHO = 0.5
-"""Share of a closure's energy that the model must explain."""
+"""Fraction of a closure's energy that the model must explain."""
 WEAKEST = 4.0
 """Peak in counts below which an echo's level is that of its rounding."""
 DITHERED = 0.4
@@ -108,7 +108,7 @@ class Twin:
 
     @property
     def explained(self) -> Array:
-        """Share of each used closure's energy that the model explains, (n,)."""
+        """Fraction of each used closure's energy that the model explains, (n,)."""
         inside = self.data.segments == 1
         left = np.abs(self.data.values - self.model(*self.point).value) ** 2
         return 1 - _sums(left, inside) / _sums(np.abs(self.data.values) ** 2, inside)
@@ -128,7 +128,7 @@ def fit_twin(
     humidity: float | None = None,
     show: Callable[[str, float], None] = ignore,
 ) -> Twin:
-    """Return the sensor that recordings of the closed and of the untouched tube tell of.
+    """Return the sensor estimated from recordings of the closed and of the untouched tube.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _refined(
     floors: Array,
     show: Callable[[str, float], None],
 ) -> tuple[Data, Point, Normal]:
-    """Return the data with the variances that their residuals have, and the maximum with them."""
+    """Return the data with variances estimated from residuals, and the posterior's maximum."""
     normal = None
     for i in range(ROUNDS):
         show("fitting the echoes", 0.5 + 0.5 * i / ROUNDS)

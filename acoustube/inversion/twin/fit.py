@@ -253,7 +253,7 @@ def _placed(model: EchoModel, data: Data, shared: Array) -> Point:
 
 
 def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
-    """Return the delays in s of the echoes, and the share of their energy that is explained."""
+    """Return the delays in s of the echoes, and the fraction of their energy that is explained."""
     values = model.value(shared, np.zeros((len(model.places), len(LOCAL))))
     heard = np.where(data.segments == 1, data.values, 0)
     # Both basebands begin at the same time, so that their transforms share its phase.
@@ -354,7 +354,7 @@ def _later(point: Point, turns: float) -> Point:
 
 
 def _frozen(prior: Prior, cycles: float) -> Prior:
-    """Return a prior with a known number of periods."""
+    """Return the prior with the number of the drive's periods fixed."""
     i = SHARED.index("drive_cycles")
     mean, deviation = prior.mean.copy(), prior.deviation.copy()
     mean[i], deviation[i] = cycles, 1e-3

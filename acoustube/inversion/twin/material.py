@@ -26,13 +26,13 @@ DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
 USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
 """Medians of these scatters a priori, and the standard deviation of their logarithms."""
 ECHO_DEPTH = 3e-5
-"""Standard deviation in m of depths told by an echo that its posterior leaves out: errors of the
-model."""
+"""Standard deviation in m of depths estimated from an echo that its posterior leaves out: errors of
+the model."""
 LIBRARY_FORCE = 0.01
 """Relative standard deviation that forces of a library have in common, by the mesh."""
 OUTLYING, LEAST_OUTLYING, FEWEST_OUTLYING = 6.0, 0.1, 5
-"""Residual in median deviations, and relative, from which on a press is left out; presses needed to
-tell."""
+"""Residual in median deviations, and relative, from which on a press is left out; presses needed
+for that."""
 SIGNIFICANT = 3.0
 """Compliance in its standard deviations from which on the ground is said to yield."""
 
@@ -44,7 +44,7 @@ class Press(NamedTuple):
     ----------
     tool : Tool
     depth, depth_deviation : float
-        Told by the echo, in m: the compression of the tube.
+        From the echo, in m: the compression of the tube.
     stated_depth : float
         Travel of the tool from first contact, in m: the tube's compression and the ground's.
     force : float
@@ -127,7 +127,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     ]
     load = np.where(np.isfinite(force), force, np.array(usual, float))
     zero, compliance = _ground(told, sure, stated, load)
-    # Where the echo does not tell the depth, the label does, without what the ground takes.
+    # Where the echo does not give the depth, the label does, without what the ground takes.
     depth = np.where(np.isfinite(told), told, stated - zero.value)
     sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
     depth = np.where(np.isfinite(told), depth, depth - sunk)
@@ -170,7 +170,7 @@ def _stiffness(
     for i, one in enumerate(presses):
         tool = one.tool
         if not np.isfinite(depth[i]):
-            left_out[i] = "neither its echo nor its label tells a depth"
+            left_out[i] = "neither its echo nor its label gives a depth"
         elif not tool.depth[0] <= depth[i] <= tool.depth[-1]:
             left_out[i] = "its depth is outside the library's"
         else:

@@ -20,7 +20,7 @@ from acoustube.inversion.twin.model import LOCAL, SHARED, EchoModel
 from acoustube.waves.scattering import Complex
 
 LEAST_LEFT = 0.1
-"""Smallest share of the residuals' power that a fit is taken to leave."""
+"""Smallest fraction of the residuals' power that a fit is taken to leave."""
 
 
 class Score(NamedTuple):

@@ -27,13 +27,13 @@ from acoustube.base.units import KHZ
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 5
-"""Half the width of the band in carriers: 33.6 to 50.4 kHz about 42 kHz."""
+"""Half the width of the band over the carrier frequency: 33.6 to 50.4 kHz about 42 kHz."""
 TAPER = 1 / 6
 """Part of the band over which its ends are tapered, at each end."""
 CARRIERS = (15e3, 120e3)
 """Carriers in Hz that are sought."""
 UNDERSAMPLED = 42e3
-"""Carrier in Hz that is assumed where the sampling rate cannot tell it from its image."""
+"""Carrier in Hz that is assumed where the sampling rate does not distinguish it from its image."""
 AFTER_CLIPPING, FADE, SETTLED = 0.05e-3, 0.2e-3, 0.15e-3
 """Times in s from the end of clipping to the first data, over which they fade in, and after which
 they are used."""
@@ -42,7 +42,8 @@ QUIET_SHARE = 0.2
 RING_LASTS = 4e-3
 """Time in s after clipping from which the untouched cycles are no longer subtracted."""
 NEAR_RAIL, AT_RAIL, LEAST_CLIPPED = 0.9, 0.98, 8
-"""Parts of the largest deviation above which a sample may be clipped, and is where so many are."""
+"""Fractions of the largest deviation above which a sample may be clipped, and above which this many
+samples show clipping."""
 UNCLIPPED_END = 2e-3
 """Time in s in which the largest deviation of a ring-down is sought that is not clipped."""
 CLEAR_CYCLE = 30.0

@@ -53,7 +53,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     rows = [
         *localisation_rows(first, coarser),
         *force_rows(second, forces, network),
-        *whole_echo.rows(work, describing_of(work), detected, scale, report),
+        *whole_echo.rows(work, echo_features_of(work), detected, scale, report),
     ]
     figures = {
         "True against estimated distance of single cycles, coloured by depth; dashed the window of "
@@ -126,7 +126,7 @@ def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> 
     return _cycles(work / "second", over, level, scale, n_cycles, report)
 
 
-def describing_of(work: Path) -> FeatureSettings:
+def echo_features_of(work: Path) -> FeatureSettings:
     """Return the settings of the whole-echo features of the first dataset."""
     cases = open_dataset(work / "first" / "sweep")
     return FeatureSettings(kind="echo", processing=processing_of(cases, Recipe()))

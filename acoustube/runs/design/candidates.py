@@ -16,7 +16,7 @@ from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.tubes import TubeSpec
 
 LEAST_PRODUCT = 3.0
-"""Least duration of a chirp in reciprocals of its bandwidth: a shorter one is a burst."""
+"""Least product of duration and bandwidth of a chirp: a shorter one is hardly more than a burst."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Candidate:
         return np.append(self.found.objectives, np.median(self.found.place))
 
     def meets(self, design: DesignGoal) -> bool:
-        """Return whether reach, resolution, place and nearest press are as the goal asks for."""
+        """Return whether reach, resolution, place and nearest press meet the goal."""
         goal, (reach, _, resolution, place) = design.goal, self.objectives
         return bool(
             reach >= goal.reach_m and resolution <= goal.separation
@@ -54,7 +54,7 @@ class Candidate:
 
     @property
     def transducer(self) -> str:
-        """Of :data:`acoustube.runs.config.goal.TRANSDUCERS`."""
+        """One of :data:`acoustube.runs.config.goal.TRANSDUCERS`."""
         return "loudspeaker" if self.rangefinder.high_corner > 0 else "resonant"
 
     @property
@@ -83,12 +83,12 @@ class Candidate:
 
 
 class Choice(NamedTuple):
-    """What is chosen of the electronics besides carrier and cycles.
+    """Choice of the electronics, but for carrier and cycles.
 
     Attributes
     ----------
     transducer : str
-        Of :data:`acoustube.runs.config.goal.TRANSDUCERS`.
+        One of :data:`acoustube.runs.config.goal.TRANSDUCERS`.
     quality : float
         Quality factor; 0 of a loudspeaker.
     bandwidth : float
@@ -120,7 +120,7 @@ def choices_of(design: DesignGoal) -> list[Choice]:
 
 
 def choice_of(candidate: Candidate) -> Choice:
-    """Return what was chosen for a candidate."""
+    """Return the choice of a candidate's electronics."""
     r = candidate.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
     return Choice(

@@ -29,9 +29,9 @@ PAPER = TubeSpec(7.9, 1.6, 35.0)
 WORSE = 1.25
 """Largest error of force of a recommended sensor, relative to that of the best."""
 MAP_PLACES, MAP_FORCES = 16, 12
-"""Places and forces of a map."""
+"""Numbers of places and forces of a map of errors."""
 CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
-"""Changes of bore (relative), hardness in Shore A and temperature in K of the robustness."""
+"""Changes of bore (relative), hardness in Shore A and temperature in K for the robustness."""
 
 
 class Map(NamedTuple):
@@ -70,7 +70,7 @@ class Recommended(NamedTuple):
     candidate : Candidate
     map : Map
     limits : dict of str to float
-        Shares of the force's variance, by cause.
+        Fractions of the force's variance, by cause.
     robustness : dict of str to ndarray
         Objectives with a change, by the change.
     ranges : dict of str to (float, float)
@@ -114,7 +114,7 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
         left = [one for one in front if all(one is not other for *_, other in found)]
         if not left:
             break
-        # What lacks a little less than a per cent is as good.
+        # Rounded: a lack that is smaller by less than a per cent does not count.
         best = min(
             left,
             key=lambda one: (round(lack(one, column), 2), sign * one.objectives[column], one.score),
@@ -156,7 +156,7 @@ def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candi
 
 
 def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
-    """Return what the mean square error of the force is made of, as shares of it.
+    """Return what the mean square error of the force is made of, as fractions of it.
 
     Causes are the wall's hardness, the forward model, noise with unknown temperature, gain and
     phase, errors of half wavelengths, and presses that are missed, in the ring-down, or beyond a
@@ -183,7 +183,7 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
 def robustness_of(
     design: DesignGoal, candidate: Candidate, tubes: Sequence[PressedTube], compute: Compute
 ) -> dict[str, Array]:
-    """Return the objectives of a sensor that was made otherwise, each with its own calibration.
+    """Return a sensor's objectives with other bore, hardness or air, each calibrated anew.
 
     Parameters
     ----------

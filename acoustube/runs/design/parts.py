@@ -1,4 +1,4 @@
-"""Ranges of a recommended sensor's parts, and what it tells of two presses at once."""
+"""Tolerances of a recommended sensor's parts, and its errors for two presses at once."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def ranges_of(
     -------
     dict of str to (float, float)
         Lowest and highest value by the name of the part with its unit. The carrier is that of drive
-        and transducer, the noise that of the converter, relative. On a table, where it needs no
-        other press, the hardness too. Each sensor has a calibration and a library of its own.
+        and transducer, the noise that of the converter, relative. On a table the hardness is varied
+        too, which there needs no other press. Each sensor has its own calibration and library.
     """
     shore, average = candidate.tube.shore, design.goal.average
     known = on_device(known_of(design, tubes, shore))
@@ -84,7 +84,7 @@ def ranges_of(
 def pairs_of(
     design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
 ) -> Pairs | None:
-    """Return what a sensor tells of two presses the goal's distance apart; None if not computed.
+    """Return the errors of pairs of presses the goal's distance apart; None if not computed.
 
     The presses of the pairs are the goal's contacts behind the ring-down that do not close the
     lumen and whose second press is still on the tube; one rangefinder listens.

@@ -56,7 +56,7 @@ class Designed(NamedTuple):
     design : DesignGoal
     seed : int
     front : list of Candidate
-        Candidates that no other is better than in reach, force, resolution and place.
+        Pareto front in reach, force, resolution and place.
     sensors : list of Recommended
         The recommended ones, and at the end the sleeve paper's if it can be computed.
     tubes : int
@@ -113,7 +113,7 @@ def run_design(
     tubes : int
         Largest number of tubes of the search.
     robust : bool
-        Whether the recommended sensors are also computed with other bore, hardness and air.
+        Whether the recommended sensors are also computed with other bore, hardness and temperature.
     report : Reporter
         Receives messages and progress.
     workers : int, optional

@@ -1,4 +1,4 @@
-"""Search for tubes and electronics: a pattern search over tubes, a grid and gradients inside."""
+"""Search for tubes and electronics: a pattern search over tubes, a grid and gradients for each."""
 
 from __future__ import annotations
 
@@ -101,9 +101,11 @@ class Search:
     best : dict of TubeSpec to Candidate
         The best of each tube.
     kept : list of Candidate
-        Those that no other one is better than in reach, force, resolution and place.
+        Pareto front in reach, force, resolution and place.
     failed : dict of TubeSpec to str
         Tubes that cannot be computed, and why.
+    tubes : dict of TubeSpec to list of PressedTube
+        Those that were computed, under each tool.
     """
 
     design: DesignGoal
@@ -196,7 +198,7 @@ class Search:
 def candidates_of(
     design: DesignGoal, spec: TubeSpec, tubes: Sequence[PressedTube]
 ) -> list[Candidate]:
-    """Return the candidates of one tube that no other one of it is better than, and the best.
+    """Return the Pareto front of one tube's candidates, with the best of them refined.
 
     Electronics and, on a table, hardness are tried on a grid; carrier and cycles of the best are
     then improved by a quasi-Newton method.
@@ -281,7 +283,7 @@ def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> C
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates that no other is better than in reach, force, resolution and place."""
+    """Return the Pareto front of candidates in reach, force, resolution and place."""
     values = np.round(np.array([one.objectives for one in candidates]) * (-1, 1, 1, 1), 5)
     kept: list[int] = []
     # Rising in the first objective: only what came before can be better.

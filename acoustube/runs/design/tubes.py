@@ -34,9 +34,9 @@ ROWS = 16
 INTO_LAYER = 0.4
 """Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
-"""Ends of the band in the lowest and the highest carrier."""
+"""Ends of the band over the lowest and the highest carrier."""
 CHIRP_MARGIN = 0.61
-"""Ends of the band from the carrier of a chirp, in bandwidths: a little over the inversion's."""
+"""Half the width of the band about a chirp, in bandwidths: a little over the inversion's."""
 
 
 class TubeSpec(NamedTuple):

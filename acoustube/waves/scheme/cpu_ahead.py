@@ -1,4 +1,4 @@
-"""Compilation of the march over columns before there is one to be marched."""
+"""Compilation of the march over columns, ahead of the first march."""
 
 from __future__ import annotations
 

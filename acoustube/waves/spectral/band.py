@@ -50,7 +50,7 @@ def swept(
     the last of them, as d^(m / (m - 1)): the error falls by the same factor with each block. A
     shift is then added in each interval between others in which that is too large, and at least
     one. What it changes there replaces the extrapolation, in that interval alone: elsewhere it
-    tells nothing of the error.
+    does not indicate the error.
     """
     lossy, limit = system.layers is not None, ADAPTATION_TOLERANCE * tolerance
     blocks = KRYLOV_BLOCKS[lossy]

@@ -96,7 +96,7 @@ class Factors(NamedTuple):
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return the products of all fields (n_elements, n, n_fields) with others."""
+    """Return the inner products of all fields (n_elements, n, n_fields) with other fields."""
     flat = a.shape[0] * a.shape[1]
     return np.asarray(a.reshape(flat, a.shape[-1]).T @ b.reshape(flat, b.shape[-1]))
 

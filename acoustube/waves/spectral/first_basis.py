@@ -17,7 +17,8 @@ ELEMENT_DEGREE = 7
 """Polynomial degree along an element."""
 LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
-"""Degree across the tube per k R, and `DEGREE_MARGIN` more, to begin with."""
+"""Initial polynomial degree across the tube per k R (wavenumber times radius), to which
+`DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
 FLAT, FLAT_DEGREES = 0.03, 2
 """Half height of the flattest section, relative to the radius of the ends, below which the degree

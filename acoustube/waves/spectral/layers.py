@@ -90,7 +90,7 @@ def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
 
 
 class Gaps(NamedTuple):
-    """Air beside a wall, as wide as the greatest circles in its sections that touch it.
+    """Air next to a wall, as wide as the greatest circles in its sections that touch it.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
 
 
 def _share_below(width: Array, limit: float) -> Array:
-    """Return the share of widths below a limit between each point and half way to its neighbours.
+    """Return the fraction of widths below a limit from each point half way to its neighbours.
 
     Whole points, above or below, would make integrals jump as the limit passes from point to point.
     """

@@ -48,7 +48,7 @@ MOVING_SAMPLES = 1e-3
 """For derivatives, factor to the tolerance of the span of directly solved frequencies: their error
 is of the first order in the fields' error."""
 LAYER_DEGREE = 6
-"""Degree that limits the number of points round the tube."""
+"""Polynomial degree by which the number of quadrature points round the tube is chosen."""
 NO_KNOTS = np.zeros(0)
 """No further quadrature points at kinks of the wall: losses are small corrections."""
 SAMPLE_GRADING = 1.6

@@ -11,7 +11,7 @@ from acoustube.waves.spectral.ports import Complex
 from acoustube.waves.spectral.sound import ModalScattering
 
 ERROR_QUANTILE = 0.95
-"""Share of the frequencies at which the error is to be within the tolerance."""
+"""Fraction of the frequencies at which the error is to be within the tolerance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -81,7 +81,7 @@ LEAST_ERROR = 3e-6
 ERROR_WINDOW = 3
 """Frequencies on either side whose errors count at one: an error may pass through zero."""
 FIRST_SHARE = 0.5
-"""Share of the tolerance that degree and elements may each lack at the probes, to begin with."""
+"""Fraction of the tolerance that degree and elements may each lack at the probes, to begin with."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 MAX_ADAPTATIONS = 8
