@@ -196,7 +196,7 @@ def test_motion_that_breaks_a_symmetry_of_the_wall_is_refused():
     for velocity, words in ((sideways, "x = 0"), (at_one_side, "its middle")):
         with pytest.raises(ConfigError, match=words):
             scattered(wall("E"), lossy=False, velocity=velocity)
-    with pytest.raises(ConfigError, match="alike at its two ends"):
+    with pytest.raises(ConfigError, match="the same at both ends"):
         scattered(wall("E", reversible=False), lossy=False, velocity=along)
 
 

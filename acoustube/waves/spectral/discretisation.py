@@ -17,7 +17,7 @@ from acoustube.waves.spectral.boundary import TangentialFunctions, WallPoints
 from acoustube.waves.spectral.elimination import Chain, factor, inner_modes, solve
 from acoustube.waves.spectral.ends import Rim, end_functions, end_modes, rim_of
 from acoustube.waves.spectral.polynomials import Array, Index, Polynomials, polynomials
-from acoustube.waves.spectral.ports import FARTHEST, MARGIN, PortModes
+from acoustube.waves.spectral.ports import EVANESCENT_RANGE, MARGIN, PortModes
 from acoustube.waves.spectral.quadrature import AxialRule, axial_rule
 from acoustube.waves.spectral.walls import Wall
 
@@ -264,7 +264,7 @@ def _add_far_modes(
 def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
     """Return the modes of the ends that are too far below their cut-on to be port modes."""
     reach = MARGIN + wavenumber * wall.radius
-    return end_modes(wall, reach + FARTHEST, odd, lowest=reach)
+    return end_modes(wall, reach + EVANESCENT_RANGE, odd, lowest=reach)
 
 
 def far_matrices(

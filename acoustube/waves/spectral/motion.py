@@ -109,7 +109,7 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
     apart = max(np.abs(x[0] - x[-1]).max(), np.abs(y[0] - y[-1]).max())
     if apart > same:
         raise ConfigError(
-            "the motion of the wall must be alike at its two ends; give one that ends between them"
+            "the motion of the wall must be the same at both ends; give one that is zero there"
         )
     t = 2 * np.pi * np.arange(n) / n
     widening = 0.0

@@ -25,8 +25,8 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 
 MARGIN = 1.3
 """Margin of j' over the largest k R for port modes: those that propagate, or almost do."""
-FARTHEST = 12.0
-"""Further margin of j' up to which evanescent modes have an impedance."""
+EVANESCENT_RANGE = 12.0
+"""Range of j' beyond the port modes in which evanescent modes are terminated by their impedance."""
 
 
 @dataclass(frozen=True, eq=False)
