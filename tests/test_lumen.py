@@ -12,7 +12,8 @@ from test_indentation import DEEP, pressed, reference
 from acoustube.base.limits import CLEARANCE, pressed_reach
 from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.indentation.mesh import sweep
-from acoustube.indentation.press import BARRIER_DISTANCE, first_touch, neo_hookean_wall, press_model
+from acoustube.indentation.press import first_touch, neo_hookean_wall, press_model
+from acoustube.indentation.self_contact import BARRIER_DISTANCE
 from acoustube.lumen import (
     deformed_wall,
     lumen,

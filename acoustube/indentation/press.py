@@ -26,13 +26,13 @@ from acoustube.indentation.load_path import SPACING, load_path, spread
 from acoustube.indentation.material import Material, neo_hookean
 from acoustube.indentation.mesh import Mesh, MeshSize, sweep
 from acoustube.indentation.result import RESULTS, Indentation, PressError
-from acoustube.indentation.self_contact import SUBDIVISIONS, self_contact, triangulated
+from acoustube.indentation.self_contact import (
+    BARRIER_DISTANCE,
+    SUBDIVISIONS,
+    self_contact,
+    triangulated,
+)
 from acoustube.tube import Tube
-
-BARRIER_DISTANCE = 2.5e-3
-"""Activation distance d_hat of the self-contact barrier (IPC), in bore diameters.
-
-0.02 mm in the default tube; see :mod:`acoustube.indentation.self_contact`."""
 
 # The path on a coarse mesh, which guides the one on the mesh asked for:
 GUIDE_INCREMENT = 1 / 8

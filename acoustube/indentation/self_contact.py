@@ -35,6 +35,8 @@ from acoustube.indentation.reference_element import QUAD8
 
 SUBDIVISIONS = 4
 """Triangle edges along the edge of an element's face."""
+BARRIER_DISTANCE = 2.5e-3
+"""Default activation distance d_hat in bore diameters: 0.02 mm in the default tube."""
 BARRIER_STIFFNESS = 0.3
 """Stiffness of the barrier, in shear moduli."""
 LIBRARY_UNIT = 400
