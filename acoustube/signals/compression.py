@@ -2,9 +2,9 @@
 
 References
 ----------
-* Compression of linear chirps, their side lobes, and weighting against these: Klauder, J. R.,
-  Price, A. C., Darlington, S. and Albersheim, W. J., The theory and design of chirp radars, Bell
-  System Technical Journal 39 (1960), 745-808. doi:10.1002/j.1538-7305.1960.tb03942.x
+* Compression of linear chirps, their side lobes, and weighting against these:
+  Klauder, J. R., Price, A. C., Darlington, S. and Albersheim, W. J., The theory and design of chirp
+  radars, Bell System Technical Journal 39 (1960), 745-808. doi:10.1002/j.1538-7305.1960.tb03942.x
 * Windows: Harris, F. J., On the use of windows for harmonic analysis with the discrete Fourier
   transform, Proceedings of the IEEE 66 (1978), 51-83. doi:10.1109/PROC.1978.10837
 """

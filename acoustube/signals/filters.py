@@ -190,7 +190,7 @@ def matched_filter(samples: ArrayLike, template: ArrayLike) -> Any:
     ValueError
         If the template is longer than a cycle.
     """
-    samples, template = np.asarray(samples, dtype=float), np.asarray(template)
+    samples, template = np.asarray(samples, dtype=float), np.atleast_1d(np.asarray(template))
     if template.size > samples.shape[-1]:
         raise ValueError(
             f"the record of {samples.shape[-1]} samples is shorter than the matched filter's "
