@@ -54,8 +54,8 @@ def audible_level(rangefinder: Rangefinder) -> float:
 
     Notes
     -----
-    By Parseval's theorem the mean square of a pulse in each of `cycle_rate` cycles a second is
-    2 cycle_rate times the integral of |E H|^2 over frequency; that of the tone is 1/2.
+    By Parseval's theorem the mean square of a pulse in each of ``cycle_rate`` cycles a second is
+    2 ``cycle_rate`` times the integral of ``|E H|^2`` over frequency; that of the tone is 1/2.
     """
     r = rangefinder
     f = np.arange(STEP, HEARD + STEP / 2, STEP)
