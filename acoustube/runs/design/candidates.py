@@ -10,6 +10,7 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.inversion.baseband import CHIRP_BAND
 from acoustube.inversion.design import Prediction
 from acoustube.ranging import LOUDSPEAKER, Burst, Chirp, Rangefinder, audible_level
 from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
@@ -148,6 +149,6 @@ def rangefinder_of(
 
 def suits(carrier: float, cycles: float, choice: Choice) -> bool:
     """Return whether a drive is below half of the sampling rate, and a chirp longer than 3 / B."""
-    highest = max(LEAST_RATE / 2 * carrier, carrier + 0.6 * choice.bandwidth)
+    highest = max(LEAST_RATE / 2 * carrier, carrier + CHIRP_BAND * choice.bandwidth)
     chirped = choice.bandwidth * cycles / carrier
     return highest <= choice.rate / 2 * (1 + 1e-9) and (not chirped or chirped >= LEAST_PRODUCT)
