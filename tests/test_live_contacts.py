@@ -3,7 +3,6 @@
 import csv
 import io
 import os
-import threading
 import time
 from pathlib import Path
 
@@ -62,23 +61,20 @@ def folder(tmp_path_factory):
 def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp_path):
     board, shown = Board(), io.StringIO()
 
-    def send():
+    def send(board):
         start = time.monotonic() + 0.5
         for i, one in enumerate(cycles):
             time.sleep(max(0.0, start + i / 20 - time.monotonic()))
             board.send(encode(i, one))
 
-    thread = threading.Thread(target=send, daemon=True)
-    thread.start()
     how = Contacts(
         folder=folder / "lib", sensor=folder / "sensor.toml", rest=0.7, table=tmp_path / "c.csv"
     )
     stream = Stream(port=board.port, prominence=0.05)
-    tally = run_live(
-        stream, Console(file=shown), out=tmp_path / "log.csv", duration=3.2, contacts=how
-    )
-    thread.join()
-    board.cut()
+    with board.sending(send):
+        tally = run_live(
+            stream, Console(file=shown), out=tmp_path / "log.csv", duration=3.2, contacts=how
+        )
     assert tally.n_cycles == len(cycles)
     assert len((tmp_path / "log.csv").read_text().splitlines()) == len(cycles) + 1
     with (tmp_path / "c.csv").open(newline="") as file:

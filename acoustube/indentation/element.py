@@ -27,6 +27,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.small_systems import solve
 from acoustube.indentation.material import (
     Array,
     Material,
@@ -85,7 +86,8 @@ def quadrature(corners: Array, reference: Reference) -> Quadrature:
     modes = reference.projection
     mass = jnp.einsum("eq,qa,qb->eab", weights, modes, modes)
     stabilisation = jnp.full(len(corners), reference.stabilisation)
-    return Quadrature(gradients, weights, jnp.linalg.inv(mass), stabilisation, jnp.asarray(modes))
+    inverse = solve(mass, jnp.eye(modes.shape[1])[None])
+    return Quadrature(gradients, weights, inverse, stabilisation, jnp.asarray(modes))
 
 
 def deformation_gradients(displacement: Array, gradients: Array) -> Array:

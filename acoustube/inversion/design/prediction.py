@@ -23,6 +23,7 @@ import numpy as np
 from jax.scipy.special import fresnel, ndtr
 
 from acoustube.base.checks import Reals, checked
+from acoustube.base.small_systems import solve
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import (
     AFTER_CLIPPING,
@@ -318,7 +319,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     power = (known.power @ weight) * unmasked
     found = ndtr(jnp.sqrt(power.sum(axis=0) + 1e-12) - DETECTED)
     matrix, missed, distance, shifts = _information(known, weight, carrier, unmasked)
-    covariance = jnp.linalg.inv(matrix)
+    covariance = solve(matrix, jnp.eye(4)[None])
     each = ndtr(-jnp.sqrt(jnp.maximum(distance, 1e-9)) / 2)
     each = each / (1 + each.sum(axis=0))[None]
     scale = known.scale
@@ -365,12 +366,12 @@ def _information(known, weight, carrier, unmasked):  # type: ignore[no-untyped-d
         moved = moved.reshape(len(HALF_WAVES), n, 6) * given[None, :, None]
         size = ((turn_real**2 + turn_imag**2) * weight[None]) @ known.power[end].T * given[None]
         own = full[:, 4:, 4:] + jnp.eye(2)[None]
-        solved = jnp.linalg.solve(own, full[:, 4:, :4])
+        solved = solve(own, full[:, 4:, :4])
         matrix = matrix + full[:, :4, :4] - full[:, :4, 4:] @ solved
         vector = vector + moved[..., :4] - jnp.einsum("mnj,nji->mni", moved[..., 4:], solved)
-        own_moved = jnp.linalg.solve(own[None], moved[..., 4:, None])[..., 0]
+        own_moved = solve(own[None], moved[..., 4:, None])[..., 0]
         energy = energy + size - (moved[..., 4:] * own_moved).sum(axis=-1)
-    best = jnp.linalg.solve(matrix[None], vector[..., None])[..., 0]
+    best = solve(matrix[None], vector[..., None])[..., 0]
     return matrix, off, energy - (vector * best).sum(axis=-1), best[..., 1]
 
 
