@@ -31,7 +31,7 @@ from acoustube.ranging import Rangefinder, record
 from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.config.goal import read_goal
-from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.config.si import MESH_SIZES, settings_in_si
 from acoustube.runs.design.search import known_of
 from acoustube.runs.design.tubes import TubeSpec, band_of, plan_of, pressed_tubes, sounded
 from acoustube.runs.libraries.build import scattering_at
@@ -70,7 +70,7 @@ def arguments():
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--mesh", choices=("usual", "coarse"), default="usual", help="of the truth")
+    parser.add_argument("--mesh", choices=tuple(MESH_SIZES), default="usual", help="of the truth")
     return parser.parse_args()
 
 
@@ -86,7 +86,9 @@ def prepared(given):
     band = band_of(design, [Rangefinder().resonance])
     plan = plan_of(design, spec, design.goal.tools_mm[0], band)
     tubes = pressed_tubes(spec, design.goal.tools_mm[:1], [sounded(plan).result])
-    wall = settings if given.mesh == "usual" else plan.settings
+    wall = dataclasses.replace(
+        plan.settings if given.mesh == "coarse" else settings, mesh=MESH_SIZES[given.mesh]
+    )
     path = DepthPath(presses.press_to(wall, plan.pressed))
     return design, sensor, plan, path, tubes, config.tube.shore_a
 
