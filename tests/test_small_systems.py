@@ -17,7 +17,7 @@ from acoustube.ranging import Rangefinder
 def test_solutions_are_those_of_lapack(n):
     random = np.random.default_rng(n)
     factor = random.normal(size=(5, n, n))
-    matrix = factor @ factor.swapaxes(1, 2) + np.eye(n)
+    matrix = (factor @ factor.swapaxes(1, 2) + np.eye(n))[None]
     right = random.normal(size=(7, 1, n, 3))
     np.testing.assert_allclose(
         solve(matrix, right), np.linalg.solve(matrix, right), rtol=1e-11, atol=1e-13

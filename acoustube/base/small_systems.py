@@ -19,17 +19,14 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     matrix : ndarray
         (..., n, n) with n of a few; the lower triangle is read.
     right : ndarray
-        Columns (..., n, m); leading axes broadcast.
+        Columns (..., n, m), of as many axes; leading ones broadcast.
 
     Returns
     -------
     ndarray
-        (..., n, m).
+        (..., n, m); not a number where a matrix is not positive definite.
     """
     n = matrix.shape[-1]
-    leading = jnp.broadcast_shapes(matrix.shape[:-2], right.shape[:-2])
-    matrix = jnp.broadcast_to(matrix, (*leading, n, n))
-    right = jnp.broadcast_to(right, (*leading, *right.shape[-2:]))
     lower: dict[tuple[int, int], jax.Array] = {}
     for j in range(n):
         for i in range(j, n):
