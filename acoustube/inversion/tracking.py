@@ -68,7 +68,7 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Whether the misfit is less than :data:`acoustube.inversion.estimate.MISFIT`."""
+        """Goodness of fit: True if the misfit is below `acoustube.inversion.estimate.MISFIT`."""
         return not self.misfit > MISFIT
 
 

@@ -125,7 +125,7 @@ class Follower:
 
     @property
     def learning(self) -> bool:
-        """Whether the clutter is still learned from an untouched tube."""
+        """State of the clutter: True while it is learned from an untouched tube."""
         return self.tracker is None
 
     def update(

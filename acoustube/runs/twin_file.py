@@ -50,7 +50,7 @@ class Parameter(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Whether the recordings determine it better than the prior."""
+        """Identifiability: True if the recordings determine the parameter better than the prior."""
         if not isfinite(self.deviation):
             return False
         return self.prior is None or self.deviation < DETERMINED * self.prior
