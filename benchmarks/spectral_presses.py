@@ -171,11 +171,13 @@ def richer(degree: int) -> Iterator[None]:
         edges = np.sort([*basis.edges, *(basis.edges[1:] + basis.edges[:-1]) / 2])
         grade = first_basis.GRADING / 2
         low, high = basis.shifts[[0, -1]] ** grade
-        return Basis(degree, edges, np.linspace(low, high, N_SHIFTS) ** (1 / grade))
+        shifts = np.linspace(low, high, N_SHIFTS) ** (1 / grade)
+        return Basis(degree, edges, shifts, basis.flat)
 
     with (
         patch.object(solver, "first_basis", rich),
         patch.object(lossy, "SAMPLES_PER_RESONANCE", 4.0),
+        patch.dict(lossy.LAYER_BLOCKS, {False: 3, True: 4}),
         patch.object(reduction, "SAMPLE_TOLERANCE", 1e-7),
     ):
         yield

@@ -38,11 +38,13 @@ def test_wrinkles_of_the_wall_are_missed_by_one_degree_more_and_found_by_six():
     assert np.abs(shown[0, 0]) < 0.5 * np.abs(whole[0, 0])
 
 
-def test_wall_is_sealed_by_the_share_of_its_gap_below_the_limit():
-    """Of gaps that rise evenly, that share is exact wherever the limit lies between the points."""
-    width = np.linspace(10.0, 30.0, 11)[None]
-    for limit in (12.3, 20.0, 27.9):
-        share = layers._share_below(width, limit)[0]
-        # The outermost points stand for half as much.
-        assert_allclose(2 * share[1:-1].sum() + share[0] + share[-1], limit - 10.0)
-    assert not layers._share_below(width, 0.0).any()
+def test_walls_pass_smoothly_from_sealed_to_open():
+    """The share is 1, 1/2 and 0 within `SEALING_WIDTH` of the sealing gap, and falls throughout."""
+    gap, half = 20e-6, layers.SEALING_WIDTH / 2
+    share = layers.sealed_share(gap * np.array([0.0, 1 - half, 1.0, 1 + half, 5.0]), gap)
+    assert_allclose(share, [1.0, 1.0, 0.5, 0.0, 0.0], atol=1e-12)
+    within = layers.sealed_share(gap * np.linspace(1 - half, 1 + half, 50), gap)
+    assert np.all(np.diff(within) < 0)
+    # No jump of the slope, which quadrature would not resolve.
+    assert np.abs(np.diff(within, 2)).max() < 0.1 * np.abs(np.diff(within)).max()
+    assert not layers.sealed_share(gap * np.ones(3), 0.0).any()

@@ -39,12 +39,15 @@ class Layers(NamedTuple):
         Of the basis.
     stiffness, mass : ndarray
         Of an even layer in the basis, (n_elements, n_basis, n_basis).
+    blocks: int
+        Number of successive responses to that layer in the Krylov space of a shift.
     """
 
     points: WallPoints
     functions: TangentialFunctions
     stiffness: Array
     mass: Array
+    blocks: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +315,9 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
         ahead = solve(factors, layer @ _normalised(response, len(sides)), held)
         fields.append(ahead)
         ahead = ahead[..., active]
-        fields.append(solve(factors, layer @ _normalised(ahead, len(sides)), kept))
+        for _ in range(system.layers.blocks - 1):
+            ahead = solve(factors, layer @ _normalised(ahead, len(sides)), kept)
+            fields.append(ahead)
     for _ in range(blocks - 1):
         driven = solve(factors, system.low.times_mass(_normalised(driven, len(sides))), kept)
         fields.append(driven)

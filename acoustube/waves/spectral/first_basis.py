@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.waves.spectral.ends import end_modes
 from acoustube.waves.spectral.partition import partition
@@ -21,8 +22,8 @@ DEGREE_PER_WAVE = 1.2
 `DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
 FLAT, FLAT_DEGREES = 0.03, 2
-"""Half height of the flattest section, relative to the radius of the ends, below which the degree
-is so much higher."""
+"""Half height of the flattest section, relative to the radius of the ends, below which a lumen
+counts as flat, and the degree is so much higher."""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
 """Fields of the reduced space per standing wave that fits the lumen in the band, without and with
 losses."""
@@ -47,11 +48,15 @@ first order in the field's, and that of the scattering matrix of the second."""
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Discretisation parameters: degree across, borders of elements along the tube, and shifts."""
+    """Discretisation parameters: degree across, borders of elements along the tube, and shifts.
+
+    `flat` tells that a section is so flat that its walls may be pressed together.
+    """
 
     degree: int
     edges: Array
     shifts: Array
+    flat: bool = False
 
 
 def first_basis(
@@ -74,10 +79,8 @@ def first_basis(
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
     edges = partition(wall, float(k[-1]))
-    # Where the matrices are integrated: the flattest section may be inside an element.
-    _, y, *_ = wall.lines(axial_rule(edges, ELEMENT_DEGREE + 1, wall.knots).z)
-    if np.ptp(y, axis=1).min() < 2 * FLAT * wall.radius:
-        degree += FLAT_DEGREES
+    flat = bool(flat_elements(wall, edges).any())
+    degree += FLAT_DEGREES * flat
     degree += DERIVATIVE_DEGREES[lossy] * moving
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
@@ -89,7 +92,23 @@ def first_basis(
     shifts = np.linspace(low**GRADING, high**GRADING, n_shifts) ** (1 / GRADING)
     if lossy:
         shifts = _with_more(shifts, ABOVE_CUT_ON * modes.zeros[modes.zeros > 0] / wall.radius)
-    return Basis(degree + degree % 2, edges, shifts**2)
+    return Basis(degree + degree % 2, edges, shifts**2, flat)
+
+
+def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
+    """Return which elements have a section in which walls may be pressed together, (n_elements,).
+
+    Parameters
+    ----------
+    wall : Wall
+    edges : ndarray
+        Borders of the elements in m, (n_elements + 1,).
+    """
+    # Where the matrices are integrated: the flattest section may be inside an element.
+    rule = axial_rule(edges, ELEMENT_DEGREE + 1, wall.knots)
+    _, y, *_ = wall.lines(rule.z)
+    flat = np.ptp(y, axis=1) < 2 * FLAT * wall.radius
+    return np.isin(np.arange(len(edges) - 1), rule.element[flat])
 
 
 def _with_more(shifts: Array, more: Array) -> Array:

@@ -48,6 +48,10 @@ LEAK = 0.7
 """Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
 move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the estimate of
 the error under a 25 mm rod at 8 mm is 2e-2, at 0.7 1e-3."""
+SEALING_WIDTH = 0.2
+"""Range of heights, relative to the sealing gap, over which walls pass from sealed to open. Gaps
+vary little across a contact: sealed at one height, it would open at once over its whole width, and
+no quadrature along the tube would converge."""
 SAMPLES = 10
 """Number of frequencies from which the functions of place are derived."""
 LEAST_PART = 1e-4
@@ -99,17 +103,13 @@ class Gaps(NamedTuple):
     measured : ndarray of bool
         Which sections' widths are measured point by point, (n_sections,).
     sealed : ndarray
-        Share of the wall that each point stands for whose gap is pressed together,
-        (n_sections, n_points).
-    sealing_gap : float
-        Height in m up to which gaps are.
+        Share of the wall that is pressed together, (n_sections, n_points).
     """
 
     width: Array
     roundness: Array
     measured: NDArray[np.bool_]
     sealed: Array
-    sealing_gap: float
 
 
 def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> Gaps:
@@ -121,28 +121,31 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
     thickness : float
         Of the thickest viscous layer, in m.
     like : Gaps, optional
-        Gaps of nearly the same wall, of which the same are measured and sealed.
+        Gaps of nearly the same wall, of which the same are measured.
     """
     contours, boxes = points.contours, points.boxes
     measured = _narrow(boxes, thickness) if like is None else like.measured
     width = gap_widths(contours, boxes, points.halved, measured)
     roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
-    sealed = _share_below(width, points.sealing_gap) if like is None else like.sealed
-    return Gaps(width, roundness, measured, sealed, points.sealing_gap)
+    return Gaps(width, roundness, measured, sealed_share(width, points.sealing_gap))
 
 
-def _share_below(width: Array, limit: float) -> Array:
-    """Return the fraction of widths below a limit from each point half way to its neighbours.
+def sealed_share(width: Array, sealing_gap: float) -> Array:
+    """Return the fraction of the wall that is sealed at gaps of some height.
 
-    Whole points, above or below, would make integrals jump as the limit passes from point to point.
+    One below the sealing gap and zero above, with a smooth step over `SEALING_WIDTH`.
+
+    Parameters
+    ----------
+    width : ndarray
+        Heights of gaps in m, of any shape.
+    sealing_gap : float
+        Height in m up to which gaps pass no sound.
     """
-    middle = (width[:, 1:] + width[:, :-1]) / 2
-    middle = np.concatenate([width[:, :1], middle, width[:, -1:]], axis=1)
-    halves = []
-    for other in (middle[:, :-1], middle[:, 1:]):
-        span = np.maximum(np.abs(other - width), 1e-30)
-        halves.append(np.clip((limit - np.minimum(width, other)) / span, 0.0, 1.0))
-    return np.asarray((halves[0] + halves[1]) / 2)
+    if not sealing_gap:
+        return np.zeros_like(width)
+    share = np.clip((1 - width / sealing_gap) / SEALING_WIDTH + 0.5, 0.0, 1.0)
+    return np.asarray(share**2 * (3 - 2 * share))
 
 
 def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
@@ -204,18 +207,11 @@ def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
     """Return f of the viscous layers, and then of the thermal ones, (2 n_sampled, n_points)."""
     width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
-    closed = share > 0
-    pressed = np.minimum(width[closed], gaps.sealing_gap)
-    width = width.copy()
-    width[closed] = np.maximum(width[closed], gaps.sealing_gap)
-
-    def fillings(h: Array, b: Array) -> Complex:
-        return np.stack([filling(h, b, d) for layer in layers for d in layer[:, None]])
-
-    both, below = fillings(width, roundness), fillings(pressed, roundness[closed])
+    both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
     # The mean velocity of a lower slit, by its own function of the height.
-    below[: len(sampled)] = np.tanh(LEAK * pressed / (2 * layers[0][:, None])) / LEAK
-    both[:, closed] += share[closed] * (below - both[:, closed])
+    closed, viscous = share > 0, both[: len(sampled)]
+    leak = np.tanh(LEAK * width[closed] / (2 * layers[0][:, None])) / LEAK
+    viscous[:, closed] += share[closed] * (leak - viscous[:, closed])
     return both
 
 

@@ -21,6 +21,7 @@ from acoustube.waves.spectral.boundary import (
 )
 from acoustube.waves.spectral.discretisation import Discretisation, Layers
 from acoustube.waves.spectral.elimination import product
+from acoustube.waves.spectral.first_basis import flat_elements
 from acoustube.waves.spectral.layers import LayerSeries, layer_series, lossy_ends
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, scattering_of
@@ -49,21 +50,30 @@ MOVING_SAMPLES = 1e-3
 is of the first order in the fields' error."""
 LAYER_DEGREE = 6
 """Polynomial degree by which the number of quadrature points round the tube is chosen."""
-NO_KNOTS = np.zeros(0)
-"""No further quadrature points at kinks of the wall: losses are small corrections."""
+LAYER_BLOCKS = {False: 2, True: 3}
+"""Number of successive responses to the layers at each shift, for other and for flat lumens."""
+LAYER_PIECES = 2
+"""Pieces of an element with a flat section, for the quadrature of the layers: walls pass from open
+to sealed within a fraction of it. Elsewhere kinks of the wall do not matter: losses are small
+corrections."""
 SAMPLE_GRADING = 1.6
 """Exponent p: the sampled frequencies are equally spaced in f^p."""
 
 
 def with_layers(system: Discretisation, wall: Wall) -> Discretisation:
     """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
-    rule = axial_rule(system.rule.edges, system.layout.order, NO_KNOTS)
-    points = wall_points(wall, rule, LAYER_DEGREE)
-    low = layer_functions(system, points)
+    edges = system.rule.edges
+    flat = flat_elements(wall, edges)
+    knots = edges[:-1][flat, None] + np.outer(
+        np.diff(edges)[flat], np.arange(1, LAYER_PIECES) / LAYER_PIECES
+    )
+    rule = axial_rule(edges, system.layout.order, knots.ravel())
+    at = wall_points(wall, rule, LAYER_DEGREE)
+    low = layer_functions(system, at)
     every = np.arange(len(rule.step))
-    even = tangential_matrices(points, low, wall_layout(system), np.ones_like(points.area), every)
+    even = tangential_matrices(at, low, wall_layout(system), np.ones_like(at.area), every)
     stiffness, mass = (system.in_modes(part) for part in even)
-    return replace(system, layers=Layers(points, low, stiffness, mass))
+    return replace(system, layers=Layers(at, low, stiffness, mass, LAYER_BLOCKS[bool(flat.any())]))
 
 
 def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:

@@ -9,7 +9,9 @@ an enriched space:
 * that of the elements along it, by solving for the residual in the functions that the basis lacks
   (the next two degrees; one more degree along each element) at each shift, and adding these
   corrections to the reduced space;
-* that of the shifts, by more of them where the last block of each changes S.
+* that of the shifts, by more of them where the last block of each changes S;
+* with losses, that of the span of lossless fields, by a smaller one, and where walls may be pressed
+  together, that of the whole basis, by a poorer one.
 
 S is taken from the largest space, with matrices integrated at more points along z, since walls may
 be rough; its error estimate is the sum of all changes.
@@ -22,60 +24,43 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 from threadpoolctl import threadpool_limits
 
-from acoustube.waves.spectral.band import swept
+from acoustube.waves.spectral.adaptation import adapted, discretised, excess
+from acoustube.waves.spectral.band import difference, swept
 from acoustube.waves.spectral.derivatives import (
     changed_wavenumbers,
     changes_of,
     moved_scattering,
 )
-from acoustube.waves.spectral.discretisation import (
-    Discretisation,
-    Response,
-    discretise,
-    respond,
-)
+from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.ends import end_modes
-from acoustube.waves.spectral.first_basis import ELEMENT_DEGREE, KRYLOV_BLOCKS, Basis, first_basis
-from acoustube.waves.spectral.lossy import (
-    lossy_scattering,
-    wall_projections,
-    with_layers,
-)
+from acoustube.waves.spectral.first_basis import ELEMENT_DEGREE, Basis, first_basis
+from acoustube.waves.spectral.lossy import lossy_scattering, wall_projections
 from acoustube.waves.spectral.lossy_derivatives import (
     changed_ends,
     moved_lossy_scattering,
     wall_changes,
 )
 from acoustube.waves.spectral.motion import Motion, Velocity, motion_of
-from acoustube.waves.spectral.partition import split
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.ports import (
-    Complex,
-    axial_wavenumbers,
-    changed_scattering,
-    of_both_ports,
-)
+from acoustube.waves.spectral.ports import Complex, axial_wavenumbers, of_both_ports
 from acoustube.waves.spectral.reduction import Reduced
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.sound import Air, ConfigError
-from acoustube.waves.spectral.truncation import excess_across, missing_along
 from acoustube.waves.spectral.walls import Wall
 
-MAX_DEGREE = 16
-ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
-"""Shifts at which the basis is adapted first, as fractions of the index range."""
-COARSE_ERROR_RATIO = 30.0
-"""Ratio of error to tolerance above which the degree is raised by 4 instead of 2."""
 ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
 """Ratio of the estimate to the changes of S, whose own error is not all that is lacking, without
 losses and with them, where changes are known at a few frequencies only."""
+POORER = 4, 2
+"""Degrees across the tube and along the elements that a poorer basis lacks, whose error is taken
+for an upper bound."""
 LEAST_ERROR = 3e-6
 """Error of the integrals over walls that are given by rings, with a safety factor."""
 ERROR_WINDOW = 3
@@ -84,7 +69,6 @@ FIRST_SHARE = 0.5
 """Fraction of the tolerance that degree and elements may each lack at the probes, to begin with."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
-MAX_ADAPTATIONS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +96,6 @@ class _Part(NamedTuple):
     basis: Basis
     n_fields: int
     heights: tuple[float, float]
-
-
-_Adapted = tuple[Discretisation, Basis, dict[float, list[Response]]]
 
 
 def scatter_spectral(
@@ -218,36 +199,48 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     """Return the scattering of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
     moving = task.motion is not None
-    basis, wanted = (
-        first_basis(wall, odd, k, lossy=task.lossy, moving=moving),
-        FIRST_SHARE * tolerance,
-    )
-    known = None
+    basis = first_basis(wall, odd, k, lossy=task.lossy, moving=moving)
+    wanted, known = FIRST_SHARE * tolerance, None
     for number in range(MAX_SOLUTIONS):
-        adapted = _adapted(task, odd, basis, wanted, known)
-        if known is not None and adapted[0] is known[0]:
+        found = adapted(wall, k, odd, basis, wanted, known, lossy=task.lossy)
+        if known is not None and found.system is known.system:
             break  # The same basis has the same error.
-        system, basis, responses = known = adapted
+        system, basis, responses = known = found
         spaces, s, (change, doubt), sizes = swept(system, basis, responses, k, tolerance)
-        excess = _excess(system, {float(at): responses[float(at)] for at in basis.shifts}, k)
-        basis = Basis(basis.degree, basis.edges, np.array(sorted(responses)))
-        error = _estimated(ERROR_SAFETY * (excess * change + doubt), wall)
+        ratio = excess(system, {float(at): responses[float(at)] for at in basis.shifts}, k)
+        basis = replace(basis, shifts=np.array(sorted(responses)))
+        error = _estimated(ERROR_SAFETY * (ratio * change + doubt), wall)
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
         # Resonances amplify errors that are small at the probes.
         wanted *= 0.5 * tolerance / typical
     if task.lossy:
-        # Without corrections: those of the lossless fields are not those of the fields with losses.
-        spaces = [space.first(space.fields.shape[-1]) for space in spaces]
         s, moved, kz, drift, lacking = _with_losses(task, system, spaces, sizes)
         # What the basis lacks at the cut-ons, it lacks with losses too.
         error = np.maximum(error, _estimated(LOSSY_SAFETY * lacking, wall))
+        if basis.flat:
+            change = _by_basis(task, odd, basis, s)
+            error = np.maximum(error, _estimated(change, wall))
     else:
         moved, kz, drift = _without_losses(task, system, spaces)
     s, moved, names, zeros = _at_reference(s, moved, kz, drift, system, task)
     n_fields = spaces[0].size
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
+
+
+def _by_basis(task: _Task, odd: bool | None, basis: Basis, s: Complex) -> Array:
+    """Return the largest change of S with losses from a poorer basis, (n,).
+
+    Where walls are pressed together, fields with losses differ much from those without, and so do
+    the errors by degree and by elements, which fall slowly there.
+    """
+    poorer = replace(basis, degree=basis.degree - POORER[0])
+    order = ELEMENT_DEGREE - POORER[1]
+    system = discretised(task.wall, task.k, odd, poorer, lossy=True, order=order)
+    spaces, _, _, sizes = swept(system, poorer, {}, task.k, task.tolerance)
+    less = _with_losses(replace(task, motion=None), system, spaces, sizes)[0]
+    return difference(system, s, less, task.k)
 
 
 def _without_losses(
@@ -272,6 +265,8 @@ def _with_losses(
 ) -> tuple[Complex, Complex, Complex, Complex, Array]:
     """Return S, its derivative, the ends' wavenumbers and their derivative, and what is lacking."""
     assert system.layers is not None
+    # Without corrections: those of the lossless fields are not those of the fields with losses.
+    spaces = [space.first(space.fields.shape[-1]) for space in spaces]
     frequency, air = task.frequency, task.air
     series, walls = wall_projections(system, system.layers, spaces, frequency, air)
     sides, kz, lacking = lossy_scattering(
@@ -311,90 +306,3 @@ def _at_reference(
     turned = np.stack([1j * drift * d for d in away], axis=1)
     moved = moved + turned[..., None, None] * s + s * turned[:, None, None]
     return s, moved, system.modes.names[:n], zeros
-
-
-def _adapted(
-    task: _Task, odd: bool | None, basis: Basis, wanted: float, known: _Adapted | None
-) -> _Adapted:
-    """Raise the degree and split elements until both errors at test shifts are within tolerance.
-
-    From a result before, whose responses have all shifts of the basis, or from the basis alone.
-    """
-    shifts = basis.shifts
-    probes = _probes(shifts)
-    for _ in range(MAX_ADAPTATIONS):
-        if known is not None:
-            (system, _, responses), known = known, None
-        else:
-            system = discretise(
-                task.wall, basis.edges, basis.degree, ELEMENT_DEGREE, odd, float(task.k[-1])
-            )
-            if task.lossy:
-                system = with_layers(system, task.wall)
-            blocks = KRYLOV_BLOCKS[task.lossy]
-            responses = {float(shift): respond(system, float(shift), blocks) for shift in probes}
-        by_degree, by_element = _errors(system, _at_probes(responses, shifts))
-        too_low, too_long = by_degree > wanted, by_element.sum() > wanted
-        if not (too_low or too_long):
-            return system, basis, responses
-        degree, edges = basis.degree, basis.edges
-        if too_low:
-            degree += 4 if by_degree > COARSE_ERROR_RATIO * wanted else 2
-        if too_long:
-            edges = split(edges, by_element > 0.5 * wanted / len(by_element))
-        if degree > MAX_DEGREE:
-            break
-        basis = Basis(degree, edges, shifts)
-    return system, basis, responses
-
-
-def _probes(shifts: Array) -> Array:
-    """Return the shifts at which the basis is adapted first."""
-    return shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
-
-
-def _at_probes(
-    responses: dict[float, list[Response]], shifts: Array
-) -> dict[float, list[Response]]:
-    return {float(at): responses[float(at)] for at in _probes(shifts)}
-
-
-def _excess(system: Discretisation, responses: dict[float, list[Response]], k: Array) -> Array:
-    """Return the ratio of the error of degree and elements to what the corrections change, (n,)."""
-    missing = missing_along(system, responses)
-    ratio = []
-    for shift, sides in responses.items():
-        here = {shift: sides}
-        across = excess_across(system, here)
-        by_degree, by_element = _errors(system, here)
-        whole = across * by_degree + _largest_changes(system, here, missing).sum()
-        ratio.append(whole / max(by_degree + by_element.sum(), np.finfo(float).tiny))
-    return np.asarray(np.interp(k**2, list(responses), ratio))
-
-
-def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return the changes of S at the shifts for a higher degree across, and along each element."""
-    corrections = {
-        shift: [np.concatenate([side.by_degree[None], side.by_element]) for side in sides]
-        for shift, sides in responses.items()
-    }
-    found = _largest_changes(system, responses, corrections)
-    return float(found[0]), found[1:]
-
-
-def _largest_changes(
-    system: Discretisation,
-    responses: dict[float, list[Response]],
-    corrections: dict[float, list[Array]],
-) -> Array:
-    """Return the largest changes of S for corrections (n, ...) of the impedances, (n,)."""
-    found = []
-    zeros = np.tile(system.modes.zeros, len(system.ports))
-    for shift, sides in responses.items():
-        k = np.sqrt([shift])
-        travels = np.flatnonzero(zeros < k * system.radius)
-        kz = axial_wavenumbers(k, zeros, system.radius)
-        for side, changes in zip(sides, corrections[shift], strict=True):
-            changed = changed_scattering(side.impedance[None], changes, kz)
-            found.append(np.abs(changed[:, travels][..., travels]).max(axis=(1, 2), initial=0.0))
-    return np.asarray(np.max(found, axis=0))
