@@ -16,13 +16,22 @@ Without the velocities, and with y = s^(-1/2) p,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
 The dissipation is then positive at every frequency, on any grid: the real part of the response of y
 to p, times the frequency, has one sign. The scheme is also stable at zero frequency as long as
-S sqrt(nu) times the sum's value at s = 0 stays below one, for which S must not be too concentrated
-(without a bound on it the viscous boundary condition is ill-posed in the time domain [4]_).
+S sqrt(nu) times the sum's value at s = 0 stays below one; without a bound on it the viscous
+boundary condition is ill-posed in the time domain [4]_. In a gap of a few layers S is about twice
+the inverse of the gap, and may exceed that: the static stiffness would be negative, and pressures
+of alternating sign grow. Therefore S sqrt(nu) is limited to `LARGEST_DRAG` over that value. Each
+face's term, with weights w and rates r,
 
-Therefore the wetted area of a wall cell is not assigned to that cell alone, whose volume may be
-arbitrarily small, but spread over `WALL_SPREAD` by diffusion, which conserves its total and makes
-the result independent of the grid. The tangential parts are spread with it: the area times one
-minus the square of the normal's component, for each direction of a face.
+    1 - S sqrt(nu) sum w / (s + r) = 1 - S sqrt(nu) sum w / r + S sqrt(nu) sum (w / r) s / (s + r),
+
+is then a spring in parallel with a spring and dashpot in series for each relaxation, none of them
+negative: passive by construction.
+
+S must not be too concentrated elsewhere, either. Therefore the wetted area of a wall cell is not
+assigned to that cell alone, whose volume may be arbitrarily small, but spread over `WALL_SPREAD` by
+diffusion, which conserves its total and makes the result independent of the grid. The tangential
+parts are spread with it: the area times one minus the square of the normal's component, for each
+direction of a face.
 
 The absorption of the air adds to the pressure whose Laplacian is taken a part proportional to its
 rate (the classical absorption) and parts that lag behind it (the vibrational relaxations of oxygen
@@ -70,6 +79,9 @@ WALL_SPREAD = 0.2e-3
 """Standard deviation in m of the distance over which the wetted area is spread."""
 WALL_THRESHOLD = 0.01
 """Wetted area, relative to that at a flat wall, below which a cell has no losses at the wall."""
+LARGEST_DRAG = 0.99
+"""Largest part of the air's mobility at zero frequency that drag takes away; rounding of the
+relaxations' decay in single precision changes the part by 1e-4 at most."""
 
 
 class Losses(NamedTuple):
@@ -78,7 +90,7 @@ class Losses(NamedTuple):
     Attributes
     ----------
     drag : Operator
-        Operator whose faces are weighted with S sqrt(nu).
+        Operator whose faces are weighted with S sqrt(nu), limited.
     compliance : Array
         (gamma - 1) S sqrt(nu_t) in s^(-1/2), (nx, ny, nz).
     implicit_factor : Array
@@ -173,7 +185,8 @@ def losses(
     gain = time_step / (1 + rates * time_step / 2)
     weight = np.ones(cells.shape[2]) if weight is None else weight
     wetted = wetted_area(cells, exact) * weight
-    drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), dtype)
+    most = LARGEST_DRAG / float(np.sum(wall.weights / wall.rates))
+    drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), most, dtype)
     compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted.sum(axis=0)
     # The classical absorption A f^2 belongs to the diffusivity A c^3 / (2 pi^2) of the pressure.
     diffusivity = air.classical_absorption * air.sound_speed**3 / (2 * pi**2)
@@ -261,9 +274,13 @@ def _diffused(density: jax.Array, operator: Operator, n_steps: int) -> jax.Array
     return jax.lax.fori_loop(0, n_steps, step, density)
 
 
-def _drag(operator: Operator, wetted: Array, dtype: DTypeLike) -> Operator:
-    """Return an operator whose faces are weighted with the tangential wetted area."""
-    x, y, z = wetted.sum(axis=0) - wetted
+def _drag(operator: Operator, wetted: Array, most: float, dtype: DTypeLike) -> Operator:
+    """Return an operator whose faces are weighted with the tangential wetted area up to a limit.
+
+    A face's weight is the mean of two cells' and keeps the limit, and so does the axial correction,
+    whose areas are the smaller of two weighted ones: the drag is passive (see the module).
+    """
+    x, y, z = np.minimum(wetted.sum(axis=0) - wetted, most)
     x, y = np.pad(x, ((1, 1), (0, 0), (0, 0)), "edge"), np.pad(y, ((0, 0), (1, 1), (0, 0)), "edge")
     z = np.pad(z, ((0, 0), (0, 0), (2, 2)), "edge")
     at_faces = ((x[1:] + x[:-1]) / 2, (y[:, 1:] + y[:, :-1]) / 2, (z[:, :, 1:] + z[:, :, :-1]) / 2)
