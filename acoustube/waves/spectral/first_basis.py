@@ -21,9 +21,9 @@ DEGREE_PER_WAVE = 1.2
 """Initial polynomial degree across the tube per k R (wavenumber times radius), to which
 `DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
-FLAT, FLAT_DEGREES = 0.03, 2
+FLAT, FLAT_DEGREES, LEAST_FLAT_DEGREE = 0.03, 2, 12
 """Half height of the flattest section, relative to the radius of the ends, below which a lumen
-counts as flat, and the degree is so much higher."""
+counts as flat, how much higher its degree is, and its least degree."""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
 """Fields of the reduced space per standing wave that fits the lumen in the band, without and with
 losses."""
@@ -80,7 +80,8 @@ def first_basis(
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
     edges = partition(wall, float(k[-1]))
     flat = bool(flat_elements(wall, edges).any())
-    degree += FLAT_DEGREES * flat
+    if flat:
+        degree = max(degree + FLAT_DEGREES, LEAST_FLAT_DEGREE)
     degree += DERIVATIVE_DEGREES[lossy] * moving
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
