@@ -114,7 +114,6 @@ def test_walls_that_are_pressed_together_pass_the_sound_of_a_lower_slit():
     )
     assert np.all(np.abs(leaking) > 1.2e-3)
     np.testing.assert_allclose(np.abs(tight / leaking), layers.LEAK**2, rtol=0.04)
-    assert np.all(np.abs(tight) < 0.55 * np.abs(leaking))
 
 
 def test_estimate_of_a_pressed_shut_lumen_holds_with_losses(monkeypatch):
@@ -133,6 +132,7 @@ def test_estimate_of_a_pressed_shut_lumen_holds_with_losses(monkeypatch):
     better = spectral.scatter_spectral(wall, AIR, frequency, **options)
     error = np.abs(found.s - better.s).max(axis=(1, 2, 3, 4))
     assert np.all(error < found.error)
+    assert np.median(found.error / error) < 10
 
 
 def test_gap_much_lower_than_the_points_are_apart_has_its_own_height():

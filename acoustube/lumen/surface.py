@@ -45,8 +45,8 @@ class Lumen:
     symmetric : bool
         True if the lumen is symmetric about x = 0.
     sealing_gap : float
-        Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`, and which pass
-        no sound: the barrier of the self-contact keeps them open.
+        Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`, and which count
+        as half sealed: the barrier of the self-contact keeps them open.
     """
 
     rings: Array

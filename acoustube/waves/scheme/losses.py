@@ -16,7 +16,7 @@ Without the velocities, and with y = s^(-1/2) p,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
 The dissipation is then positive at every frequency, on any grid: the real part of the response of y
 to p, times the frequency, has one sign. The scheme is also stable at zero frequency as long as
-S sqrt(nu) times the sum's value at s = 0 stays below one; without a bound on it the viscous
+S sqrt(nu) times the sum's value at s = 0 stays below one; without a bound on S the viscous
 boundary condition is ill-posed in the time domain [4]_. In a gap of a few layers S is about twice
 the inverse of the gap, and may exceed that: the static stiffness would be negative, and pressures
 of alternating sign grow. Therefore S sqrt(nu) is limited to `LARGEST_DRAG` over that value. Each

@@ -4,7 +4,7 @@ Reading order: `polynomials`, `walls`, `lumens` and `sections` (what is integrat
 (stiffness and mass), `ports` and `ends` (modes of the ends), `elimination` (direct solution along
 the tube), `discretisation` (a basis and a richer one), `reduction` (many frequencies at once),
 `boundary`, `layers` and `lossy` (losses), `motion`, `derivatives` and `lossy_derivatives`, and
-`partition`, `first_basis`, `band` and `solver` (what is chosen, and the error).
+`partition`, `first_basis`, `adaptation`, `band` and `solver` (what is chosen, and the error).
 """
 
 from acoustube.waves.spectral.lumens import wall_of

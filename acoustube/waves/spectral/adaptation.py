@@ -29,7 +29,15 @@ MAX_ADAPTATIONS = 8
 
 
 class Adapted(NamedTuple):
-    """Discretisation within a tolerance at the probes, with responses by squared wavenumber."""
+    """Discretisation refined at the probes, to the tolerance or as far as the limits allow.
+
+    Attributes
+    ----------
+    system : Discretisation
+    basis : Basis
+    responses : dict
+        From squared wavenumbers in 1/m2 to responses.
+    """
 
     system: Discretisation
     basis: Basis
@@ -61,7 +69,7 @@ def discretised(
         Degree along an element.
     """
     system = discretise(wall, basis.edges, basis.degree, order, odd, float(k[-1]))
-    return with_layers(system, wall) if lossy else system
+    return with_layers(system, wall, basis.flat) if lossy else system
 
 
 def adapted(
@@ -84,8 +92,12 @@ def adapted(
         To begin with.
     wanted : float
         Tolerance of either error.
-    known : Adapted, optional
+    known : Adapted or None
         Result before, whose responses have all shifts of the basis.
+
+    Returns
+    -------
+    Adapted
     """
     shifts = basis.shifts
     probes = _probes(shifts)
@@ -117,8 +129,19 @@ def _probes(shifts: Array) -> Array:
     return shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
 
 
-def excess(system: Discretisation, responses: dict[float, list[Response]], k: Array) -> Array:
-    """Return the ratio of the error of degree and elements to what the corrections change, (n,)."""
+def truncation_ratio(
+    system: Discretisation, responses: dict[float, list[Response]], k: Array
+) -> Array:
+    """Return the ratio of the error of degree and elements to what the corrections change, (n,).
+
+    Parameters
+    ----------
+    system : Discretisation
+    responses : dict
+        From squared wavenumbers in 1/m2 to responses.
+    k : ndarray
+        Wavenumbers in 1/m, (n,).
+    """
     missing = missing_along(system, responses)
     ratio = []
     for shift, sides in responses.items():

@@ -31,7 +31,7 @@ class WallPoints(NamedTuple):
     halved : bool
         Whether the points are those of x > 0, and stand for their mirror images too.
     sealing_gap : float
-        Gaps up to this height in m pass no sound.
+        Height in m of a gap that is half sealed; see `layers.SEALING_WIDTH`.
     """
 
     rule: AxialRule

@@ -39,7 +39,7 @@ class Layers(NamedTuple):
         Of the basis.
     stiffness, mass : ndarray
         Of an even layer in the basis, (n_elements, n_basis, n_basis).
-    blocks: int
+    blocks : int
         Number of successive responses to that layer in the Krylov space of a shift.
     """
 

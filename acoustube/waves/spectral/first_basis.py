@@ -48,9 +48,18 @@ first order in the field's, and that of the scattering matrix of the second."""
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Discretisation parameters: degree across, borders of elements along the tube, and shifts.
+    """Discretisation parameters.
 
-    `flat` tells that a section is so flat that its walls may be pressed together.
+    Attributes
+    ----------
+    degree : int
+        Across the tube.
+    edges : ndarray
+        Borders of the elements along the tube in m, (n_elements + 1,).
+    shifts : ndarray
+        Squared wavenumbers in 1/m2, (n_shifts,).
+    flat : bool
+        Whether a section is so flat that its walls may be pressed together.
     """
 
     degree: int
@@ -97,7 +106,7 @@ def first_basis(
 
 
 def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
-    """Return which elements have a section in which walls may be pressed together, (n_elements,).
+    """Return which elements have a section lower or narrower than `FLAT` allows, (n_elements,).
 
     Parameters
     ----------
@@ -107,8 +116,8 @@ def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
     """
     # Where the matrices are integrated: the flattest section may be inside an element.
     rule = axial_rule(edges, ELEMENT_DEGREE + 1, wall.knots)
-    _, y, *_ = wall.lines(rule.z)
-    flat = np.ptp(y, axis=1) < 2 * FLAT * wall.radius
+    x, y, *_ = wall.lines(rule.z)
+    flat = np.minimum(np.ptp(x, axis=1), np.ptp(y, axis=1)) < 2 * FLAT * wall.radius
     return np.isin(np.arange(len(edges) - 1), rule.element[flat])
 
 

@@ -15,8 +15,9 @@ the other, the wall takes
 where h is the diameter of the greatest circle in the section that touches the wall there. So the
 matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
 correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
-the place and one of the frequency, by singular values. Where the walls are pressed together, f D
-is that of a slit `LEAK` times as high: touching walls seal, though the mechanics leaves a gap.
+the place and one of the frequency, by singular values. Where the walls are pressed together, the
+mean velocity in the gap is that of a slit `LEAK` times as high, f = tanh(LEAK h / 2D) / LEAK in
+D_v alone: touching walls seal, though the mechanics leaves a gap.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ TANGENTIAL = 1e-3
 LEAK = 0.7
 """Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
 move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the estimate of
-the error under a 25 mm rod at 8 mm is 2e-2, at 0.7 1e-3."""
+the error under a 25 mm rod at 8 mm is 2e-2, at 0.7 1e-3 (of the lossless fields alone)."""
 SEALING_WIDTH = 0.2
 """Range of heights, relative to the sealing gap, over which walls pass from sealed to open. Gaps
 vary little across a contact: sealed at one height, it would open at once over its whole width, and
@@ -103,7 +104,7 @@ class Gaps(NamedTuple):
     measured : ndarray of bool
         Which sections' widths are measured point by point, (n_sections,).
     sealed : ndarray
-        Share of the wall that is pressed together, (n_sections, n_points).
+        Weight from 0, open, to 1, pressed together, (n_sections, n_points).
     """
 
     width: Array
@@ -127,20 +128,20 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
     measured = _narrow(boxes, thickness) if like is None else like.measured
     width = gap_widths(contours, boxes, points.halved, measured)
     roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
-    return Gaps(width, roundness, measured, sealed_share(width, points.sealing_gap))
+    return Gaps(width, roundness, measured, sealing_weight(width, points.sealing_gap))
 
 
-def sealed_share(width: Array, sealing_gap: float) -> Array:
-    """Return the fraction of the wall that is sealed at gaps of some height.
+def sealing_weight(width: Array, sealing_gap: float) -> Array:
+    """Return how far gaps are sealed, from 0, open, to 1, pressed together.
 
-    One below the sealing gap and zero above, with a smooth step over `SEALING_WIDTH`.
+    A smooth step over `SEALING_WIDTH` about the sealing gap, of the shape of `width`.
 
     Parameters
     ----------
     width : ndarray
         Heights of gaps in m, of any shape.
     sealing_gap : float
-        Height in m up to which gaps pass no sound.
+        Height in m of a gap that is half sealed.
     """
     if not sealing_gap:
         return np.zeros_like(width)

@@ -60,20 +60,27 @@ SAMPLE_GRADING = 1.6
 """Exponent p: the sampled frequencies are equally spaced in f^p."""
 
 
-def with_layers(system: Discretisation, wall: Wall) -> Discretisation:
-    """Return a discretisation with the boundary layers' wall integrals for its Krylov space."""
+def with_layers(system: Discretisation, wall: Wall, flat: bool) -> Discretisation:
+    """Return a discretisation with the boundary layers' wall integrals for its Krylov space.
+
+    Parameters
+    ----------
+    system : Discretisation
+    wall : Wall
+    flat : bool
+        Whether the lumen counts as flat; see :class:`Basis`.
+    """
     edges = system.rule.edges
-    flat = flat_elements(wall, edges)
-    knots = edges[:-1][flat, None] + np.outer(
-        np.diff(edges)[flat], np.arange(1, LAYER_PIECES) / LAYER_PIECES
-    )
+    here = flat_elements(wall, edges) & flat
+    parts = np.arange(1, LAYER_PIECES) / LAYER_PIECES
+    knots = edges[:-1][here, None] + np.outer(np.diff(edges)[here], parts)
     rule = axial_rule(edges, system.layout.order, knots.ravel())
     at = wall_points(wall, rule, LAYER_DEGREE)
     low = layer_functions(system, at)
     every = np.arange(len(rule.step))
     even = tangential_matrices(at, low, wall_layout(system), np.ones_like(at.area), every)
     stiffness, mass = (system.in_modes(part) for part in even)
-    return replace(system, layers=Layers(at, low, stiffness, mass, LAYER_BLOCKS[bool(flat.any())]))
+    return replace(system, layers=Layers(at, low, stiffness, mass, LAYER_BLOCKS[flat]))
 
 
 def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:

@@ -9,12 +9,14 @@ an enriched space:
 * that of the elements along it, by solving for the residual in the functions that the basis lacks
   (the next two degrees; one more degree along each element) at each shift, and adding these
   corrections to the reduced space;
-* that of the shifts, by more of them where the last block of each changes S;
-* with losses, that of the span of lossless fields, by a smaller one, and where walls may be pressed
-  together, that of the whole basis, by a poorer one.
+* that of the shifts, by more of them where the last block of each changes S.
 
 S is taken from the largest space, with matrices integrated at more points along z, since walls may
 be rough; its error estimate is the sum of all changes.
+
+With losses S is taken from the span of the lossless fields of the basis, without corrections. Its
+error estimate is the largest of that of the fields without losses, the change of S in a smaller
+span, and, in flat lumens, that in a poorer basis.
 
 References
 ----------
@@ -31,7 +33,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from threadpoolctl import threadpool_limits
 
-from acoustube.waves.spectral.adaptation import adapted, discretised, excess
+from acoustube.waves.spectral.adaptation import adapted, discretised, truncation_ratio
 from acoustube.waves.spectral.band import difference, swept
 from acoustube.waves.spectral.derivatives import (
     changed_wavenumbers,
@@ -59,8 +61,8 @@ ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
 """Ratio of the estimate to the changes of S, whose own error is not all that is lacking, without
 losses and with them, where changes are known at a few frequencies only."""
 POORER = 4, 2
-"""Degrees across the tube and along the elements that a poorer basis lacks, whose error is taken
-for an upper bound."""
+"""Degrees less, across the tube and along the elements, of the poorer basis from which the change
+of S is taken as the error estimate of flat lumens with losses."""
 LEAST_ERROR = 3e-6
 """Error of the integrals over walls that are given by rings, with a safety factor."""
 ERROR_WINDOW = 3
@@ -207,7 +209,9 @@ def _part(task: _Task, odd: bool | None) -> _Part:
             break  # The same basis has the same error.
         system, basis, responses = known = found
         spaces, s, (change, doubt), sizes = swept(system, basis, responses, k, tolerance)
-        ratio = excess(system, {float(at): responses[float(at)] for at in basis.shifts}, k)
+        ratio = truncation_ratio(
+            system, {float(at): responses[float(at)] for at in basis.shifts}, k
+        )
         basis = replace(basis, shifts=np.array(sorted(responses)))
         error = _estimated(ERROR_SAFETY * (ratio * change + doubt), wall)
         typical = float(np.quantile(error, ERROR_QUANTILE))
@@ -225,7 +229,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     else:
         moved, kz, drift = _without_losses(task, system, spaces)
     s, moved, names, zeros = _at_reference(s, moved, kz, drift, system, task)
-    n_fields = spaces[0].size
+    n_fields = spaces[0].fields.shape[-1] if task.lossy else spaces[0].size
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 

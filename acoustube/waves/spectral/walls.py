@@ -73,7 +73,7 @@ class Wall:
     circular : bool
         False if the ends are straight, but not round.
     sealing_gap : float
-        Gaps up to this height in m pass no sound, with losses.
+        Height in m of a gap that is half sealed, with losses; see `layers.SEALING_WIDTH`.
     knots : ndarray
         Heights z in m between which the wall is smooth.
     unmoved : Wall or None
