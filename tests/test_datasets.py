@@ -264,6 +264,7 @@ def test_what_cannot_be_done_is_said_in_one_sentence(words, parts, sweep, datase
         ("[drive]\ncycle = 3", "cycle is not a parameter; did you mean cycles?"),
         ("noise =", "not valid TOML"),
         ("[drive]\nkind = 'Pulse'", "kind"),
+        ("[drive]\nkind = {of = 'Burst'}", "kind"),
         ("face_reflection = [0.8, 0.8]", "face_reflection"),
         ("face_reflection = [0.3, true]", "face_reflection"),
     ],

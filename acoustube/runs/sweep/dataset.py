@@ -275,7 +275,7 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
         raise ConfigError(f"{path}: drive = {drive!r} must be a section, written [drive]")
     drive = None if drive is None else dict(drive)
     kind = "Burst" if drive is None else drive.pop("kind", "Burst")
-    if kind not in DRIVES:
+    if not isinstance(kind, str) or kind not in DRIVES:
         raise ConfigError(
             f"{path}: kind = {kind!r} cannot be given by a file; use {' or '.join(DRIVES)}"
         )
