@@ -214,8 +214,8 @@ def test_pressure_dies_out_in_a_slit_of_a_few_layers():
     """60 um high, 2 mm wide and long, rigid at all sides; half of it in each of two rows of cells.
 
     Drag of first order, its area spread beyond the slit, would take away 1.8 times the static
-    mobility, and what is left of noise
-    after 0.2 ms would grow by a factor of 2.2 each 0.1 ms, to 6e-3.
+    mobility, and what is left of noise after 0.2 ms would grow by a factor of 2.2 each 0.1 ms, to
+    6e-3.
     """
     slit = trimesh.creation.box([2e-3, 60e-6, 2e-3])
     slit.apply_translation([0.0, 0.0, 1e-3])

@@ -114,6 +114,7 @@ def test_walls_that_are_pressed_together_pass_the_sound_of_a_lower_slit():
     )
     assert np.all(np.abs(leaking) > 1.2e-3)
     np.testing.assert_allclose(np.abs(tight / leaking), layers.LEAK**2, rtol=0.04)
+    assert np.all(np.abs(tight) < 0.55 * np.abs(leaking))
 
 
 def test_estimate_of_a_pressed_shut_lumen_holds_with_losses(monkeypatch):

@@ -71,16 +71,20 @@ def with_layers(system: Discretisation, wall: Wall, flat: bool) -> Discretisatio
         Whether the lumen counts as flat; see :class:`Basis`.
     """
     edges = system.rule.edges
-    here = flat_elements(wall, edges) & flat
-    parts = np.arange(1, LAYER_PIECES) / LAYER_PIECES
-    knots = edges[:-1][here, None] + np.outer(np.diff(edges)[here], parts)
-    rule = axial_rule(edges, system.layout.order, knots.ravel())
+    rule = axial_rule(edges, system.layout.order, _pieces(wall, edges) if flat else np.zeros(0))
     at = wall_points(wall, rule, LAYER_DEGREE)
     low = layer_functions(system, at)
     every = np.arange(len(rule.step))
     even = tangential_matrices(at, low, wall_layout(system), np.ones_like(at.area), every)
     stiffness, mass = (system.in_modes(part) for part in even)
     return replace(system, layers=Layers(at, low, stiffness, mass, LAYER_BLOCKS[flat]))
+
+
+def _pieces(wall: Wall, edges: Array) -> Array:
+    """Return the heights in m at which elements with a flat section are divided."""
+    here = flat_elements(wall, edges)
+    parts = np.arange(1, LAYER_PIECES) / LAYER_PIECES
+    return np.ravel(edges[:-1][here, None] + np.outer(np.diff(edges)[here], parts))
 
 
 def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:

@@ -224,8 +224,8 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         # What the basis lacks at the cut-ons, it lacks with losses too.
         error = np.maximum(error, _estimated(LOSSY_SAFETY * lacking, wall))
         if basis.flat:
-            change = _by_basis(task, odd, basis, s)
-            error = np.maximum(error, _estimated(change, wall))
+            poorer = _change_from_poorer_basis(task, odd, basis, s)
+            error = np.maximum(error, _estimated(poorer, wall))
     else:
         moved, kz, drift = _without_losses(task, system, spaces)
     s, moved, names, zeros = _at_reference(s, moved, kz, drift, system, task)
@@ -233,8 +233,8 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 
-def _by_basis(task: _Task, odd: bool | None, basis: Basis, s: Complex) -> Array:
-    """Return the largest change of S with losses from a poorer basis, (n,).
+def _change_from_poorer_basis(task: _Task, odd: bool | None, basis: Basis, s: Complex) -> Array:
+    """Return the largest change of S with losses from that of a poorer basis, (n,).
 
     Where walls are pressed together, fields with losses differ much from those without, and so do
     the errors by degree and by elements, which fall slowly there.
