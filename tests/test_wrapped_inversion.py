@@ -21,7 +21,7 @@ from acoustube.runs.inversion import read_sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
-from acoustube.sleeve import design
+from acoustube.sleeve import design, wrapped
 from acoustube.waves import Bent, PlacedScatterer, axial_wavenumber, joined_bends
 from acoustube.waves.bends import star_product
 from acoustube.waves.bent_modes import bent_modes
@@ -53,9 +53,7 @@ def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
     returned = (
         own.signs[:, None] * own.returned * own.signs + into.swapaxes(1, 2) @ inner @ once @ into
     )
-    bend = joined_bends(AIR, frequency, [part], radius=RADIUS, modes=NAMES, highest=8.0)
-    half = np.exp(-0.5j * length * wavenumbers(NAMES, frequency))
-    s = half[:, None, :, None, None] * bend.s * half[:, None, None, None, :]
+    s = joined_bends(AIR, frequency, [part], radius=RADIUS, modes=NAMES, highest=8.0).s
     # The modes (2,1), next to their cut-on at 42.3 kHz, carry a thousandth of the power.
     for out, into_mode in ((0, 0), (1, 0), (1, 1), (3, 0), (3, 1)):
         off = through[:, out, into_mode] - s[:, 1, out, 0, into_mode]
@@ -86,9 +84,7 @@ def by_network(frequency, places, depths):
                 Bent(length=high - low, curvature=float(curvature), torsion=float(torsion))
             )
         found = joined_bends(AIR, frequency, parts, radius=RADIUS, modes=NAMES, highest=4.5)
-        half = np.exp(-0.5j * (stop - start) * k)
-        s = half[:, None, :, None, None] * found.s * half[:, None, None, None, :]
-        return s.reshape(len(frequency), 2 * m, 2 * m)
+        return found.s.reshape(len(frequency), 2 * m, 2 * m)
 
     total, at = straight(HELIX.lead), HELIX.lead
     for place, depth in zip(places, depths, strict=True):
@@ -154,34 +150,19 @@ def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
         assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
 
 
-def bends(start, stop, frequency):
-    """Bends of 5 cm in series, joined by evanescent and antisymmetric modes too."""
-    edges = np.linspace(start + 1e-9, stop - 1e-9, 1 + max(1, round((stop - start) / 0.05)))
-    parts = []
-    for low, high in pairwise(edges):
-        curvature, torsion = (float(one) for one in HELIX.bend(HELIX.height(0.5 * (low + high))))
-        parts.append(Bent(length=high - low - 1e-9, curvature=curvature, torsion=torsion))
-    found = joined_bends(AIR, frequency, parts, radius=RADIUS, modes=NAMES, highest=6.0)
-    return PlacedScatterer(found, 0.5 * (start + stop))
-
-
 def wrapped_cycles(depth, place, seed, n_cycles=20):
-    """Cycles of a press on the arm, which antisymmetric modes pass."""
-    frequency, cut_ons = np.arange(20e3, 62e3, 100.0), np.append(CUT_ONS, CUT_ONS[1:])
-    propagates = frequency[:, None] > cut_ons
-    s = np.zeros((len(frequency), 2, 5, 2, 5), complex)
-    s[:, :, :3, :, :3] = scattering(depth, frequency)[0]
-    for i in (3, 4):
-        s[:, 0, i, 1, i] = s[:, 1, i, 0, i] = 1.0
+    """Cycles of a press on the arm."""
+    frequency = np.arange(20e3, 62e3, 100.0)
+    propagates = frequency[:, None] > CUT_ONS
+    s = scattering(depth, frequency)[0]
     s *= propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
     pressed = ModalScattering(
-        frequency=frequency, modes=NAMES, s=s, propagates=propagates, cut_ons=cut_ons,
+        frequency=frequency, modes=MODES, s=s, propagates=propagates, cut_ons=CUT_ONS,
         sound_speed=AIR.sound_speed, extent=(-WRAP.reach, WRAP.reach),
     )  # fmt: skip
-    before = np.linspace(HELIX.lead, place - WRAP.reach, 3)
-    behind = place + WRAP.reach
-    around = [bends(*ends, frequency) for ends in (*pairwise(before), (behind, behind + 0.3))]
-    presses = [*around, PlacedScatterer(pressed, place)]
+    presses = wrapped(
+        HELIX, [PlacedScatterer(pressed, place)], AIR, radius=RADIUS, reach=WRAP.reach
+    )
     return record(presses, radius=RADIUS, n_cycles=n_cycles, seed=seed, temperature=20.0)
 
 

@@ -5,9 +5,17 @@ import pytest
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
-from acoustube.sleeve import Helix, winding, wrapped
+from acoustube.sleeve import Helix, between_bends, winding, with_antisymmetric, wrapped
 from acoustube.tube import Tube
-from acoustube.waves import Bent, PlacedScatterer, cut_on_frequency, joined_bends, transfer
+from acoustube.waves import (
+    Bent,
+    PlacedScatterer,
+    axial_wavenumber,
+    cut_on_frequency,
+    joined_bends,
+    transfer,
+)
+from acoustube.waves.network import interpolate_scattering
 from acoustube.waves.scattering import ModalScattering
 
 AIR, BORE, REACH = air_at(20.0), 3.95e-3, 0.03
@@ -54,7 +62,7 @@ def test_pieces_fill_the_wrap_but_for_what_the_presses_keep_straight():
     assert spans[1:, 0] - spans[:-1, 1] == pytest.approx(0, abs=1e-8)
     kept = [p for p in pieces if p.position in (0.4, 0.9)]
     assert [p.scattering.extent for p in kept] == [(-REACH, REACH)] * 2
-    assert all(np.ptp(span) < 0.27 for span in spans)
+    assert len(pieces) == 5
 
 
 def test_arm_that_is_hardly_curved_is_a_straight_tube():
@@ -66,19 +74,44 @@ def test_arm_that_is_hardly_curved_is_a_straight_tube():
     assert passed(bent, 0.05) == pytest.approx(passed(echo, 0.05), abs=1e-3)
 
 
-def test_loops_in_a_row_pass_the_plane_wave_as_one_bend_does():
-    """Within 2 %: what torsion puts into (1,1) of the other symmetry is dropped after each loop."""
-    even = Helix(radius=0.04, length=0.105, loops=3)
-    n, step = 3, even.tube_length / 3
-    curvature, torsion = (float(value) for value in even.bend(0.0))
-    pieces = winding(even, AIR, BAND, 0.0, even.tube_length, radius=BORE, modes=MODES)
-    part = Bent(length=n * step, curvature=curvature, torsion=torsion)
-    whole = joined_bends(AIR, BAND, [part], radius=BORE, modes=MODES, highest=8.0)
-    assert len(pieces) == n
-    at = even.tube_length + 0.01
-    there = passed([PlacedScatterer(whole, even.tube_length / 2 + 1e-6)], at)
-    here = passed([PlacedScatterer(p.scattering, p.position + 1e-6) for p in pieces], at)
-    assert np.abs(here - there).max() < 0.02 * np.abs(there).max()
+def test_wrap_of_a_metre_is_known_between_its_frequencies():
+    """Interpolated over steps of 100 Hz, at the plane wave's end, against bends computed there.
+
+    Of parts a quarter as long, with modes of larger wavenumbers. A cascade of loops, which loses
+    evanescent modes at each loop, is 1.5 % off in T00 at 1 m.
+    """
+    stop, at = FOREARM.tube_length, FOREARM.tube_length + 1e-6
+    f = np.sort(np.random.default_rng(2).uniform(36e3, 48e3, 25))
+    edges = np.linspace(FOREARM.lead, stop, 33)
+    parts = [
+        Bent(length=edges[1] - edges[0], curvature=float(curvature), torsion=float(torsion))
+        for curvature, torsion in zip(
+            *FOREARM.bend(FOREARM.height((edges[1:] + edges[:-1]) / 2)), strict=True
+        )
+    ]
+    names = with_antisymmetric(MODES)
+    there = joined_bends(AIR, f, parts, radius=BORE, modes=names, highest=8.0).s
+    band = np.arange(28e3, 56.05e3, 100.0)
+    bent = winding(FOREARM, AIR, band, FOREARM.lead, stop, radius=BORE, modes=names)
+    here = interpolate_scattering(bent.scattering, f)
+    assert stop - FOREARM.lead > 1.0
+    assert np.sqrt(np.mean(np.abs(here - there)[:, 1, 0, 0, 0] ** 2)) < 1e-3
+    assert np.abs(here - there).max() < 6e-3
+    # As the sound of a tube, between both ends of the wrap.
+    ends = axial_wavenumber(0, 0, f, BORE, AIR, lossy=True) * (FOREARM.lead + 1e-6)
+    sound = transfer(
+        [bent], AIR, f, radius=BORE, length=at + 0.3, probes=(at,), source_reflection=0
+    )
+    assert sound[0] == pytest.approx(here[:, 1, 0, 0, 0] * np.exp(-1j * ends), abs=1e-6)
+
+
+def test_antisymmetric_modes_pass_a_symmetric_press():
+    found = between_bends(press(0.4, 0.3), REACH).scattering
+    assert found.modes == ("00", "11c", "11s")
+    assert found.s[:, :, :2, :, :2] == pytest.approx(press(0.4, 0.3).scattering.s)
+    eye = np.broadcast_to(np.eye(2)[::-1], (len(BAND), 2, 2))
+    assert found.s[:, :, 2, :, 2] == pytest.approx(eye)
+    assert np.abs(found.s[:, :, 2, :, :2]).max() == np.abs(found.s[:, :, :2, :, 2]).max() == 0
 
 
 def test_flattened_tube_converts_less():
@@ -86,9 +119,11 @@ def test_flattened_tube_converts_less():
     sizes = {"radius": BORE, "modes": MODES}
     power = [
         max(
-            np.abs(found[0].scattering.s[0, 1, 1, 0, 0]) ** 2
+            np.abs(winding(FOREARM, AIR, [42e3], 0.15, stop, tube=tube, **sizes).scattering.s)[
+                0, 1, 1, 0, 0
+            ]
+            ** 2
             for stop in np.linspace(0.16, 0.25, 10)
-            for found in [winding(FOREARM, AIR, [42e3], 0.15, stop, tube=tube, **sizes)]
         )
         for tube in (None, Tube())
     ]

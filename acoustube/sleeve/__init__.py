@@ -8,7 +8,7 @@ Read :mod:`helix` (distance to position), :mod:`arm_fit` (the arm from markers),
 from acoustube.base.moved import renamed
 from acoustube.recordings.markers import Markers, read_markers
 from acoustube.sleeve.arm_fit import Arm, Line, fit_arm
-from acoustube.sleeve.bent_tube import shortened, winding, windings, wrapped
+from acoustube.sleeve.bent_tube import between_bends, winding, windings, with_antisymmetric, wrapped
 from acoustube.sleeve.echo_association import remove_ghost_echoes
 from acoustube.sleeve.helix import Frame, Helix, Nearest, nearest
 from acoustube.sleeve.layouts import Layout, check_reach, check_room, design, layout, spacing, wound
@@ -26,6 +26,7 @@ __all__ = [
     "Markers",
     "Nearest",
     "TrackingSettings",
+    "between_bends",
     "check_reach",
     "check_room",
     "design",
@@ -35,15 +36,19 @@ __all__ = [
     "ovality",
     "read_markers",
     "remove_ghost_echoes",
-    "shortened",
     "spacing",
     "winding",
     "windings",
+    "with_antisymmetric",
     "wound",
     "wrapped",
 ]
 
 __getattr__ = renamed(
     __name__,
-    {"contacts_of_their_own": "remove_ghost_echoes", "Following": "TrackingSettings"},
+    {
+        "contacts_of_their_own": "remove_ghost_echoes",
+        "Following": "TrackingSettings",
+        "shortened": "between_bends",
+    },
 )

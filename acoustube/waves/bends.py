@@ -149,8 +149,7 @@ def bend(
     Returns
     -------
     ModalScattering
-        Power-normalised, with both reference planes at the bend's middle, as if the tube were
-        straight: place it there.
+        Power-normalised, with a reference plane at either end of the bend; placed by its middle.
 
     Raises
     ------
@@ -213,8 +212,8 @@ def joined_bends(
         for some in np.array_split(frequency, ceil(len(frequency) / FREQUENCY_BATCH))
     ]
     s = np.concatenate(scattered)
-    return _power_normalised(s, names, bore, air, frequency, radius=radius, lossy=lossy,
-                             length=sum(part.length for part in parts))  # fmt: skip
+    length = sum(part.length for part in parts)
+    return _power_normalised(s, names, bore, air, frequency, radius=radius, length=length)
 
 
 def _power_normalised(
@@ -226,9 +225,8 @@ def _power_normalised(
     *,
     radius: float,
     length: float,
-    lossy: bool,
 ) -> ModalScattering:
-    """Return the power-normalised scattering of some modes about the middle of a bend."""
+    """Return the power-normalised scattering of some modes between the ends of a bend."""
     cut_ons = np.array(
         [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in names]
     )
@@ -236,12 +234,10 @@ def _power_normalised(
     place = mode_places(names, bore)
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
-    waves = wavenumbers(names, frequency, radius, air, lossy=lossy)
     straight = wavenumbers(names, frequency, radius, air, lossy=False)
     # The amplitude is the root of the power, and no power propagates below cut-on.
     size = np.where(propagates, np.sqrt(np.abs(straight)), 0.0)
-    inverse = np.where(propagates, np.exp(0.5j * waves * length) / np.where(size > 0, size, 1), 0.0)
-    size = size * np.where(propagates, np.exp(0.5j * waves * length), 0.0)
+    inverse = np.where(propagates, 1 / np.where(size > 0, size, 1), 0.0)
     s = size[:, None, :, None, None] * s * inverse[:, None, None, None, :]
     return ModalScattering(
         frequency=frequency,
@@ -251,6 +247,7 @@ def _power_normalised(
         cut_ons=cut_ons,
         sound_speed=air.sound_speed,
         extent=(-length / 2, length / 2),
+        planes=(-length / 2, length / 2),
     )
 
 

@@ -198,14 +198,16 @@ def transfer(
     matrices = [interpolate_scattering(press.scattering, frequency) for press in presses]
     waves = wavenumbers(modes, frequency, radius, air, lossy=lossy)
     places = np.array([press.position for press in presses])
-    lengths = np.diff([0.0, *places, length])
+    planes = np.array([press.scattering.planes for press in presses]).reshape(-1, 2)
+    edges = np.hstack([0.0, (places[:, None] + planes).ravel(), length]).reshape(-1, 2)
+    lengths = edges[:, 1] - edges[:, 0]
     loads = _load_reflections(matrices, waves, lengths, far_reflection)
     plane = modes.index("00")
     forward = _forward_waves(matrices, waves, lengths, loads, source_reflection, plane)
     pressure = np.zeros((len(probes), len(frequency)), complex)
     for i, probe in enumerate(probes):
         k = int(np.searchsorted(places, probe))
-        ahead = probe - lengths[:k].sum()
+        ahead = probe - edges[k, 0]
         there = _pressure_at(ahead, lengths[k] - ahead, waves, forward[k], loads[k].at_end)
         pressure[i] = there[:, plane]
     return pressure

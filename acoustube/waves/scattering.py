@@ -42,7 +42,10 @@ class ModalScattering:
     sound_speed : float
         In m/s.
     extent : tuple of float
-        Start and end of the part that is not straight, in m from the reference planes.
+        Start and end of the part that is not straight, in m from the position.
+    planes : tuple of float
+        Reference planes of the ports, in m from the position: both there for a press, at its ends
+        for a bend.
     """
 
     frequency: Array
@@ -52,6 +55,7 @@ class ModalScattering:
     cut_ons: Array
     sound_speed: float
     extent: tuple[float, float]
+    planes: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,9 +91,9 @@ class PlacedScatterer:
     Attributes
     ----------
     scattering : ModalScattering
-        With both reference planes at one position; that of a file is z = 0 of its surface.
+        That of a file has both reference planes at the position, z = 0 of its surface.
     position : float
-        Distance of the reference planes from the source end in m.
+        Distance from the source end in m.
     """
 
     scattering: ModalScattering

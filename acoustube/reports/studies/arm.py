@@ -20,7 +20,7 @@ from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE, c
 from acoustube.reports.studies.presses import matrices
 from acoustube.runs.sweep.cycles import seed_of
 from acoustube.signals import Processing
-from acoustube.sleeve import Helix, design, shortened, windings
+from acoustube.sleeve import Helix, between_bends, design, windings
 from acoustube.tube import Tube
 from acoustube.waves.network import at_sound_speed
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer
@@ -145,7 +145,7 @@ def cycles_of(
     """
     press = PlacedScatterer(matrix, place)
     found = record(
-        [*bends, shortened(press, REACH)] if bends else [press], Rangefinder(), radius=RADIUS,
+        [*bends, between_bends(press, REACH)] if bends else [press], Rangefinder(), radius=RADIUS,
         length=LENGTH, temperature=TEMPERATURE, n_cycles=n_cycles, seed=seed_of(tube, name),
         session_seed=tube, tube_seed=TUBE_SEEDS[tube],
     )  # fmt: skip
