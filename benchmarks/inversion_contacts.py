@@ -33,6 +33,8 @@ from acoustube.reports.studies.calibration import calibrated
 from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.wrap import wrap_of
+from acoustube.sleeve import design, wrapped
 from acoustube.waves import PlacedScatterer
 from acoustube.waves.network import at_sound_speed
 
@@ -53,11 +55,16 @@ PARTS = {
 """Ranges of distance in cm and of depth in mm that are told apart."""
 TUBE = 7
 """Seed of the tube's clutter."""
+SLEEVE = 0.26, (0.18, 0.266)
+"""Length in m of a sleeve on a forearm, and girths at its ends."""
 PLACES, DEPTHS, FORMS = (0.3, 1.9), (1.1e-3, 7.9e-3), 24
 """Ranges in m of places and depths, and the number of different depths."""
-FIRST, APART = 0.4, (0.145, 0.6)
-"""Of several presses: range in m of the first place, and of the distances between them; the parts
-of the tube that are scattered are 14 cm long and must not meet."""
+FIRST, APART = 0.4, (0.08, 0.6)
+"""Of several presses: range in m of the first place, and of the distances between them."""
+REACH = 0.03
+"""Half length in m of the part of the tube that a press deforms, where several are recorded."""
+RIGHT = 5e-3, 0.5e-3
+"""Largest errors in m of place and depth of several presses that are told rightly."""
 
 
 CHANGES: dict[str, tuple[dict, dict]] = {
@@ -193,6 +200,37 @@ def summary(path):
             ]
             if part:
                 print(f"  {name}: {'; '.join(in_words(part))}")
+        if int(kind[2]) > 1:
+            together(these)
+
+
+def together(rows):
+    """Print how many recordings of several presses are told rightly, by their distance."""
+    told = {}
+    for row in rows:
+        told.setdefault(row["number"], []).append(row)
+    apart, right, flagged = [], [], []
+    for one in told.values():
+        places = sorted(float(row["true_cm"]) / 100 for row in one)
+        near = [
+            row["found"] == "1"
+            and abs(float(row["cm"]) - float(row["true_cm"])) < 100 * RIGHT[0]
+            and abs(float(row["mm"]) - float(row["true_mm"])) < 1e3 * RIGHT[1]
+            for row in one
+        ]
+        apart.append(min(np.diff(places)))
+        right.append(all(near) and int(one[0]["ghosts"]) == 0)
+        flagged.append(not float(one[0]["misfit"]) <= MISFIT)
+    apart, right, flagged = np.array(apart), np.array(right), np.array(flagged)
+    for low, high in ((0.0, 0.1), (0.1, 0.2), (0.1, 9.0), (0.2, 9.0)):
+        part = (apart >= low) & (apart < high)
+        if part.any():
+            wrong = part & ~right
+            print(
+                f"  nearest {100 * low:.0f} to {100 * min(high, 0.6):.0f} cm apart: "
+                f"{right[part].sum()} of {part.sum()} right; of {wrong.sum()} others "
+                f"{flagged[wrong].sum()} have a misfit over {MISFIT}"
+            )
 
 
 def in_words(part):
@@ -249,13 +287,14 @@ def arguments():
     )
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
+    parser.add_argument("--sleeve", action="store_true", help="wrapped as in the sleeve paper")
     parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
     return parser.parse_args()
 
 
-def recorded(truth, case, device, cycles):
+def recorded(truth, case, device, cycles, sleeve=None):
     """Return the cycles of a case (number, places, depths)."""
     number, places, depths = case
     air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
@@ -264,6 +303,15 @@ def recorded(truth, case, device, cycles):
         PlacedScatterer(at_sound_speed(truth.matrix(depth), speed), place)
         for depth, place in zip(depths, places, strict=True)
     ]
+    if sleeve is not None:
+        placed = wrapped(sleeve, placed, air_at(air), radius=truth.bore / 2, reach=REACH)
+    elif len(placed) > 1:
+        placed = [
+            PlacedScatterer(
+                dataclasses.replace(one.scattering, extent=(-REACH, REACH)), one.position
+            )
+            for one in placed
+        ]
     return record(
         placed, device, n_cycles=cycles, tube_seed=TUBE, seed=1000 + number, temperature=air,
         radius=truth.bore / 2,
@@ -279,7 +327,9 @@ def main():
     factors, settings = CHANGES[given.changed]
     truth = Truth(given.truth, settings)
     exact = {"place": 0.0, "depth": 0.0} if given.truth.startswith("spectral") else {}
-    sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact))
+    sleeve = design(*SLEEVE, loops=9, n_tubes=2)[0] if given.sleeve else None
+    wrap = None if sleeve is None else wrap_of(sleeve)
+    sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact), wrap=wrap)
     usual = Rangefinder()
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
     # The clutter is learned from the sensor and the tube as they are.
@@ -289,12 +339,12 @@ def main():
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
-    name = f"{Path(given.truth).name} {given.changed}".strip()
+    name = " ".join([Path(given.truth).name, given.changed, "sleeve" * given.sleeve]).strip()
     for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
         key = name, str(case[0]), str(given.cycles), str(given.presses)
         if key in there or time.process_time() - began > given.seconds:
             continue
-        data = recorded(truth, case, device, given.cycles)
+        data = recorded(truth, case, device, given.cycles, sleeve)
         air = data["temperature"].values.mean()
         if "thermometer" in given.changed:
             data["temperature"] = data["temperature"] + 1.0

@@ -25,8 +25,9 @@ LARGEST_STEPS = 1.5e-3, 4e-4
 """Largest changes of place and depth in an iteration, in m."""
 CLOSEST = 0.03
 """Smallest distance of two presses in m; their deformed parts meet earlier."""
-RINGING, RINGING_SHARE = 0.5e-3, 0.05
-"""Decay in s, and share, of the model's error after an echo: that of trapped sound."""
+RINGING, RINGING_SHARE = 1.3e-3, 0.003
+"""Decay in s of the power, and share, of the model's error after an echo: that of trapped sound. So
+decays what the spectral and the time-domain solver differ by at a press of 7.5 mm."""
 CONVERGED = 0.02
 """Decrease of the cost in an iteration that ends the iterations."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
@@ -73,6 +74,7 @@ def weights(
     error: float,
     echo: Complex | None,
     spread: float = 0.0,
+    ringing: float = RINGING_SHARE,
 ) -> Weights:
     """Return the weights for the noise of a mean of cycles and a relative error of the model.
 
@@ -88,8 +90,10 @@ def weights(
     spread : float
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
+    ringing : float
+        Share of the model's error after an echo.
     """
-    factor = _factor(model, noise, error, echo, spread)
+    factor = _factor(model, noise, error, echo, spread, ringing)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
     freedom = model.base.freedom
     return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor), spread)
@@ -114,7 +118,12 @@ def deviance_of(
 
 
 def _factor(
-    model: ForwardModel, noise: float, error: float, echo: Complex | None, spread: float
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Complex | None,
+    spread: float,
+    ringing: float = RINGING_SHARE,
 ) -> Complex:
     """Return the Cholesky factor of the covariance."""
     covariance = model.clutter.covariance.copy()
@@ -125,7 +134,7 @@ def _factor(
         power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.time[1] - model.base.time[0]
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
-        diagonal = diagonal + error**2 * (power + RINGING_SHARE * tail)
+        diagonal = diagonal + error**2 * (power + ringing * tail)
     covariance[np.diag_indices(len(diagonal))] += diagonal
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True, check_finite=False))
 
