@@ -114,7 +114,11 @@ def speed(sensor):
             start = time.perf_counter()
             sensor.read(contacts, seed=seed)
             times.append(time.perf_counter() - start)
-        print(f"read, {words} noise: {1e3 * np.quantile(times, 0.1):.2f} ms")
+        print(f"read, {words} noise: {1e3 * np.quantile(times, 0.1):.2f} ms; {resident()}")
+    places = np.cumsum(rng.uniform(0.1, 0.7, (2048, sensor.most_contacts)), axis=1)
+    for words, seed in (("without", None), ("with", 1)):
+        sensor.read_many(places, np.full_like(places, 3e-3), seed=seed)
+        print(f"2048 cycles of read_many, {words} noise: {resident()}")
     for n in range(1, sensor.most_contacts + 1):
         places = np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
         depths = rng.uniform(1e-3, 7e-3, (2048, n))
@@ -128,8 +132,13 @@ def speed(sensor):
                 times.append(time.perf_counter() - start)
             rate = len(places) / min(times)
             print(f"read_many, {n} contacts, {words} noise: {rate:.0f} cycles/s")
+    print(f"tables {sensor.tables.values.nbytes / 1e6:.0f} MB; four sensors: {resident()}")
+
+
+def resident():
+    """Return the largest resident set of the process so far, in words."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"tables {sensor.tables.values.nbytes / 1e6:.0f} MB, largest resident set {peak:.0f} MB")
+    return f"largest resident set {peak:.0f} MB"
 
 
 def main():
@@ -143,7 +152,7 @@ def main():
         accuracy(TubeSensor.from_library(given.folder, QUIET), given.count)
     start = time.process_time()
     sensor = TubeSensor.from_library(given.folder)
-    print(f"sensor made in {time.process_time() - start:.1f} s")
+    print(f"sensor made in {time.process_time() - start:.1f} s; {resident()}")
     if given.only != "accuracy":
         speed(sensor)
 

@@ -1,6 +1,8 @@
 """The fast sensor: its cycles are those of the full chain, alone, in batches and with noise."""
 
 import dataclasses
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -265,3 +267,38 @@ def test_tables_hold_reciprocal_and_mirrored_coefficients_once(sensor):
     different = sensor.tables.values.shape[2]
     assert different < 36 / 2
     assert sensor.tool_library.radius == RADIUS
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the largest resident set from /proc")
+def test_process_with_a_sensor_takes_under_500_mb(tmp_path):
+    """One sensor, a cycle alone and 2048 at once, with noise; 440 to 490 MB when this was written.
+
+    In a process of its own, from arrays: that of the tests has loaded much more.
+    """
+    arrays = dataclasses.asdict(tool())
+    np.savez(tmp_path / "tool.npz", **arrays)
+    code = """
+import sys
+import numpy as np
+from acoustube.inversion import Library, Tool
+from acoustube.sensor import Contact, TubeSensor
+arrays = dict(np.load(sys.argv[1]))
+arrays = {name: one if one.ndim else one.item() for name, one in arrays.items()}
+arrays["modes"] = tuple(map(str, arrays["modes"]))
+sensor = TubeSensor(Library((Tool(**arrays),)))
+sensor.read([Contact(place=0.6, depth=3e-3)], seed=1)
+places = np.linspace(0.1, 2.4, 2048)[:, None]
+sensor.read_many(places, np.full_like(places, 3e-3))
+sensor.read_many(places, np.full_like(places, 3e-3), seed=1)
+print(*sys.modules)
+with open("/proc/self/status") as file:
+    print(*[line.split()[1] for line in file if line.startswith("VmHWM")])
+"""
+    told = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "tool.npz")],
+        capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+    assert not {"pandas", "xarray", "scipy.stats", "numba"} & set(told[0].split())
+    print("PEAK", told[1])
+    assert int(told[1]) < 500e3

@@ -9,12 +9,14 @@ from __future__ import annotations
 import hashlib
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from acoustube.base.writing import write
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MARK = b"acoustube SHA-256 of what precedes\n"
 BLOCK = 1 << 20

@@ -15,7 +15,6 @@ from math import log, pi
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.signal import lfilter
 
 from acoustube.base.types import Array, Index
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -131,6 +130,8 @@ def _factor(
     if echo is not None:
         diagonal = diagonal + (spread * np.abs(echo).max()) ** 2
     if echo is not None and error > 0:
+        from scipy.signal import lfilter  # with the statistics 20 MB, for which a sensor has no use
+
         power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.time[1] - model.base.time[0]
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)

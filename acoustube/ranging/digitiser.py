@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import pi
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
@@ -24,6 +23,9 @@ from acoustube.base.types import Array
 from acoustube.ranging.analogue import response
 from acoustube.ranging.rangefinder import Rangefinder
 from acoustube.waves.scattering import PlacedScatterer
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Numbers = NDArray[np.integer[Any]]
 
@@ -190,6 +192,8 @@ def record(
     ValueError
         As :func:`response`, or if n_cycles < 1 or first_cycle < 0.
     """
+    import xarray as xr  # with pandas 70 MB, which the fast sensor does without
+
     for name, value, least in (("n_cycles", n_cycles, 1), ("first_cycle", first_cycle, 0)):
         if value < least:
             raise ConfigError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import log, pi
 
 import jax
@@ -29,6 +30,8 @@ WRAPAROUND_ATTENUATION = 300.0
 LEFT_OUT, MOST_LEFT_OUT = 5e-5, 3e-4
 """Fraction of the received energy outside the band, and the largest, if the library ends it."""
 
+REFLECTORS_AT_ONCE = 256
+"""Reflectors of the clutter that are computed at once, in double precision."""
 TAPER = 0.1
 """Part of the band over which each end is tapered."""
 
@@ -72,14 +75,14 @@ def assembled(
     waves = np.stack(
         [axial_wavenumber(*mode_numbers(name), damped, library.radius, air) for name in names]
     )
-    clutter = _clutter_beyond(waves[0], r.clutter, length, tube_seed)
+    clutter, whole = _clutter_beyond(waves[0], r.clutter, length, tube_seed)
     scale = r.gain * received[inside] * r.sampling_rate * _taper(int(inside.sum()))
     growth = np.exp(damping * np.arange(r.n_samples) / r.sampling_rate)
-    parted = np.stack([clutter.real, clutter.imag], axis=1)
-    arrays = tables.values, waves.imag, -waves.real / (2 * pi), parted
+    arrays = tables.values, waves.imag, -waves.real / (2 * pi), clutter
     constants = Constants(*map(_float32, arrays))
+    tables = replace(tables, values=np.asarray(constants.presses))  # of one memory, if on the CPU
     end = r.far_reflection * np.exp(-2j * waves[0] * length)
-    untouched = end / (1 - r.face_reflection * end) + clutter[0]
+    untouched = end / (1 - r.face_reflection * end) + whole
     parts = Parts(
         constants, _float32(tables.depths), _float32(tables.diameters),
         jnp.asarray(tables.first, jnp.int32), _pair(untouched), _pair(scale), _float32(growth),
@@ -124,18 +127,27 @@ def _taper(n: int) -> Array:
     return rise * rise[::-1]
 
 
-def _clutter_beyond(wave: Complex, density: float, length: float, seed: int) -> Complex:
-    """Return the echo of the clutter beyond each reflector, (n_reflectors + 1, n_f).
+def _clutter_beyond(
+    wave: Complex, density: float, length: float, seed: int
+) -> tuple[NDArray[np.float32], Complex]:
+    """Return the echo of the clutter beyond each reflector, and that of all, (n_f,).
 
-    That of :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
+    The former's real and imaginary parts, (n_reflectors + 1, 2, n_f). That of
+    :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
     """
+    total: Complex = np.zeros(len(wave), complex)
     if density == 0:
-        return np.zeros((1, len(wave)), complex)
+        return np.zeros((1, 2, len(wave)), np.float32), total
     n = int(length / REFLECTOR_SPACING)
     deviation = np.sqrt(density * REFLECTOR_SPACING)
     reflectors = np.random.default_rng(seed).normal(0.0, deviation, n)
     place = (np.arange(n) + 0.5) * REFLECTOR_SPACING
-    each = reflectors[:, None] * np.exp(-2j * place[:, None] * wave)
-    found = np.zeros((n + 1, len(wave)), complex)
-    found[:-1] = np.cumsum(each[::-1], axis=0)[::-1]
-    return found
+    beyond = np.zeros((n + 1, 2, len(wave)), np.float32)
+    for end in range(n, 0, -REFLECTORS_AT_ONCE):
+        part = slice(max(end - REFLECTORS_AT_ONCE, 0), end)
+        each = reflectors[part, None] * np.exp(-2j * place[part, None] * wave)
+        each[-1] += total
+        found = np.cumsum(each[::-1], axis=0)[::-1]
+        beyond[part, 0], beyond[part, 1] = found.real, found.imag
+        total = found[0]
+    return beyond, total

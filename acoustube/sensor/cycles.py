@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax
@@ -17,6 +19,9 @@ from acoustube.sensor.network import Constants, Pair, Press, echo
 
 AT_ONCE = 8
 """Cycles that are computed at once; more do not fit into the nearest caches."""
+OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": False}
+"""For XLA's compiler: further optimisation makes cycles slower, by a factor of two; the emitters of
+fusions take 90 MB more, and twice the time, to compile them."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +114,6 @@ def changes_of(
     return jnp.fft.irfft(spectrum, shape.period)[:, : shape.n_samples] * parts.growth[None]
 
 
-compiled_changes = jax.jit(
-    changes_of, static_argnums=0, compiler_options={"xla_backend_optimization_level": 1}
-)
-"""Compiled :func:`changes_of`; further optimisation makes it slower, by a factor of two."""
-
-
-@partial(jax.jit, static_argnums=0)
 def counts_of(
     rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
 ) -> jax.Array:
@@ -140,6 +138,32 @@ def counts_of(
     slow = jax.random.normal(drift, (len(counts), 1), jnp.float32)
     counts = counts + per_volt * (r.noise * white + r.drift * slow)
     return jnp.clip(jnp.rint(counts), 0, 2**r.bits - 1) if r.quantised else counts
+
+
+def compiled_changes(
+    shape: Shape, parts: Parts, place: ArrayLike, depth: ArrayLike, diameter: ArrayLike
+) -> jax.Array:
+    """Return :func:`changes_of`, compiled."""
+    return _compiled()[0](shape, parts, place, depth, diameter)
+
+
+def compiled_counts(
+    rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
+) -> jax.Array:
+    """Return :func:`counts_of`, compiled."""
+    return _compiled()[1](rangefinder, untouched, changes, key)
+
+
+@cache
+def _compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
+    """Return the compiled functions, with those of the options that this version of XLA knows."""
+    known = {}
+    for name, value in OPTIONS.items():
+        with suppress(jax.errors.JaxRuntimeError):
+            jax.jit(jnp.negative, compiler_options={name: value})(np.float32(0))
+            known[name] = value
+    compiled = partial(jax.jit, static_argnums=0, compiler_options=known)
+    return compiled(changes_of), compiled(counts_of)
 
 
 @partial(

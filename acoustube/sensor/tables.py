@@ -101,23 +101,25 @@ def press_tables(
             "have one shape and different diameters"
         )
     number, kept = _different(tools)
-    rows, depths, forces, splines = [], [], [], []
+    plane = int(number[0, 0, 0, 0])
+    rows, depths, forces, reflections = [], [], [], []
     for tool in tools:
         nodes = np.concatenate([[0.0], tool.depth])
-        spline = CubicSpline(nodes, _at_frequencies(tool, kept, frequency, stretch))
-        splines.append(spline)
-        found = _refined(spline, nodes, number, tolerance)
-        value = spline(found)
-        rows.append(np.stack([value.real, value.imag], axis=1).astype(np.float32))
+        columns = _at_frequencies(tool, kept, frequency, stretch)
+        splines = [CubicSpline(nodes, column) for column in columns]
+        reflections.append(splines[plane])
+        found = _refined(splines, nodes, plane, tolerance)
         depths.append(found)
+        rows.append(_rows(splines, found))
         shallow = found < tool.depth[0]
         rising = np.where(shallow, tool.force[0] * found / tool.depth[0],
                           tool.force_at(np.maximum(found, tool.depth[0])))  # fmt: skip
         forces.append(np.maximum.accumulate(rising))
     return PressTables(
-        values=np.concatenate(rows), number=number, depths=_padded(depths), forces=_padded(forces),
+        values=rows.pop() if len(rows) == 1 else np.concatenate(rows),
+        number=number, depths=_padded(depths), forces=_padded(forces),
         first=np.cumsum([0, *(len(d) for d in depths[:-1])]), diameters=diameters,
-        between=_error_between(splines, depths, diameters, int(number[0, 0, 0, 0])),
+        between=_error_between(reflections, depths, diameters),
     )  # fmt: skip
 
 
@@ -141,45 +143,55 @@ def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
 
 
 def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: float) -> Complex:
-    """Return the different coefficients with those of the untouched tube first, (n, u, n_f)."""
+    """Return the different coefficients with those of the untouched tube first, (u, n, n_f)."""
     m = min(len(tool.modes), MOST_MODES)
     s = tool.s[:, :, :, :m, :, :m]
-    untouched = np.zeros((1, *s.shape[1:]), complex)
+    untouched = np.zeros(s.shape[1:], s.dtype)
     for mode in range(m):
         propagates = np.any(s[:, :, :, mode] != 0, axis=(0, 2, 3, 4))
         for port in (0, 1):
-            untouched[0, :, port, mode, 1 - port, mode] = propagates
-    columns = np.concatenate([untouched, s]).reshape(len(s) + 1, len(tool.frequency), -1)[..., kept]
+            untouched[:, port, mode, 1 - port, mode] = propagates
     speed = stretch * tool.sound_speed
     cut_ons = [cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in tool.modes]
-    whole = ModalScattering(
-        frequency=tool.frequency * stretch, modes=tool.modes[:m],
-        s=np.moveaxis(columns, 1, 0), propagates=np.ones((len(tool.frequency), m), bool),
-        cut_ons=np.array(cut_ons[:m]), sound_speed=speed, extent=(0.0, 0.0),
-    )  # fmt: skip
-    return np.moveaxis(interpolate_scattering(whole, frequency), 0, -1)
+    found = np.empty((len(kept), len(s) + 1, len(frequency)), complex)
+    for row, place in zip(found, kept, strict=True):  # one by one, for a tenth of the memory
+        o, i, p, j = map(int, np.unravel_index(place, s.shape[2:]))
+        column = np.column_stack([untouched[:, o, i, p, j], s[:, :, o, i, p, j].T])
+        one = ModalScattering(
+            frequency=tool.frequency * stretch, modes=tool.modes[:m],
+            s=column.astype(complex), propagates=np.ones((len(tool.frequency), m), bool),
+            cut_ons=np.array(cut_ons[:m]), sound_speed=speed, extent=(0.0, 0.0),
+        )  # fmt: skip
+        row[:] = interpolate_scattering(one, frequency).T
+    return found
 
 
-def _refined(
-    spline: CubicSpline, nodes: Array, number: NDArray[np.int64], tolerance: float
-) -> Array:
+def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: float) -> Array:
     """Return the nodes and depths between them, so that linear interpolation meets the tolerance.
 
     The error of a chord across an interval is that at its middle; it falls with the square of the
     number of parts.
     """
-    middle = (nodes[1:] + nodes[:-1]) / 2
-    ends, exact = spline(nodes), spline(middle)
-    off = _rms((ends[1:] + ends[:-1]) / 2 - exact)
-    size = np.ones_like(off)
-    plane = number[0, 0, 0, 0]
-    size[:, plane] = np.maximum(_rms(exact)[:, plane], 1e-6)
-    parts = np.ceil(np.sqrt((off / size).max(axis=1) / tolerance)).astype(int)
+    middle, worst = (nodes[1:] + nodes[:-1]) / 2, np.zeros(len(nodes) - 1)
+    for i, spline in enumerate(splines):
+        ends, exact = spline(nodes), spline(middle)
+        size = np.maximum(_rms(exact), 1e-6) if i == plane else 1.0
+        worst = np.maximum(worst, _rms((ends[1:] + ends[:-1]) / 2 - exact) / size)
+    parts = np.ceil(np.sqrt(worst / tolerance)).astype(int)
     parts = np.clip(parts, 1, MOST_PARTS)
     pieces = [
         a + (b - a) * np.arange(n) / n for a, b, n in zip(nodes[:-1], nodes[1:], parts, strict=True)
     ]
     return np.concatenate([*pieces, nodes[-1:]])
+
+
+def _rows(splines: list[CubicSpline], depths: Array) -> NDArray[np.float32]:
+    """Return real and imaginary parts at a tool's depths, (n_rows, 2, n_different, n_f)."""
+    values = np.empty((len(depths), 2, len(splines), splines[0].c.shape[-1]), np.float32)
+    for i, spline in enumerate(splines):
+        found = spline(depths)
+        values[:, 0, i], values[:, 1, i] = found.real, found.imag
+    return values
 
 
 def _rms(values: Complex) -> Array:
@@ -196,14 +208,14 @@ def _padded(arrays: list[Array]) -> Array:
 
 
 def _error_between(
-    splines: list[CubicSpline], depths: list[Array], diameters: Array, plane: int
+    reflections: list[CubicSpline], depths: list[Array], diameters: Array
 ) -> Array:
     """Return the error of each tool's reflection interpolated between those of its neighbours."""
-    found = np.full(len(splines), np.nan)
-    for i in range(1, len(splines) - 1):
+    found = np.full(len(reflections), np.nan)
+    for i in range(1, len(reflections) - 1):
         deepest = min(depths[j][-1] for j in (i - 1, i, i + 1))
         d = depths[i][(depths[i] > 0) & (depths[i] <= deepest)]
-        low, exact, high = (splines[j](d)[:, plane] for j in (i - 1, i, i + 1))
+        low, exact, high = (reflections[j](d) for j in (i - 1, i, i + 1))
         w = (diameters[i] - diameters[i - 1]) / (diameters[i + 1] - diameters[i - 1])
         found[i] = np.max(_rms((1 - w) * low + w * high - exact) / _rms(exact))
     return found

@@ -40,10 +40,10 @@ from acoustube.sensor.contacts import (
     diameter_of,
     force_at,
 )
-from acoustube.sensor.cycles import CycleModel, compiled_changes, counts_of
+from acoustube.sensor.cycles import CycleModel, compiled_changes, compiled_counts
 
-BATCH = 256
-"""Cycles of a compiled batch, which one core computes."""
+BATCH = 128
+"""Cycles of a compiled batch, which one core computes in 15 MB."""
 
 
 class TubeSensor:
@@ -246,7 +246,7 @@ class TubeSensor:
             missing = ((0, BATCH - (part.stop - part.start)), (0, 0))
             block = [np.pad(a[part], missing) for a in given]
             changes = compiled_changes(self._shape, self._parts, *block)
-            counts = counts_of(self.rangefinder, self.model.untouched, changes, key)
+            counts = compiled_counts(self.rangefinder, self.model.untouched, changes, key)
             found[part] = counts[: part.stop - part.start]
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:

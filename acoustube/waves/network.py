@@ -334,17 +334,24 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
     steps = np.diff(frequency)
     if n < 2 or np.ptp(steps.real) > 1e-9 * steps[0].real or np.any(steps.imag != 0):
         return np.asarray(np.exp(-2j * pi * np.outer(frequency, time)) @ response, complex)
-    # Imports the statistics too, a fifth of a second, which a press alone does not need.
-    from scipy.signal import CZT
-
     rate = time[1] - time[0]
-    transform = CZT(
-        len(time), n, w=np.exp(-2j * pi * steps[0].real * rate),
-        a=np.exp(2j * pi * frequency[0] * rate),
-    )  # fmt: skip
-    return np.asarray(
-        transform(response, axis=0) * np.exp(-2j * pi * frequency * time[0])[:, None], complex
-    )
+    ratio, first = np.exp(-2j * pi * steps[0].real * rate), np.exp(2j * pi * frequency[0] * rate)
+    sums = _chirp_z(response, n, ratio, first)
+    return np.asarray(sums * np.exp(-2j * pi * frequency * time[0])[:, None], complex)
+
+
+def _chirp_z(columns: Complex, n: int, ratio: complex, first: complex) -> Complex:
+    """Return the z-transforms of columns at ``first ratio^-k`` for k from 0 to n - 1.
+
+    SciPy's, without the memory and the time that importing its signals with the statistics takes.
+    """
+    n_in = len(columns)
+    chirp = ratio ** (np.arange(max(n, n_in)) ** 2 / 2)
+    size = next_fast_len(n_in + n - 1)
+    weighted = columns * (first ** -np.arange(n_in) * chirp[:n_in])[:, None]
+    kernel = np.fft.fft(1 / np.concatenate([chirp[n_in - 1 : 0 : -1], chirp[:n]]), size)
+    convolved = np.fft.ifft(kernel[:, None] * np.fft.fft(weighted, size, axis=0), axis=0)
+    return np.asarray(convolved[n_in - 1 : n_in + n - 1] * chirp[:n, None])
 
 
 def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScattering:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child, limits
 from acoustube.base.foreign.documents import parsed
 from acoustube.base.netcdf import Seal, seal_of
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FAILURE = "cannot be read as a result"
 
@@ -40,6 +41,8 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
 
 def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
     """Return a result in memory, checked, or raise ConfigError; see :func:`check_result`."""
+    import xarray as xr
+
     check_result(path, advice, failure)
     opening = limits.reading(path, failure, advice)
     with opening, xr.open_dataset(path, engine="h5netcdf") as file:

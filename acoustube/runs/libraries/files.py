@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.limits import reading
-from acoustube.base.foreign.results import open_result
+from acoustube.base.foreign.results import check_result
 from acoustube.base.names import PATH
 from acoustube.base.netcdf import to_netcdf, variable
 from acoustube.base.remnants import ASIDE
@@ -26,6 +25,9 @@ from acoustube.runs.config.tube_in_si import tube_in_si
 from acoustube.runs.provenance import configuration
 
 if TYPE_CHECKING:
+    import h5netcdf
+    import xarray as xr
+
     from acoustube.runs.libraries.plan import ToolPlan
 
 PATTERN = "tool-*.nc"
@@ -60,6 +62,8 @@ def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
 
 def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
     """Return a tool with its coordinates and its origin as a dataset."""
+    import xarray as xr  # which reading does without
+
     dims = "depth frequency port_out mode_out port_in mode_in"
     what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
     real, imaginary = (part.astype(np.float32) for part in (tool.s.real, tool.s.imag))
@@ -98,28 +102,28 @@ def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
     return xr.Dataset(variables, coordinates, origin)
 
 
-def from_dataset(data: xr.Dataset) -> Tool:
-    """Return the tool in a dataset of :func:`to_dataset`.
+def from_file(data: h5netcdf.File) -> Tool:
+    """Return the tool in an open file of :func:`write_tool`.
 
     Raises
     ------
     KeyError, ValueError, TypeError
-        If it is another dataset.
+        If it is another file.
     """
     s = np.empty(data["s_real"].shape, np.complex64)
-    s.real, s.imag = data["s_real"].values, data["s_imag"].values
+    s.real, s.imag = data["s_real"][...], data["s_imag"][...]
     columns: dict[str, Any] = {
-        name: data[name].values.astype(float)
+        name: np.asarray(data[name][...], float)
         for name in ("depth", "frequency", "force", "force_error", "error")
     }
-    between = data["interpolation_error"].values.astype(float)[:-1]
+    between = np.asarray(data["interpolation_error"][...], float)[:-1]
     for name, values in (*columns.items(), ("s", s.view(np.float32)), ("error", between)):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} holds values that are not finite")
+    modes = (m.decode() if isinstance(m, bytes) else str(m) for m in data["mode_in"][...])
     return Tool(
         **columns, s=s, interpolation_error=between,
-        modes=tuple(str(name) for name in data["mode_in"].values),
-        shape=str(data.attrs["shape"]), diameter=float(data.attrs["diameter"]),
+        modes=tuple(modes), shape=str(data.attrs["shape"]), diameter=float(data.attrs["diameter"]),
         radius=float(data.attrs["inner_diameter"]) / 2,
         sound_speed=float(data.attrs["sound_speed"]),
         **_wall(data.attrs.get("configuration")),
@@ -156,6 +160,8 @@ def open_library(path: str | Path) -> Library:
     ConfigError
         If there is none, a file is damaged, or the tools do not go together.
     """
+    import h5netcdf  # not xarray, which takes 75 MB more with pandas
+
     found = Path(path)
     with reading(found, "cannot be opened", ADVICE):  # a folder on the way may be locked
         if not found.exists():
@@ -166,5 +172,7 @@ def open_library(path: str | Path) -> Library:
     tools = []
     for file in files:
         with reading(file, FAILURE, ADVICE):
-            tools.append(from_dataset(open_result(file, ADVICE, FAILURE)))
+            check_result(file, ADVICE, FAILURE)
+            with h5netcdf.File(file, "r") as data:
+                tools.append(from_file(data))
     return Library(tuple(sorted(tools, key=lambda tool: (tool.shape, tool.diameter))))
