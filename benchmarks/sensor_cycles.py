@@ -17,14 +17,8 @@ import resource
 import time
 
 import numpy as np
-from scipy.signal import hilbert
 
-from acoustube.indentation import DepthPath
-from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
-from acoustube.runs import presses
-from acoustube.runs.libraries.build import scattering_at
-from acoustube.runs.libraries.plan import tool_plans
 from acoustube.sensor import Contact, TubeSensor
 from acoustube.waves import PlacedScatterer
 
@@ -35,6 +29,13 @@ QUIET = dataclasses.replace(Rangefinder(), noise=0.0, drift=0.0, quantised=False
 
 def matrices():
     """Return depths off the library's and their scattering, computed or from the cache."""
+    # Imported here, since the memory of a process with a sensor alone is measured too.
+    from acoustube.indentation import DepthPath
+    from acoustube.lumen import pressed_part
+    from acoustube.runs import presses
+    from acoustube.runs.libraries.build import scattering_at
+    from acoustube.runs.libraries.plan import tool_plans
+
     (plan,) = tool_plans({"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}, 0.005)
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
     found = {}
@@ -57,6 +58,8 @@ def transparent(matrix):
 
 def compared(sensor, known, places, depths):
     """Return errors of place in mm, of amplitude and of samples, of the first contact's echo."""
+    from scipy.signal import hilbert
+
     placed = [PlacedScatterer(known[d], z) for z, d in zip(places, depths, strict=True)]
     free = PlacedScatterer(transparent(known[depths[0]]), places[0])
     truth, untouched = (
