@@ -10,6 +10,8 @@ from sphinx_gallery.sorting import ExplicitOrder
 
 import acoustube
 
+GALLERY = os.environ.get("GALLERY", "all")
+"""Scripts that are run: ``all``, which takes minutes; ``short``, the robot's alone; or ``no``."""
 os.environ.setdefault("MPLBACKEND", "agg")
 pyvista.OFF_SCREEN = pyvista.BUILDING_GALLERY = True
 
@@ -22,7 +24,7 @@ extensions = [
     "myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
 ]  # fmt: skip
-if os.environ.get("GALLERY") != "no":
+if GALLERY == "all":
     extensions.append("sphinx.ext.viewcode")  # as many pages again, of sources
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
@@ -55,7 +57,7 @@ EXAMPLES = in_order_of_stages(Path(__file__).parents[1] / "examples")
 sphinx_gallery_conf = {
     "examples_dirs": ["../examples", "verification"],
     "gallery_dirs": ["_generated/gallery", "_generated/verification"],
-    "filename_pattern": "/",
+    "filename_pattern": "/sensor_" if GALLERY == "short" else "/",
     "ignore_pattern": "forearm_markers",
     "within_subsection_order": ExplicitOrder([*EXAMPLES, "*"]),
     "image_scrapers": ("matplotlib", pyvista.Scraper()),
@@ -64,17 +66,17 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "write_computation_times": False,
     "download_all_examples": False,
-    "plot_gallery": os.environ.get("GALLERY") != "no",  # the scripts take minutes
+    "plot_gallery": GALLERY != "no",
 }
 # Packages hand on names of their modules: a short name may have two targets, and either will do.
 suppress_warnings = ["ref.python"]
-if not sphinx_gallery_conf["plot_gallery"]:
+if GALLERY != "all":
     suppress_warnings.append("image.not_readable")  # tests/test_links.py knows the pictures' names
 # Pages of others are looked at with -D linkcheck_ignore= where there is a network.
 linkcheck_ignore = [r"https?://"]
 
 # furo writes the table of contents of all pages into each, which takes longer than the pages do.
-html_theme = "furo" if sphinx_gallery_conf["plot_gallery"] else "basic"
+html_theme = "furo" if GALLERY == "all" else "basic"
 html_title = f"acoustube {release}"
 
 # The storeys from the stages up, in the order of the data; what is not named here comes last.

@@ -131,47 +131,65 @@ print(f"found in {100 * found_share:.0f} % of the cycles; median errors {1e3 * p
 # %%
 # True and found contact, cycle by cycle
 # --------------------------------------
-figure, (scene, echo, line) = plt.subplots(
-    3, 1, figsize=(8, 8), layout="constrained", height_ratios=(2, 1, 1)
-)
+# To scale: the finger touches the tube on the forearm; the line through it is the contact found.
+# Its echo begins at the dotted line; the transducer's resonance and the press itself delay its
+# maximum by 6 to 14 cm.
+figure, panels = plt.subplot_mosaic(
+    [["scene", "scene"], ["echo", "echo"], ["place", "force"]],
+    figsize=(8, 8.5), layout="constrained", height_ratios=(2.3, 1, 1),
+)  # fmt: skip
+scene, echo = panels["scene"], panels["echo"]
 quiet = free.mean(axis=0)
 distance = 100 * np.arange(len(quiet)) / sensor.rangefinder.sampling_rate * 343.2 / 2
 heard = (distance > 100 * SOURCE) & (distance < 100 * LENGTH)
-(bone,) = scene.plot([], [], lw=18, color="0.8", solid_capstyle="round")
-(tube,) = scene.plot([], [], lw=5, color="C0", alpha=0.6, label="tube")
-(tip,) = scene.plot([], [], "o", ms=18, color="C1", label="finger")
-(mark,) = scene.plot([], [], "v", ms=9, color="C3", label="contact found")
-scene.set(xlim=(-0.1, 1.0), ylim=(-0.3, 0.4), aspect="equal", xlabel="x (m)", ylabel="z (m)")
-scene.legend(loc="upper right", markerscale=0.5)
+ends = np.array([[0, 0, 0], [0.7, 0, 0]])
+bone = scene.add_patch(plt.Polygon(ends[:, [0, 2]], color="0.8", label="forearm"))
+tube = scene.add_patch(plt.Polygon(ends[:, [0, 2]], color="C0", label="tube"))
+tip = scene.add_patch(plt.Circle((0, 0), 0.0125, color="C1", label="finger"))
+(mark,) = scene.plot([], [], lw=1.5, color="C3", label="contact found")
+scene.set(xlim=(-0.06, 0.8), ylim=(-0.3, 0.3), aspect="equal", xlabel="x (m)", ylabel="z (m)")
+scene.legend(loc="upper left", ncols=4)
 change = np.stack([frame[3] - quiet for frame in frames])[:, heard]
 change -= np.median(change, axis=1, keepdims=True)  # the slow drift of the offset
 (wave,) = echo.plot(distance[heard], change[0], lw=0.7)
-where = echo.axvline(0, color="C3", ls=":")
+where = echo.axvline(0, color="C3", ls=":", label="contact found")
 largest = 1.1 * np.abs(change).max()
-echo.set(xlabel="distance along the tube (cm)", ylabel="counts", xlim=(25, 100))
+echo.set(xlabel="distance along the tube (cm)", ylabel="ADC counts", xlim=(25, 100))
 echo.set(ylim=(-largest, largest), title="cycle, less the untouched tube's")
-line.plot(times, forces, color="C1", label="true")
-line.plot(times, told[:, 1], ".", color="C3", label="found")
-now = line.axvline(0, color="0.5", lw=0.8)
-line.set(xlabel="time (s)", ylabel="force (N)")
-line.legend(loc="upper right")
+echo.legend(loc="upper right")
+lines = []
+for name, true, found, unit in (
+    ("place", 100 * places, 100 * told[:, 0], "cm"), ("force", forces, told[:, 1], "N"),
+):  # fmt: skip
+    panels[name].plot(times, true, color="C1", label="true")
+    panels[name].plot(times, found, ".", color="C3", label="found")
+    panels[name].set(xlabel="time (s)", ylabel=f"{name} ({unit})")
+    lines.append(panels[name].axvline(0, color="0.5", lw=0.8))
+panels["force"].set_ylim(0, 1.2 * forces.max())
+panels["place"].legend(loc="lower right")
+
+
+def band(low, high, elbow, turn):
+    """Return the corners of a bar along the forearm, between two heights over its axis in m."""
+    corners = np.array([[0, 0, low], [0.7, 0, low], [0.7, 0, high], [0, 0, high]])
+    return (elbow + corners @ turn.T)[:, [0, 2]]
 
 
 def draw(i):
     """Draw one cycle."""
     (elbow, hand), turn = frames[i][5]
-    ends = elbow + np.array([[0, 0, 0], [0.7, 0, 0]]) @ turn.T
-    bone.set_data(ends[:, 0], ends[:, 2])
-    above = ends + turn[:, 2] * 0.035
-    tube.set_data(above[:, 0], above[:, 2])
-    tip.set_data([hand[0]], [hand[2]])
-    point = elbow + turn @ (told[i, 0] - SOURCE, 0, 0.075)
-    mark.set_data([point[0]], [point[2]])
+    bone.set_xy(band(-0.03, 0.03, elbow, turn))
+    tube.set_xy(band(0.0295, 0.0405, elbow, turn))
+    tip.center = hand[0], hand[2]
+    across = np.array([[told[i, 0] - SOURCE, 0, height] for height in (0.02, 0.1)])
+    mark.set_data(*(elbow + across @ turn.T)[:, [0, 2]].T)
     wave.set_ydata(change[i])
     where.set_xdata([100 * told[i, 0]] * 2)
-    now.set_xdata([times[i]] * 2)
+    for line in lines:
+        line.set_xdata([times[i]] * 2)
 
 
-draw(len(frames) // 2)
-animation = FuncAnimation(figure, draw, frames=len(frames), interval=1e3 / rate)
+draw(int(forces.argmax()))  # the picture that the gallery shows
+every = range(0, len(frames), 2)
+animation = FuncAnimation(figure, draw, frames=every, interval=2e3 / rate)
 plt.show()
