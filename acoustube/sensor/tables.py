@@ -207,9 +207,7 @@ def _padded(arrays: list[Array]) -> Array:
     return found
 
 
-def _error_between(
-    reflections: list[CubicSpline], depths: list[Array], diameters: Array
-) -> Array:
+def _error_between(reflections: list[CubicSpline], depths: list[Array], diameters: Array) -> Array:
     """Return the error of each tool's reflection interpolated between those of its neighbours."""
     found = np.full(len(reflections), np.nan)
     for i in range(1, len(reflections) - 1):
