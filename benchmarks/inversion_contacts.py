@@ -34,7 +34,7 @@ from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
-from acoustube.sleeve import design, wrapped
+from acoustube.sleeve import design, windings, wrapped
 from acoustube.waves import PlacedScatterer
 from acoustube.waves.network import at_sound_speed
 
@@ -318,6 +318,15 @@ def recorded(truth, case, device, cycles, sleeve=None):
     )  # fmt: skip
 
 
+def untouched(sleeve, truth):
+    """Return the bends of a wrapped tube without presses."""
+    like = truth.matrix(truth.depths()[0])
+    return windings(
+        sleeve, air_at(20.0), like.frequency, [], reach=REACH, radius=truth.bore / 2,
+        modes=like.modes,
+    )  # fmt: skip
+
+
 def main():
     """Record and invert what the file lacks, and print the summary."""
     given, began = arguments(), time.process_time()
@@ -333,7 +342,8 @@ def main():
     usual = Rangefinder()
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
     # The clutter is learned from the sensor and the tube as they are.
-    free = record([], device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0,
+    bends = [] if sleeve is None else untouched(sleeve, truth)
+    free = record(bends, device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0,
                   radius=truth.bore / 2)  # fmt: skip
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])

@@ -12,14 +12,11 @@ from __future__ import annotations
 from dataclasses import replace
 from math import sqrt
 
-from acoustube.inversion.fit import evidence, maximise, split, weights
+from acoustube.inversion.fit import evidence, maximise, modelled, weights
 from acoustube.inversion.hypotheses import Builder, Hypothesis
 
 SAMPLES = 10
 """Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
-RINGING = 0.05
-"""Share of the error after an echo, see :func:`acoustube.inversion.fit.weights`: larger than in fits,
-as a press more is sought where the others' trapped sound rings."""
 LARGEST = 0.1
 """Largest error of the model that is allowed for: a larger one stands for presses not found yet."""
 ITERATIONS = 6
@@ -45,9 +42,8 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     """
     error = sqrt(SAMPLES) * min(fewer.error, LARGEST)
     model = builder.model
-    untouched = model.without_presses(split(fewer.best[None])[2])[0]
-    echo = builder.modelled(fewer.tools, fewer.best) - untouched
-    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread, RINGING)
+    _, echo, damped = modelled(model, fewer.tools, fewer.best)
+    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread, damped)
     deviance = []
     for one in (fewer, more):
         start = one.fits.parameters[:1]

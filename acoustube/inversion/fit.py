@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import log, pi
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -24,9 +25,8 @@ LARGEST_STEPS = 1.5e-3, 4e-4
 """Largest changes of place and depth in an iteration, in m."""
 CLOSEST = 0.03
 """Smallest distance of two presses in m; their deformed parts meet earlier."""
-RINGING, RINGING_SHARE = 1.3e-3, 0.003
-"""Decay in s of the power, and share, of the model's error after an echo: that of trapped sound. So
-decays what the spectral and the time-domain solver differ by at a press of 7.5 mm."""
+RINGING, RINGING_SHARE = 0.5e-3, 0.05
+"""Decay in s, and share, of the model's error after an echo: that of trapped sound."""
 CONVERGED = 0.02
 """Decrease of the cost in an iteration that ends the iterations."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
@@ -73,7 +73,7 @@ def weights(
     error: float,
     echo: Complex | None,
     spread: float = 0.0,
-    ringing: float = RINGING_SHARE,
+    damped: Complex | None = None,
 ) -> Weights:
     """Return the weights for the noise of a mean of cycles and a relative error of the model.
 
@@ -89,13 +89,42 @@ def weights(
     spread : float
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
-    ringing : float
-        Share of the model's error after an echo.
+    damped : ndarray or None
+        Change of the baseband by an error of the losses, one standard deviation, (n_time,).
     """
-    factor = _factor(model, noise, error, echo, spread, ringing)
+    factor = _factor(model, noise, error, echo, spread, damped)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
     freedom = model.base.freedom
     return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor), spread)
+
+
+class Modelled(NamedTuple):
+    """Baseband of a set of parameters, all (n_time,).
+
+    Attributes
+    ----------
+    value : ndarray
+    echo : ndarray
+        The part of it that presses cause.
+    damped : ndarray
+        Its change by an error of the losses in the presses, one standard deviation. Sound that is
+        trapped decays by a few per cent of itself faster or slower, which after some milliseconds
+        is more than any error in proportion to the echo. It is linear in the decay: frequencies
+        become complex, and the change is that by their stretch, times the imaginary unit.
+    """
+
+    value: Complex
+    echo: Complex
+    damped: Complex
+
+
+def modelled(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Modelled:
+    """Return the baseband of parameters (n_parameters,)."""
+    places, depths, nuisances = split(parameters[None])
+    value, jacobian = (part[0] for part in model.baseband(tools, places, depths, nuisances))
+    echo = value - model.without_presses(nuisances)[0]
+    stretched = jacobian[2 * len(tools) + NUISANCES.index("stretch")]
+    return Modelled(value, echo, 1j * model.priors.damping * stretched)
 
 
 def deviance_of(
@@ -105,12 +134,13 @@ def deviance_of(
     echo: Complex,
     spread: float,
     residual: Complex,
+    damped: Complex | None = None,
 ) -> float:
     """Return minus twice the log likelihood of a residual, with the arguments of :func:`weights`.
 
     But for a constant.
     """
-    factor = _factor(model, noise, error, echo, spread)
+    factor = _factor(model, noise, error, echo, spread, damped)
     white = solve_triangular(factor, residual, lower=True, check_finite=False)
     deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * _log_determinant(factor)
     return float(model.base.freedom) * deviance
@@ -122,7 +152,7 @@ def _factor(
     error: float,
     echo: Complex | None,
     spread: float,
-    ringing: float = RINGING_SHARE,
+    damped: Complex | None,
 ) -> Complex:
     """Return the Cholesky factor of the covariance."""
     covariance = model.clutter.covariance.copy()
@@ -135,8 +165,10 @@ def _factor(
         power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.time[1] - model.base.time[0]
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
-        diagonal = diagonal + error**2 * (power + ringing * tail)
+        diagonal = diagonal + error**2 * (power + RINGING_SHARE * tail)
     covariance[np.diag_indices(len(diagonal))] += diagonal
+    if damped is not None:
+        covariance += np.outer(damped, damped.conj())
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True, check_finite=False))
 
 

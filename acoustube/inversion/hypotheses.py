@@ -22,6 +22,7 @@ from acoustube.inversion.fit import (
     evidence,
     joined,
     maximise,
+    modelled,
     split,
     weights,
 )
@@ -166,8 +167,11 @@ class Builder:
         if 0 < known.error <= SEARCHED:
             return known
         error = min(known.error, SEARCHED) or SEARCHED
-        echo = self._echo(known.tools, known.best)[1] if known.tools else None
-        return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
+        echo = damped = None
+        if known.tools:
+            _, echo, damped = modelled(self.model, known.tools, known.best)
+        whiten = weights(self.model, self.noise, error, echo, damped=damped)
+        return replace(known, whiten=whiten, error=error)
 
     def extended(self, known: Hypothesis, near: float | None = None) -> list[Hypothesis]:
         """Return hypotheses with one press more.
@@ -341,30 +345,23 @@ class Builder:
 
     def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
         """Return the most likely error of the model for given parameters, and its weights."""
-        value, echo = self._echo(tools, parameters)
+        value, echo, damped = modelled(self.model, tools, parameters)
         rest = self.samples - value
 
         def judged(error: float, spread: float) -> tuple[float, float, float]:
-            return (
-                deviance_of(self.model, self.noise, error, echo, spread, rest), error, spread
-            )  # fmt: skip
+            what = self.model, self.noise, error, echo, spread
+            return deviance_of(*what, rest, damped), error, spread
 
         best = min(judged(error, 0.0) for error in ERRORS)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         wider = [judged(error, spread) for error in sorted(errors) for spread in SPREADS]
         _, error, spread = min([best, *wider])
-        return error, weights(self.model, self.noise, error, echo, spread)
-
-    def _echo(self, tools: tuple[int, ...], parameters: Array) -> tuple[Complex, Complex]:
-        """Return the baseband of parameters, and its part that presses cause, (n_time,)."""
-        places, depths, nuisances = split(parameters[None])
-        value = self.model.baseband(tools, places, depths, nuisances)[0][0]
-        return value, value - self.model.without_presses(nuisances)[0]
+        return error, weights(self.model, self.noise, error, echo, spread, damped)
 
     def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:
         """Return the baseband of parameters (n_parameters,), (n_time,)."""
-        return self._echo(tools, parameters)[0]
+        return modelled(self.model, tools, parameters).value
 
     def residual_of(self, known: Hypothesis) -> Complex:
         """Return the samples without what a hypothesis explains, (n_time,)."""
@@ -375,7 +372,7 @@ class Builder:
     ) -> Hypothesis:
         """Return the hypothesis of fits with its evidence."""
         deviance = float(evidence(self.model, tools, fits, whiten)[0])
-        value, _ = self._echo(tools, fits.parameters[0])
+        value = self.modelled(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
         return Hypothesis(tools, fits, error, whiten, deviance, residual)

@@ -39,6 +39,10 @@ class Priors:
         Of the transducer, relative. Defaults 0.001 and 0.03.
     stretch : float
         Of frequency in the presses, relative: errors of the bore and of the solver. Default 0.002.
+    damping : float
+        Of the decay of the sound in the presses, relative to frequency: errors of the losses, by an
+        eighth of those of trapped sound. No parameter, but a part of the model's error. Default
+        0.0004.
     thermometer : float
         Of the error in K that the thermometer has in all recordings, also in those of the untouched
         tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
@@ -54,13 +58,14 @@ class Priors:
     resonance: float = 1e-3
     quality_factor: float = 0.03
     stretch: float = 2e-3
+    damping: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.08e-3
     depth: float = 0.05e-3
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
-        rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
+        rules = dict.fromkeys((*NUISANCES, "damping"), Number(1e-9, 100.0))
         offset = Number(0, 0.01, "m")
         check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset)
 
