@@ -335,7 +335,9 @@ def main():
         return
     factors, settings = CHANGES[given.changed]
     truth = Truth(given.truth, settings)
-    exact = {"place": 0.0, "depth": 0.0} if given.truth.startswith("spectral") else {}
+    exact = {}
+    if given.truth.startswith("spectral"):
+        exact = {"place": 0.0, "depth": 0.0, "losses": 0.0}
     sleeve = design(*SLEEVE, loops=9, n_tubes=2)[0] if given.sleeve else None
     wrap = None if sleeve is None else wrap_of(sleeve)
     sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact), wrap=wrap)

@@ -16,10 +16,11 @@ from acoustube.inversion import (
     Library,
     Priors,
     Tool,
+    baseband_of,
     measured_clutter,
 )
 from acoustube.inversion.coupled_network import coupled_echo
-from acoustube.inversion.fit import Weights, restricted_deviance
+from acoustube.inversion.fit import Weights, deviance_of, echo_of, restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.quantiser import linearised
@@ -460,3 +461,38 @@ def test_foreign_recording_or_sensor_is_one_sentence(folder, tmp_path, name, sen
 def test_library_of_tubes_of_two_bores_is_refused():
     with pytest.raises(ValueError, match="one library for each"):
         Library((tool(), dataclasses.replace(tool(), radius=5e-3)))
+
+
+@pytest.mark.parametrize(
+    "rangefinder", [Rangefinder(), Rangefinder(sampling_rate=80e3, n_samples=1600, lead=0.0)],
+    ids=["complex", "folded"],
+)  # fmt: skip
+def test_error_of_the_losses_is_an_imaginary_part_of_frequency_in_the_presses(rangefinder):
+    """By differences of basebands with presses at complex frequencies."""
+    base = baseband_of(rangefinder, RADIUS, 2.5, 20.0, MODES)
+    step, depth = 1e-5, tool().depth
+    given = (0,), np.array([[0.7]]), np.array([[5.03e-3]]), np.zeros((1, 6))
+    more, less = (
+        ForwardModel(Library((tool(s=matrices(depth, FREQUENCY * (1 + 1j * sign * step))),)), base)
+        for sign in (1, -1)
+    )
+    difference = (more.baseband(*given)[0][0] - less.baseband(*given)[0][0]) / (2 * step)
+    derivative = (more.by_losses(*given)[0] + less.by_losses(*given)[0]) / 2
+    # The table's spline over frequency, every 100 Hz.
+    assert np.abs(derivative - difference).max() < 3e-3 * np.abs(difference).max()
+
+
+def test_losses_take_an_error_of_the_decay_out_of_the_likelihood(model):
+    """A baseband that is off by one deviation of the losses is about as likely as an exact one."""
+    parameters = np.array([0.7, 5.03e-3, *np.zeros(6)])
+    echo = echo_of(model, (0,), parameters)
+    size = float(np.abs(echo.by_losses).max())
+    assert size > 0.003 * np.abs(echo.value).max()
+    noise = (0.02 * size) ** 2
+    off = [
+        deviance_of(model, noise, 0.0, one, 0.0, echo.by_losses)
+        - deviance_of(model, noise, 0.0, one, 0.0, 0 * echo.value)
+        for one in (echo, echo._replace(by_losses=None))
+    ]
+    assert off[0] == pytest.approx(2.0, rel=0.02)  # one standard deviation, of a circular error
+    assert off[1] > 100 * off[0]

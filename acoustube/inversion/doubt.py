@@ -12,13 +12,14 @@ from __future__ import annotations
 from dataclasses import replace
 from math import sqrt
 
-from acoustube.inversion.fit import evidence, maximise, modelled, weights
+from acoustube.inversion.fit import echo_of, evidence, maximise, weights
 from acoustube.inversion.hypotheses import Builder, Hypothesis
 
 SAMPLES = 10
 """Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
-LARGEST = 0.1
-"""Largest error of the model that is allowed for: a larger one stands for presses not found yet."""
+LEAST, LARGEST = 0.02, 0.1
+"""Least and largest error of the model that are allowed for: two solvers, or meshes, differ by the
+least near closure; an error over the largest stands for presses not found yet."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
@@ -40,10 +41,10 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         `more`, whose deviance is the larger one of its own and that of `fewer` less the gain of
         evidence with the weights stated above.
     """
-    error = sqrt(SAMPLES) * min(fewer.error, LARGEST)
+    error = sqrt(SAMPLES) * min(max(fewer.error, LEAST), LARGEST)
     model = builder.model
-    _, echo, damped = modelled(model, fewer.tools, fewer.best)
-    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread, damped)
+    echo = echo_of(model, fewer.tools, fewer.best)
+    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)
     deviance = []
     for one in (fewer, more):
         start = one.fits.parameters[:1]

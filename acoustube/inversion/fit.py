@@ -71,9 +71,8 @@ def weights(
     model: ForwardModel,
     noise: float,
     error: float,
-    echo: Complex | None,
+    echo: Echo | None,
     spread: float = 0.0,
-    damped: Complex | None = None,
 ) -> Weights:
     """Return the weights for the noise of a mean of cycles and a relative error of the model.
 
@@ -84,63 +83,57 @@ def weights(
         Variance of a sample of the mean of cycles.
     error : float
         Error of the model relative to the echo.
-    echo : ndarray or None
-        Expected echo of the presses in the baseband, (n_time,).
+    echo : Echo or None
+        Expected, of the presses.
     spread : float
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
-    damped : ndarray or None
-        Change of the baseband by an error of the losses, one standard deviation, (n_time,).
     """
-    factor = _factor(model, noise, error, echo, spread, damped)
+    factor = _factor(model, noise, error, echo, spread)
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
     freedom = model.base.freedom
     return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor), spread)
 
 
-class Modelled(NamedTuple):
-    """Baseband of a set of parameters, all (n_time,).
+class Echo(NamedTuple):
+    """What presses cause in a baseband, both (n_time,).
 
     Attributes
     ----------
     value : ndarray
-    echo : ndarray
-        The part of it that presses cause.
-    damped : ndarray
-        Its change by an error of the losses in the presses, one standard deviation. Sound that is
-        trapped decays by a few per cent of itself faster or slower, which after some milliseconds
-        is more than any error in proportion to the echo. It is linear in the decay: frequencies
-        become complex, and the change is that by their stretch, times the imaginary unit.
+    by_losses : ndarray or None
+        Its change by an error of the losses in the presses, one standard deviation. Trapped sound
+        decays faster or slower by it, which after some milliseconds is more than any error in
+        proportion to the echo. None if it is left out.
     """
 
     value: Complex
-    echo: Complex
-    damped: Complex
+    by_losses: Complex | None
 
 
-def modelled(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Modelled:
-    """Return the baseband of parameters (n_parameters,)."""
+def echo_of(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Echo:
+    """Return the echo of presses with parameters (n_parameters,)."""
     places, depths, nuisances = split(parameters[None])
-    value, jacobian = (part[0] for part in model.baseband(tools, places, depths, nuisances))
+    value = model.baseband(tools, places, depths, nuisances)[0][0]
     echo = value - model.without_presses(nuisances)[0]
-    stretched = jacobian[2 * len(tools) + NUISANCES.index("stretch")]
-    return Modelled(value, echo, 1j * model.priors.damping * stretched)
+    if not tools or model.priors.losses == 0:
+        return Echo(echo, None)
+    return Echo(echo, model.priors.losses * model.by_losses(tools, places, depths, nuisances)[0])
 
 
 def deviance_of(
     model: ForwardModel,
     noise: float,
     error: float,
-    echo: Complex,
+    echo: Echo,
     spread: float,
     residual: Complex,
-    damped: Complex | None = None,
 ) -> float:
     """Return minus twice the log likelihood of a residual, with the arguments of :func:`weights`.
 
     But for a constant.
     """
-    factor = _factor(model, noise, error, echo, spread, damped)
+    factor = _factor(model, noise, error, echo, spread)
     white = solve_triangular(factor, residual, lower=True, check_finite=False)
     deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * _log_determinant(factor)
     return float(model.base.freedom) * deviance
@@ -150,25 +143,24 @@ def _factor(
     model: ForwardModel,
     noise: float,
     error: float,
-    echo: Complex | None,
+    echo: Echo | None,
     spread: float,
-    damped: Complex | None,
 ) -> Complex:
     """Return the Cholesky factor of the covariance."""
     covariance = model.clutter.covariance.copy()
     diagonal = np.full(len(covariance), noise)
     if echo is not None:
-        diagonal = diagonal + (spread * np.abs(echo).max()) ** 2
+        diagonal = diagonal + (spread * np.abs(echo.value).max()) ** 2
     if echo is not None and error > 0:
         from scipy.signal import lfilter  # with the statistics 20 MB, for which a sensor has no use
 
-        power = np.convolve(np.abs(echo) ** 2, [0.25, 0.5, 0.25], "same")
+        power = np.convolve(np.abs(echo.value) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.time[1] - model.base.time[0]
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
         diagonal = diagonal + error**2 * (power + RINGING_SHARE * tail)
     covariance[np.diag_indices(len(diagonal))] += diagonal
-    if damped is not None:
-        covariance += np.outer(damped, damped.conj())
+    if echo is not None and echo.by_losses is not None:
+        covariance += np.outer(echo.by_losses, echo.by_losses.conj())
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True, check_finite=False))
 
 

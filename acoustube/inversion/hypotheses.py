@@ -19,10 +19,10 @@ from acoustube.inversion.fit import (
     Fits,
     Weights,
     deviance_of,
+    echo_of,
     evidence,
     joined,
     maximise,
-    modelled,
     split,
     weights,
 )
@@ -167,11 +167,8 @@ class Builder:
         if 0 < known.error <= SEARCHED:
             return known
         error = min(known.error, SEARCHED) or SEARCHED
-        echo = damped = None
-        if known.tools:
-            _, echo, damped = modelled(self.model, known.tools, known.best)
-        whiten = weights(self.model, self.noise, error, echo, damped=damped)
-        return replace(known, whiten=whiten, error=error)
+        echo = echo_of(self.model, known.tools, known.best) if known.tools else None
+        return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
 
     def extended(self, known: Hypothesis, near: float | None = None) -> list[Hypothesis]:
         """Return hypotheses with one press more.
@@ -345,23 +342,24 @@ class Builder:
 
     def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
         """Return the most likely error of the model for given parameters, and its weights."""
-        value, echo, damped = modelled(self.model, tools, parameters)
-        rest = self.samples - value
+        echo = echo_of(self.model, tools, parameters)
+        rest = self.samples - self.modelled(tools, parameters)
 
         def judged(error: float, spread: float) -> tuple[float, float, float]:
             what = self.model, self.noise, error, echo, spread
-            return deviance_of(*what, rest, damped), error, spread
+            return deviance_of(*what, rest), error, spread
 
         best = min(judged(error, 0.0) for error in ERRORS)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         wider = [judged(error, spread) for error in sorted(errors) for spread in SPREADS]
         _, error, spread = min([best, *wider])
-        return error, weights(self.model, self.noise, error, echo, spread, damped)
+        return error, weights(self.model, self.noise, error, echo, spread)
 
     def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:
         """Return the baseband of parameters (n_parameters,), (n_time,)."""
-        return modelled(self.model, tools, parameters).value
+        places, depths, nuisances = split(parameters[None])
+        return self.model.baseband(tools, places, depths, nuisances)[0][0]
 
     def residual_of(self, known: Hypothesis) -> Complex:
         """Return the samples without what a hypothesis explains, (n_time,)."""

@@ -39,10 +39,11 @@ class Priors:
         Of the transducer, relative. Defaults 0.001 and 0.03.
     stretch : float
         Of frequency in the presses, relative: errors of the bore and of the solver. Default 0.002.
-    damping : float
-        Of the decay of the sound in the presses, relative to frequency: errors of the losses, by an
-        eighth of those of trapped sound. No parameter, but a part of the model's error. Default
-        0.0004.
+    losses : float
+        Of the imaginary part of frequency in the presses, relative to frequency: errors of the
+        losses, by which trapped sound decays faster or slower. The rms of a complex error, as its
+        covariance is that of a circular distribution. No parameter, but a part of the model's
+        error. Default 0.0004, an eighth of the losses of trapped sound; 0 if there is none.
     thermometer : float
         Of the error in K that the thermometer has in all recordings, also in those of the untouched
         tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
@@ -58,16 +59,17 @@ class Priors:
     resonance: float = 1e-3
     quality_factor: float = 0.03
     stretch: float = 2e-3
-    damping: float = 4e-4
+    losses: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.08e-3
     depth: float = 0.05e-3
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
-        rules = dict.fromkeys((*NUISANCES, "damping"), Number(1e-9, 100.0))
+        rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
         offset = Number(0, 0.01, "m")
-        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset)
+        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
+                     losses=Number(0, 0.1))  # fmt: skip
 
     @property
     def deviations(self) -> Array:
@@ -165,6 +167,29 @@ class ForwardModel:
             spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
         samples = base.transformed(spectrum)
         return samples[:, 0] + self.clutter.ring, samples[:, 1:]
+
+    def by_losses(
+        self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
+    ) -> Complex:
+        """Return the derivative of the baseband by the imaginary part of frequency in the presses.
+
+        Parameters
+        ----------
+        tools, places, depths, nuisances
+            See :meth:`baseband`.
+
+        Returns
+        -------
+        ndarray
+            Relative to frequency, (n, n_time): the derivative of the spectrum by `stretch`, as an
+            analytic function of frequency, times the imaginary unit.
+        """
+        temperature = nuisances[:, 0]
+        stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
+        found, _ = self._echo(tools, places, depths, temperature, stretch)
+        factor, *_ = self.base.press_gain(nuisances[:, 3:5])
+        turn = np.exp(nuisances[:, 1] + 1j * nuisances[:, 2])[:, None]
+        return self.base.transformed(1j * factor * turn * found.by_stretch)
 
     def _echo(
         self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,

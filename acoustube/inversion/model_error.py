@@ -21,7 +21,7 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import LARGEST, SAMPLES
-from acoustube.inversion.fit import modelled, restricted_deviance, split, weights
+from acoustube.inversion.fit import echo_of, restricted_deviance, split, weights
 from acoustube.inversion.hypotheses import ERRORS, Hypothesis
 from acoustube.inversion.model import ForwardModel
 from acoustube.waves.scattering import Complex
@@ -63,11 +63,11 @@ def discrepancy(
     """
     places, depths, nuisances = split(known.fits.parameters)
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)
-    _, echo, damped = modelled(model, known.tools, known.best)
+    echo = echo_of(model, known.tools, known.best)
     deviance = np.array([
         restricted_deviance(
             model, known.fits.parameters, samples - value, jacobian,
-            weights(model, noise, error, echo, known.whiten.spread, damped),
+            weights(model, noise, error, echo, known.whiten.spread),
         )
         for error in ERRORS
     ])  # fmt: skip
@@ -75,7 +75,7 @@ def discrepancy(
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
     # The error changes an echo as a whole: it tells maxima apart less than its samples would.
     alike = np.sqrt(SAMPLES) * min(float(error[0]), LARGEST)
-    whiten = weights(model, noise, alike, echo, known.whiten.spread, damped)
+    whiten = weights(model, noise, alike, echo, known.whiten.spread)
     level = restricted_deviance(model, known.fits.parameters, samples - value, jacobian, whiten)
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)

@@ -23,7 +23,7 @@ from acoustube.inversion.births import (
 )
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
-from acoustube.inversion.fit import Weights, split, weights
+from acoustube.inversion.fit import Echo, Weights, split, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
     LOST,
@@ -110,7 +110,7 @@ class Track:
         self.model, self.proposals, self.motion, self.most = model, proposals, motion, most
         self.branches, self.quiet = branches, quiet
         self.known: list[Known] = []
-        self.echo: Complex | None = None
+        self.echo: Echo | None = None
         self.error, self.residual, self.score = ERROR, 1.0, 0.0
         self.n_cycles, self.n_bad, self.numbers = 0, 0, 0
         self.rests: deque[Complex] = deque(maxlen=MEAN)
@@ -172,7 +172,7 @@ class Track:
         """
         if self.echo is None:
             return 0.0
-        rest = self.quiet(np.stack([found.rest[0], self.echo]))
+        rest = self.quiet(np.stack([found.rest[0], self.echo.value]))
         power = np.sum(np.abs(rest) ** 2, axis=1)
         expected = self.model.base.freedom * len(cycle.samples)
         return float(np.sqrt(max(power[0] - expected, 0.0) / power[1]))
@@ -182,7 +182,7 @@ class Track:
         own = self.branches.mean[:1, 2 * len(self.known) : self.branches.parameters]
         self.untouched = self.model.without_presses(own)[0]
         explained = cycle.samples - found.rest[0]
-        self.echo = explained - self.untouched if self.known else None
+        self.echo = Echo(explained - self.untouched, None) if self.known else None
 
     def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches after a look for new contacts or for other maxima."""

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError
+from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.sleeve.helix import Helix
 from acoustube.sleeve.ovalisation import ovality
@@ -30,6 +31,9 @@ CLEARANCE = 1e-9
 """Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
+LONGEST_DELAY = 0.36
+"""Largest delay of the plane wave in a bend, in periods of the impulse response that steps of
+frequency resolve: higher modes are slower by up to two times."""
 
 
 def winding(
@@ -50,7 +54,8 @@ def winding(
     helix : Helix
     air : Air
     frequency : array_like
-        In Hz, increasing and evenly spaced: those of the presses, in steps of 100 Hz at most.
+        In Hz, increasing and evenly spaced: those of the presses. A long part is computed at
+        frequencies between these too, see :data:`LONGEST_DELAY`.
     start, stop : float
         Distances from the sensor in m, on the helix.
     radius : float
@@ -71,8 +76,9 @@ def winding(
     -----
     Curvature and torsion are constant over half a turn each; the parts are joined with all their
     modes, evanescent ones too. Over 1.1 m, parts a quarter as long change the coefficients by
-    3e-3 at most, and interpolation between frequencies 100 Hz apart by 6e-3 at most, next to the
-    cut-on of (2,1), and by 3e-4 (rms) for the plane wave.
+    3e-3 at most. Interpolation between frequencies over 28 to 56 kHz changes them by 6e-3 at most,
+    next to the cut-on of (2,1), and that of the plane wave by 3e-4 (rms); within 6 kHz of an end of
+    the band by more.
     """
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):
@@ -88,10 +94,17 @@ def winding(
         Bent(length=length, curvature=float(curvature), torsion=float(torsion), ovality=flat)
         for curvature, torsion in zip(*helix.bend(helix.height(middles)), strict=True)
     ]
-    bent = joined_bends(
-        air, frequency, parts, radius=radius, modes=modes, highest=HIGHEST_WAVENUMBER
-    )
+    grid = _fine_enough(np.asarray(frequency, float), (stop - start) / air.sound_speed)
+    bent = joined_bends(air, grid, parts, radius=radius, modes=modes, highest=HIGHEST_WAVENUMBER)
     return PlacedScatterer(bent, (start + stop) / 2)
+
+
+def _fine_enough(frequency: Array, delay: float) -> Array:
+    """Return even frequencies, with others between them where a delay in s asks for it."""
+    if len(frequency) < 2:
+        return frequency
+    times = ceil(delay * (frequency[1] - frequency[0]) / LONGEST_DELAY)
+    return np.linspace(frequency[0], frequency[-1], times * (len(frequency) - 1) + 1)
 
 
 def windings(

@@ -127,7 +127,8 @@ def common_modes(presses: Sequence[PlacedScatterer]) -> tuple[str, ...]:
             raise ValueError(
                 f"the presses have different modes, {', '.join(modes)} and "
                 f"{', '.join(press.scattering.modes)}; compute their scattering over one band, on "
-                "one grid, and with the same symmetry"
+                "one grid, and with the same symmetry; between bends, place what "
+                "sleeve.between_bends returns"
             )
     return modes
 
