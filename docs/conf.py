@@ -12,6 +12,8 @@ import acoustube
 
 GALLERY = os.environ.get("GALLERY", "all")
 """Scripts that are run: ``all``, which takes minutes; ``short``, the robot's alone; or ``no``."""
+if GALLERY not in ("all", "short", "no"):
+    raise SystemExit(f"GALLERY = {GALLERY} is not known; use all, short or no")
 os.environ.setdefault("MPLBACKEND", "agg")
 pyvista.OFF_SCREEN = pyvista.BUILDING_GALLERY = True
 
@@ -57,7 +59,7 @@ EXAMPLES = in_order_of_stages(Path(__file__).parents[1] / "examples")
 sphinx_gallery_conf = {
     "examples_dirs": ["../examples", "verification"],
     "gallery_dirs": ["_generated/gallery", "_generated/verification"],
-    "filename_pattern": "/sensor_" if GALLERY == "short" else "/",
+    "filename_pattern": "/sensor_what_does_a_robot_feel" if GALLERY == "short" else "/",
     "ignore_pattern": "forearm_markers",
     "within_subsection_order": ExplicitOrder([*EXAMPLES, "*"]),
     "image_scrapers": ("matplotlib", pyvista.Scraper()),

@@ -280,7 +280,8 @@ def test_process_with_a_sensor_takes_under_500_mb(tmp_path):
     arrays = dataclasses.asdict(tool())
     np.savez(tmp_path / "tool.npz", **arrays)
     code = """
-import sys
+import os, sys
+os.sched_setaffinity(0, list(os.sched_getaffinity(0))[:1])
 import numpy as np
 from acoustube.inversion import Library, Tool
 from acoustube.sensor import Contact, TubeSensor

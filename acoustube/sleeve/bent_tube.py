@@ -31,7 +31,7 @@ CLEARANCE = 1e-9
 """Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
-LONGEST_DELAY = 0.36
+LONGEST_DELAY = 0.25
 """Largest delay of the plane wave in a bend, in periods of the impulse response that steps of
 frequency resolve: higher modes are slower by up to two times."""
 
