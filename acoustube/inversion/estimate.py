@@ -27,9 +27,8 @@ from acoustube.waves.scattering import Complex
 LEVELS = 0.68, 0.9
 """Probabilities of the intervals."""
 FEWER = 2 * log(1e4)
-"""Minus twice the logarithm of the prior odds of one press more: evidence counts errors of the
-model as independent, so that it holds faint presses far behind a strong one for 100 or 1000 to 1.
-"""
+"""Minus twice the logarithm of the prior odds of one press more: as errors of the model count as
+independent, evidence holds faint presses far behind a strong one for 100 to 1000 to 1."""
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
