@@ -74,8 +74,9 @@ def winding(
 
     Notes
     -----
-    Curvature and torsion are constant over half a turn each; the parts are joined with all their
-    modes, evanescent ones too. Over 1.1 m, parts a quarter as long change the coefficients by
+    Curvature and torsion are constant over half a turn each, the same parts whatever lies between:
+    their steps echo a little, as those of the untouched tube do. The parts are joined with all
+    their modes, evanescent ones too. Over 1.1 m, parts a quarter as long change the coefficients by
     3e-3 at most. Interpolation between frequencies over 28 to 56 kHz changes them by 6e-3 at most,
     next to the cut-on of (2,1), and that of the plane wave by 3e-4 (rms); within 6 kHz of an end of
     the band by more.
@@ -86,13 +87,16 @@ def winding(
             f"{CM * start:.4g} to {CM * stop:.4g} cm is not part of a tube wound from "
             f"{CM * helix.lead:.4g} to {CM * helix.tube_length:.4g} cm; use distances in this range"
         )
-    n_parts = ceil(abs(float(np.diff(helix.angle(ends))[0])) / LONGEST_PART)
-    edges = np.linspace(start + CLEARANCE, stop - CLEARANCE, n_parts + 1)
-    middles, length = (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0])
+    whole = helix.height([helix.lead, helix.tube_length])
+    n_parts = ceil(abs(float(np.diff(helix.angle(whole))[0])) / LONGEST_PART)
+    edges = np.linspace(helix.lead, helix.tube_length, n_parts + 1)
+    bends = helix.bend(helix.height((edges[1:] + edges[:-1]) / 2))
+    lengths = np.diff(np.clip(edges, start + CLEARANCE, stop - CLEARANCE))
     flat = 0.0 if tube is None else ovality(tube, float(helix.bend(helix.length / 2)[0]))
     parts = [
-        Bent(length=length, curvature=float(curvature), torsion=float(torsion), ovality=flat)
-        for curvature, torsion in zip(*helix.bend(helix.height(middles)), strict=True)
+        Bent(length=float(length), curvature=float(curvature), torsion=float(torsion), ovality=flat)
+        for length, curvature, torsion in zip(lengths, *bends, strict=True)
+        if length > CLEARANCE
     ]
     grid = _fine_enough(np.asarray(frequency, float), (stop - start) / air.sound_speed)
     bent = joined_bends(air, grid, parts, radius=radius, modes=modes, highest=HIGHEST_WAVENUMBER)
