@@ -130,7 +130,8 @@ def clutter(
     Reflection coefficients r_i, normal numbers of variance ``density * REFLECTOR_SPACING``, at
     ``z_i = (i + 1/2) REFLECTOR_SPACING``. In Born's approximation (single scattering of the plane
     mode) their sum is ``sum r_i T_i^2 exp(-2j kz z_i)``, with T_i the transmission of the presses
-    before reflector i. Multiple reflections between a press and a reflector are neglected, too.
+    before reflector i, relative to that of straight tube. Multiple reflections between a press and
+    a reflector are neglected, too.
     """
     frequency = np.atleast_1d(frequency)
     spacing = REFLECTOR_SPACING if reflectors is None else MEASURED_SPACING
@@ -151,6 +152,8 @@ def clutter(
             interpolate_scattering(press.scattering, frequency),
         )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
+        # Relative to straight tube, whose phase between the reference planes `step` has.
+        total *= np.exp(2j * wave * np.ptp(press.scattering.planes))
         behind = first
     _add_reflectors(total, step, reflectors[:behind])
     return np.asarray(total * np.exp(-1j * wave * spacing))
