@@ -14,7 +14,14 @@ from acoustube.air import air_at
 from acoustube.base.netcdf import write_dataset
 from acoustube.ranging import IDEAL, Burst, Rangefinder, blockage, clutter, record, response
 from acoustube.signals.peaks import _refine
-from acoustube.waves import PlacedScatterer, Pulse, SampledPulse, axial_wavenumber
+from acoustube.waves import (
+    Bent,
+    PlacedScatterer,
+    Pulse,
+    SampledPulse,
+    axial_wavenumber,
+    joined_bends,
+)
 
 BORE = 3.95e-3
 BAND = np.array([10.0, 99.99e3])
@@ -258,6 +265,17 @@ def test_clutter_belongs_to_the_tube_and_has_its_level():
     assert np.array_equal(tubes[0], clutter([], AIR, f, tube_seed=0, **words))
     a, b = (record([], Rangefinder(noise=0.0), tube_seed=k).signal.values for k in (0, 1))
     assert not np.array_equal(a, b)
+
+
+def test_clutter_behind_a_bend_that_is_hardly_curved_is_that_of_a_straight_tube():
+    """A bend's reference planes are its ends: its phase is that of the tube it replaces."""
+    f = np.linspace(30e3, 50e3, 41)
+    words = {"radius": BORE, "length": 1.0, "density": 1e-4, "tube_seed": 5}
+    part = Bent(length=0.3, curvature=1e-6)
+    bend = joined_bends(AIR, np.arange(25e3, 55e3, 100.0), [part], radius=BORE, modes=("00",))
+    found = clutter([PlacedScatterer(bend, 0.4)], AIR, f, **words)
+    straight = clutter([], AIR, f, **words)
+    assert np.abs(found - straight).max() < 2e-3 * np.abs(straight).max()
 
 
 def test_clutter_behind_a_press_is_heard_through_it():
