@@ -5,11 +5,12 @@ a mannequin's arm at seven places to each depth, those on a human arm at seven p
 by three levels of force. Cycles of each are recorded as in the studies, averaged, and inverted with
 a library of the rod that stands for the 25 mm one on the bent tube, made beforehand by
 
-    acoustube library --indenter 20.2 --length 250 --depth 0.5:8:0.25 --out rigid
-    acoustube library --indenter 20.2 --length 250 --support free --layer 20 ... --out soft
+    acoustube library --indenter 19.2 --depth 0.5:8:0.25 --out rigid
+    acoustube library --indenter 19.2 --depth 0.5:12:0.25 --config soft.toml --out soft
 
-(the study's page tells its diameter). The library's presses are on the study's mesh, by its
-solver, but at depths of its own; the recordings' bends are joined by all their modes, the
+(19.2 mm is `arm.tool` of the sleeve; soft.toml states ``support = "free"``, ``layer_mm = 20``
+and ``layer_mpa = 0.06`` under ``[indentation]``). The library's presses are on the study's mesh, by
+its solver, but at depths of its own; the recordings' bends are joined by all their modes, the
 inversion has bent modes. Each press is a row of a CSV file; rows that are there are not
 computed again.
 

@@ -78,8 +78,7 @@ def test_arm_that_is_hardly_curved_is_a_straight_tube():
 def test_wrap_of_a_metre_is_known_between_its_frequencies(step):
     """Interpolated over steps that presses may have, against bends computed at the frequencies.
 
-    Of parts a quarter as long, with modes of larger wavenumbers. A cascade of loops, which loses
-    evanescent modes at each loop, is 1.5 % off in T00 at 1 m.
+    Of parts a quarter as long, with modes of larger wavenumbers.
     """
     stop, at = FOREARM.tube_length, FOREARM.tube_length + 1e-6
     f = np.sort(np.random.default_rng(2).uniform(36e3, 48e3, 25))

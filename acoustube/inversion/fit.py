@@ -84,7 +84,7 @@ def weights(
     error : float
         Error of the model relative to the echo.
     echo : Echo or None
-        Expected, of the presses.
+        Expected echo of the presses.
     spread : float
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
@@ -96,7 +96,7 @@ def weights(
 
 
 class Echo(NamedTuple):
-    """What presses cause in a baseband, both (n_time,).
+    """Echo of presses in the baseband, and its derivative by their losses, both (n_time,).
 
     Attributes
     ----------
