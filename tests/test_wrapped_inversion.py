@@ -23,10 +23,10 @@ from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
 from acoustube.sleeve import design, wrapped
 from acoustube.waves import Bent, PlacedScatterer, axial_wavenumber, joined_bends
-from acoustube.waves.bends import star_product
 from acoustube.waves.bent_modes import bent_modes
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.star_product import star_product
 
 AIR = air_at(20.0)
 NAMES = (*MODES, "11s", "21s")

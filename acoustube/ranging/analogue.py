@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from math import log, pi
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import next_fast_len
+from scipy.interpolate import CubicSpline
 
 from acoustube.air import Air, air_at
 from acoustube.base.checks import (
@@ -106,7 +108,8 @@ def clutter(
     Parameters
     ----------
     presses : sequence of PlacedScatterer
-        Their transmission, both ways, attenuates the clutter behind them.
+        The transmission of a press, both ways, attenuates the clutter behind it; in a bend the
+        plane wave has the bend's wavenumber.
     air : Air
     frequency : ndarray
         In Hz, real or complex, (n,).
@@ -129,9 +132,10 @@ def clutter(
     -----
     Reflection coefficients r_i, normal numbers of variance ``density * REFLECTOR_SPACING``, at
     ``z_i = (i + 1/2) REFLECTOR_SPACING``. In Born's approximation (single scattering of the plane
-    mode) their sum is ``sum r_i T_i^2 exp(-2j kz z_i)``, with T_i the transmission of the presses
-    before reflector i, relative to that of straight tube. Multiple reflections between a press and
-    a reflector are neglected, too.
+    mode) their sum is ``sum r_i T_i^2 exp(-2j phi_i)``, with T_i the transmission of the presses
+    before reflector i, and phi_i the phase of the plane wave up to it, in bends by their own
+    wavenumber. Multiple reflections between a press and a reflector are neglected, and so is the
+    conversion of modes where a bend begins.
     """
     frequency = np.atleast_1d(frequency)
     spacing = REFLECTOR_SPACING if reflectors is None else MEASURED_SPACING
@@ -140,29 +144,53 @@ def clutter(
             0.0, np.sqrt(density * spacing), int(length / spacing)
         )
     n = len(reflectors)
-    wave = axial_wavenumber(0, 0, frequency, radius, air)
-    step = np.exp(-2j * wave * spacing)
+    straight = axial_wavenumber(0, 0, frequency, radius, air)
+    bends = [press for press in presses if press.scattering.inside is not None]
+    waves, number = _plane_waves(bends, frequency, straight, spacing, n)
+    steps = np.exp(-2j * spacing * waves)
     total = np.zeros(len(frequency), complex)
     behind = n
     for press in sorted(presses, key=lambda press: -press.position):
+        if press.scattering.inside is not None:
+            continue
         first = min(int(press.position / spacing + 0.5), behind)
-        _add_reflectors(total, step, reflectors[first:behind])
+        _add_reflectors(total, steps, number[first:behind], reflectors[first:behind])
         plane, s = (
             press.scattering.modes.index("00"),
             interpolate_scattering(press.scattering, frequency),
         )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
-        # Relative to straight tube, whose phase between the reference planes `step` has.
-        total *= np.exp(2j * wave * np.ptp(press.scattering.planes))
         behind = first
-    _add_reflectors(total, step, reflectors[:behind])
-    return np.asarray(total * np.exp(-1j * wave * spacing))
+    _add_reflectors(total, steps, number[:behind], reflectors[:behind])
+    return np.asarray(total * np.exp(-1j * straight * spacing))
 
 
-def _add_reflectors(total: Complex, step: Complex, reflectors: Array) -> None:
+def _plane_waves(
+    bends: Sequence[PlacedScatterer], frequency: Complex, straight: Complex, spacing: float, n: int
+) -> tuple[Complex, NDArray[np.int_]]:
+    """Return wavenumbers of the plane wave (n_waves, n_f), and which holds at each reflector."""
+    places = (np.arange(n) + 0.5) * spacing
+    waves, number = [straight], np.zeros(n, int)
+    for bend in bends:
+        scattering, inside = bend.scattering, bend.scattering.inside
+        assert inside is not None
+        table = CubicSpline(scattering.frequency, inside.wavenumber, axis=1)
+        # To first order in the imaginary part of frequency, the damping's.
+        found = table(frequency.real) + 1j * frequency.imag * table(frequency.real, 1)
+        ends = bend.position + scattering.planes[0] + np.cumsum([0.0, *inside.length])
+        part = np.searchsorted(ends, places, side="right")
+        within = (part > 0) & (part < len(ends))
+        number[within] = len(waves) + part[within] - 1
+        waves.extend(found)
+    return np.stack(waves), number
+
+
+def _add_reflectors(
+    total: Complex, steps: Complex, number: NDArray[np.int_], reflectors: Array
+) -> None:
     """Add reflectors in front of a reflection, in place: Horner's scheme from the far end."""
-    for r in reflectors[::-1]:
-        total *= step
+    for i, r in zip(number[::-1], reflectors[::-1], strict=True):
+        total *= steps[i]
         total += r
 
 

@@ -34,13 +34,13 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import ceil, log2, pi
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from acoustube.air import Air
@@ -52,7 +52,8 @@ from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.bore_couplings import BoreModes, bore_modes
 from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
-from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.scattering import ModalScattering, PlaneWave
+from acoustube.waves.star_product import star_product
 
 LARGEST_ZERO = 10.0
 """Largest j'mn of the modes in the sums; with 14 the scattering by the bends of a tube wrapped as
@@ -64,6 +65,8 @@ CUT_ON_MARGIN = 1e-6
 """Smallest kz over k: closer to cut-on a mode's two waves are nearly linearly dependent."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
+PLANE_NODES = 33
+"""Frequencies between which the plane wave's wavenumber in a bend is interpolated."""
 LONGEST = 100.0
 """Largest length in m of bends: over more the amplitudes underflow."""
 LARGEST_CURVATURE = 0.95
@@ -213,7 +216,26 @@ def joined_bends(
     ]
     s = np.concatenate(scattered)
     length = sum(part.length for part in parts)
-    return _power_normalised(s, names, bore, air, frequency, radius=radius, length=length)
+    found = _power_normalised(s, names, bore, air, frequency, radius=radius, length=length)
+    return replace(found, inside=_plane_wave(air, frequency, bore, radius, parts, lossy))
+
+
+def _plane_wave(
+    air: Air, frequency: Array, bore: BoreModes, radius: float, parts: Sequence[Bent], lossy: bool
+) -> PlaneWave:
+    """Return the plane wave in bends: of their own modes that of the largest wavenumber."""
+    few = len(frequency) <= PLANE_NODES
+    nodes = frequency if few else np.linspace(frequency[0], frequency[-1], PLANE_NODES)
+    found = []
+    for part in parts:
+        generator, _ = bend_generator(air, nodes, bore, radius, part, lossy)
+        own = 1j * np.linalg.eigvals(generator)
+        first = np.argmax(own.real, axis=1)
+        found.append(np.take_along_axis(own, first[:, None], 1)[:, 0])
+    wavenumber = np.stack(found)
+    if not few:
+        wavenumber = CubicSpline(nodes, wavenumber, axis=1)(frequency)
+    return PlaneWave(np.array([part.length for part in parts]), wavenumber)
 
 
 def _power_normalised(
@@ -374,23 +396,3 @@ def _as_scattering(transfer: Complex, admittance: Complex) -> Complex:
     back = np.linalg.inv(w[:, m:, m:])
     turned = w[:, :m, m:] @ back
     return np.block([[-back @ w[:, m:, :m], back], [w[:, :m, :m] - turned @ w[:, m:, :m], turned]])
-
-
-def star_product(first: Complex, second: Complex) -> Complex:
-    """Return the scattering of two parts in series (Redheffer's star product), (n, 2 m, 2 m)."""
-    m = first.shape[1] // 2
-    (a11, a12), (a21, a22) = _blocks(first, m)
-    (b11, b12), (b21, b22) = _blocks(second, m)
-    echo = np.linalg.solve(np.eye(m) - a22 @ b11, np.concatenate([a21, a22 @ b12], axis=2))
-    onward, returned = echo[:, :, :m], echo[:, :, m:]
-    return np.block(
-        [
-            [a11 + a12 @ b11 @ onward, a12 @ (b12 + b11 @ returned)],
-            [b21 @ onward, b22 + b21 @ returned],
-        ]
-    )
-
-
-def _blocks(s: Complex, m: int) -> Any:
-    """Return the four blocks of a scattering matrix: [port out][port in]."""
-    return (s[:, :m, :m], s[:, :m, m:]), (s[:, m:, :m], s[:, m:, m:])

@@ -21,6 +21,22 @@ SETTLED_CHANGE = 1e-3
 """Largest change of a coefficient over the last quarter of a run that counts as settled."""
 
 
+@dataclass(frozen=True, eq=False)
+class PlaneWave:
+    """The plane wave in a bend, from its first reference plane to the second.
+
+    Attributes
+    ----------
+    length : ndarray
+        Of the parts of the bend in m, (n_parts,).
+    wavenumber : ndarray
+        In each of them in 1/m, at the frequencies of the scattering, (n_parts, n).
+    """
+
+    length: Array
+    wavenumber: Complex
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalScattering:
     """Scattering of duct modes between two straight ends of one round bore.
@@ -46,6 +62,8 @@ class ModalScattering:
     planes : tuple of float
         Reference planes of the ports, in m from the position: both there for a press, at its ends
         for a bend.
+    inside : PlaneWave or None
+        Of a bend; None for a press.
     """
 
     frequency: Array
@@ -56,6 +74,7 @@ class ModalScattering:
     sound_speed: float
     extent: tuple[float, float]
     planes: tuple[float, float] = (0.0, 0.0)
+    inside: PlaneWave | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
