@@ -2,8 +2,9 @@
 
 The presses of `acoustube reproduce mannequin human`, from its folder, on the same sleeve: those on
 a mannequin's arm at seven places to each depth, those on a human arm at seven places of two tubes
-by three levels of force. Cycles of each are recorded as in the studies, averaged, and inverted with
-a library of the rod that stands for the 25 mm one on the bent tube, made beforehand by
+by three levels of force, each at three forces. Cycles of each press are recorded as in the studies,
+and inverted together, with a library of the rod that stands for the 25 mm one on the bent tube,
+made beforehand by
 
     acoustube library --indenter 19.2 --depth 0.5:8:0.25 --out rigid
     acoustube library --indenter 19.2 --depth 0.5:12:0.25 --config soft.toml --out soft
@@ -42,6 +43,7 @@ from acoustube.reports.studies.arm import (
     sleeve,
 )
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
+from acoustube.reports.studies.ranged import found_distance
 from acoustube.runs import inversion
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.wrap import wrap_of
@@ -71,20 +73,20 @@ def inverter(library, tube, like):
 
 
 def mannequin(presses):
-    """Yield tube, level, place, and the presses and cycles of each recording."""
+    """Yield tube, level, place, press and number of cycles of each recording."""
     for place in PLACES:
-        for state in presses.values():
-            yield 0, "", float(place), [(state, CYCLES)]
+        for press in presses.values():
+            yield 0, "", float(place), press, CYCLES
 
 
 def human_arm(presses):
-    """Yield tube, level, place, and the presses and cycles of each recording."""
-    states = list(dict(sorted(presses.items())).values())
+    """Yield tube, level, place, press and number of cycles of each recording."""
+    ordered = list(dict(sorted(presses.items())).values())
     for tube in (0, 1):
         for place in PLACES + tube * human.SHIFT:
-            for i, (low, high) in enumerate(human.LEVELS):
-                parts = list(zip(states[3 * i : 3 * i + 3], human.CYCLES, strict=True))
-                yield tube, f"{low:g}-{high:g} N", float(place), parts
+            for i, press in enumerate(ordered):
+                low, high = human.LEVELS[i // 3]
+                yield tube, f"{low:g}-{high:g} N", float(place), press, human.CYCLES[i % 3]
 
 
 def summary(path):
@@ -138,11 +140,8 @@ def main():
         there = {tuple(row[name] for name in COLUMNS[:4]) for row in csv.DictReader(file)}
     bends = {}
     recordings = mannequin(presses) if given.study == "mannequin" else human_arm(presses)
-    for i, (tube, level, place, parts) in enumerate(recordings):
-        depth, force = (
-            np.average([float(case[name]) for (case, _), _ in parts], weights=[n for _, n in parts])
-            for name in ("depth", "force")
-        )
+    for i, (tube, level, place, (case, matrix), n_cycles) in enumerate(recordings):
+        depth, force = float(case["depth"]), float(case["force"])
         key = str(tube), level, f"{100 * place:.4f}", f"{1e3 * depth:.4f}"
         if i % given.every or key in there:
             continue
@@ -150,16 +149,11 @@ def main():
             inverters[tube] = inverter(library, tube, like)
         if (tube, place) not in bends:
             bends = {(tube, place): bent_around(sleeve()[tube], place, like)}
-        cycles = human.averaged(
-            [
-                cycles_of(matrix, place, bends[tube, place], tube=tube, n_cycles=n,
-                          name=[level, place, float(case["depth"]), j])
-                for j, ((case, matrix), n) in enumerate(parts)
-            ]
-        )  # fmt: skip
-        peak = float(estimates_of(cycles, tube)["distance"].values[0])
+        cycles = cycles_of(matrix, place, bends[tube, place], tube=tube, n_cycles=n_cycles,
+                           name=[level, place, depth], labels={"force": force})  # fmt: skip
+        peak = float(found_distance(estimates_of(human.averaged([cycles]), tube))[0])
         start = time.process_time()
-        ((_, found),) = inverters[tube].groups(Path("cycles"), cycles, 1, lambda: None)
+        ((_, found),) = inverters[tube].groups(Path("cycles"), cycles, n_cycles, lambda: None)
         seconds = time.process_time() - start
         row = dict(zip(COLUMNS, (*key, f"{force:.4f}"), strict=False)) | {
             "found": 0, "n_contacts": len(found.contacts), "misfit": f"{found.misfit:.4g}",

@@ -100,20 +100,8 @@ def followed(tube, library, seconds):
     return 1e3 * np.array(times), np.array(rows, float), ghosts
 
 
-def main():
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="of the library")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the stream")
-    parser.add_argument("--board", action="store_true", help="80 kHz and 8 bits")
-    given = parser.parse_args()
-    library = open_library(given.folder)
-    tube = Tube(library.tools[0], given.board)
-    times, rows, ghosts = followed(tube, library, given.seconds)
-    q = np.quantile(times, [0.5, 0.95, 1])
-    print(f"{len(times)} cycles; {q[0]:.1f} ms of processor time, 95 % {q[1]:.1f}, most {q[2]:.0f}")
-    print(f"resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
-    print(f"contacts that are none: {ghosts} in {len(times)} cycles")
+def print_errors(rows):
+    """Print errors and coverage of rows as :func:`followed` returns them, by depth and by time."""
     for name, low, high in (("under 1 mm", 0, 1e-3), ("1 to 2.5 mm", 1e-3, 2.5e-3),
                             ("from 2.5 mm", 2.5e-3, 1)):  # fmt: skip
         for when, first, last in (("landing", 0, SETTLED), ("later", SETTLED, np.inf)):
@@ -128,6 +116,23 @@ def main():
                     f"{depth[1]:.3f} mm, 90 % intervals hold {100 * found[:, 4].mean():.0f} and "
                     f"{100 * found[:, 5].mean():.0f} %"
                 )
+
+
+def main():
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="of the library")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the stream")
+    parser.add_argument("--board", action="store_true", help="80 kHz and 8 bits")
+    given = parser.parse_args()
+    library = open_library(given.folder)
+    tube = Tube(library.tools[0], given.board)
+    times, rows, ghosts = followed(tube, library, given.seconds)
+    q = np.quantile(times, [0.5, 0.95, 1])
+    print(f"{len(times)} cycles; {q[0]:.1f} ms of processor time, 95 % {q[1]:.1f}, most {q[2]:.0f}")
+    print(f"resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
+    print(f"contacts that are none: {ghosts} in {len(times)} cycles")
+    print_errors(rows)
 
 
 if __name__ == "__main__":

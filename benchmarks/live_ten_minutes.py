@@ -17,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +34,19 @@ DAMAGED = 100
 """One frame in so many has lost its second half."""
 
 
-def play(end: int, n_cycles: int) -> None:
-    """Write cycles to the board's end of a pseudo-terminal, at the board's pace."""
-    start = time.monotonic() + 1.0
+def play(n_cycles: int) -> Iterator[bytes]:
+    """Yield the frames of cycles, some of them damaged."""
     for i in range(n_cycles):
         frame = FRAMES[i % len(FRAMES)]
         if i % DAMAGED == DAMAGED - 1:
             frame, _ = garbled(frame, "end lost")
+        yield frame
+
+
+def write_frames(end: int, frames: Iterable[bytes]) -> None:
+    """Write frames to the board's end of a pseudo-terminal, at the board's pace."""
+    start = time.monotonic() + 1.0
+    for i, frame in enumerate(frames):
         for first in range(0, len(frame), CHUNK):
             due = start + i / CYCLES_PER_SECOND + first / BYTES_PER_SECOND
             time.sleep(max(0.0, due - time.monotonic()))
@@ -96,6 +103,7 @@ def main(minutes: float) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--board"]:
-        play(*(int(word) for word in sys.argv[2:4]))
+        end, n_cycles = (int(word) for word in sys.argv[2:4])
+        write_frames(end, play(n_cycles))
     else:
         main(float(sys.argv[1]) if sys.argv[1:] else 10.0)
