@@ -88,14 +88,16 @@ class Truth:
         Of the truth.
     changed : dict
         Settings of the press.
+    mesh : str
+        Of the wall of a folder's presses.
     """
 
-    def __init__(self, name, changed):
+    def __init__(self, name, changed, mesh="usual"):
         self.files = {}
         for one in Path(name).glob("*.nc") if Path(name).is_dir() else ():
             self.files[1e-3 * float(one.stem.rpartition("_")[2])] = scattering_file.read(one)
-        kind, _, mesh = name.partition("-")
-        mesh, self.how = (mesh, "spectral") if kind == "mesh" else ("usual", name)
+        kind, _, own = name.partition("-")
+        mesh, self.how = (own, "spectral") if kind == "mesh" else (mesh, name)
         settings = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"], "mesh": [mesh]} | changed
         (self.plan,) = tool_plans(settings, 0.005)
         self.path = DepthPath(presses.press_to(self.plan.settings, self.plan.pressed))
@@ -285,6 +287,7 @@ def arguments():
     parser.add_argument(
         "--truth", default="spectral", help="spectral, mesh-coarse, march-16 ..., or a folder"
     )
+    parser.add_argument("--mesh", default="usual", help="of the wall of a folder's presses")
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
     parser.add_argument("--sleeve", action="store_true", help="wrapped as in the sleeve paper")
@@ -334,7 +337,7 @@ def main():
         summary(given.out)
         return
     factors, settings = CHANGES[given.changed]
-    truth = Truth(given.truth, settings)
+    truth = Truth(given.truth, settings, given.mesh)
     exact = {}
     if given.truth.startswith("spectral"):
         exact = {"place": 0.0, "depth": 0.0, "losses": 0.0}

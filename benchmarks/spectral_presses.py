@@ -36,6 +36,7 @@ from acoustube.base.netcdf import to_netcdf
 from acoustube.base.units import MM
 from acoustube.indentation import Indenter, indent
 from acoustube.lumen import Lumen, pressed_part
+from acoustube.runs.config.si import MESH_SIZES
 from acoustube.runs.scattering_file import to_dataset
 from acoustube.tube import Tube
 from acoustube.waves import Scattering, cut_cells, scatter
@@ -71,10 +72,14 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=Path("march.jsonl"), help="of the march")
     parser.add_argument("--keep", type=Path, help="folder for the matrices of the march")
     parser.add_argument("--losses", choices=("off", "on", "both"), default="both")
+    parser.add_argument("--mesh", choices=MESH_SIZES, default="usual", help="of the wall")
     parser.add_argument("--runs", type=int, default=1, help="of which the fastest is timed")
     given = parser.parse_args()
     depths = sorted(given.depths)
-    press = indent(Tube(), Indenter(diameter=25 / MM), depth=[depth / MM for depth in depths])
+    press = indent(
+        Tube(), Indenter(diameter=25 / MM), depth=[depth / MM for depth in depths],
+        mesh=MESH_SIZES[given.mesh],
+    )  # fmt: skip
     rows = press.rows_at([depth / MM for depth in depths])
     lumens = {depth: pressed_part(press, row) for depth, row in zip(depths, rows, strict=True)}
     losses = {"off": [False], "on": [True], "both": [False, True]}[given.losses]
