@@ -31,6 +31,7 @@ from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.runs import inversion, presses, scattering_file, sound
+from acoustube.runs.config import load_config
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
@@ -55,10 +56,14 @@ PARTS = {
 """Ranges of distance in cm and of depth in mm that are told apart."""
 TUBE = 7
 """Seed of the tube's clutter."""
+LENGTH = 2.5
+"""Of the sleeve paper's tube, in m."""
 SLEEVE = 0.26, (0.18, 0.266)
 """Length in m of a sleeve on a forearm, and girths at its ends."""
 PLACES, DEPTHS, FORMS = (0.3, 1.9), (1.1e-3, 7.9e-3), 24
 """Ranges in m of places and depths, and the number of different depths."""
+BORE = 7.9e-3
+"""Bore in m of the sleeve paper's tube, for which the depths hold."""
 FIRST, APART = 0.4, (0.08, 0.6)
 """Of several presses: range in m of the first place, and of the distances between them."""
 REACH = 0.03
@@ -79,6 +84,12 @@ CHANGES: dict[str, tuple[dict, dict]] = {
 the press."""
 
 
+def designed_depths(config):
+    """Return the range of depths of a tube as a setting, to 0.93 of its bore."""
+    bore = load_config(config).tube.inner_diameter_mm
+    return f"0.5:{0.93 * bore:.2f}:0.25"
+
+
 class Truth:
     """Scattering and forces of presses, as a truth's name and changed settings tell.
 
@@ -90,16 +101,22 @@ class Truth:
         Settings of the press.
     mesh : str
         Of the wall of a folder's presses.
+    config : Path, optional
+        Settings of the tube and the tool.
     """
 
-    def __init__(self, name, changed, mesh="usual"):
+    def __init__(self, name, changed, mesh="usual", config=None):
         self.files = {}
         for one in Path(name).glob("*.nc") if Path(name).is_dir() else ():
             self.files[1e-3 * float(one.stem.rpartition("_")[2])] = scattering_file.read(one)
         kind, _, own = name.partition("-")
         mesh, self.how = (own, "spectral") if kind == "mesh" else (mesh, name)
-        settings = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"], "mesh": [mesh]} | changed
-        (self.plan,) = tool_plans(settings, 0.005)
+        settings = {"mesh": [mesh]} | changed
+        if config is None:
+            settings |= {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}
+        else:
+            settings |= {"depth_mm": [designed_depths(config)]}
+        (self.plan,) = tool_plans(settings, 0.005, config)
         self.path = DepthPath(presses.press_to(self.plan.settings, self.plan.pressed))
         self.bore = self.plan.settings.tube.inner_diameter
 
@@ -107,7 +124,8 @@ class Truth:
         """Return the depths in m of the presses: those of the files, or some at random."""
         if self.files:
             return np.array(sorted(self.files))
-        forms = np.round(np.random.default_rng(3).uniform(*DEPTHS, FORMS), 7)
+        low, high = DEPTHS[0], min(DEPTHS[1] * self.bore / BORE, self.plan.pressed[-1])
+        forms = np.round(np.random.default_rng(3).uniform(low, high, FORMS), 7)
         if self.how.startswith("march"):
             return forms[:9] if self.how.endswith("16") else forms[[0, 1, 5, 8]]
         return forms
@@ -291,13 +309,18 @@ def arguments():
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
     parser.add_argument("--sleeve", action="store_true", help="wrapped as in the sleeve paper")
+    parser.add_argument("--config", type=Path, help="settings of another tube, as of a design")
+    parser.add_argument("--sensor", type=Path, help="its rangefinder")
+    parser.add_argument(
+        "--modulus", type=float, default=0.0, help="standard deviation of the wall's, in per cent"
+    )
     parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
     return parser.parse_args()
 
 
-def recorded(truth, case, device, cycles, sleeve=None):
+def recorded(truth, case, device, cycles, tube, sleeve=None):
     """Return the cycles of a case (number, places, depths)."""
     number, places, depths = case
     air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
@@ -315,10 +338,7 @@ def recorded(truth, case, device, cycles, sleeve=None):
             )
             for one in placed
         ]
-    return record(
-        placed, device, n_cycles=cycles, tube_seed=TUBE, seed=1000 + number, temperature=air,
-        radius=truth.bore / 2,
-    )  # fmt: skip
+    return record(placed, device, n_cycles=cycles, seed=1000 + number, temperature=air, **tube)
 
 
 def untouched(sleeve, truth):
@@ -337,39 +357,51 @@ def main():
         summary(given.out)
         return
     factors, settings = CHANGES[given.changed]
-    truth = Truth(given.truth, settings, given.mesh)
+    truth = Truth(given.truth, settings, given.mesh, given.config)
     exact = {}
     if given.truth.startswith("spectral"):
         exact = {"place": 0.0, "depth": 0.0, "losses": 0.0}
     sleeve = design(*SLEEVE, loops=9, n_tubes=2)[0] if given.sleeve else None
     wrap = None if sleeve is None else wrap_of(sleeve)
-    sensor = inversion.Sensor(priors=Priors(thermometer=0.0, **exact), wrap=wrap)
-    usual = Rangefinder()
+    sensor = inversion.Sensor() if given.sensor is None else inversion.read_sensor(given.sensor)
+    sensor = dataclasses.replace(sensor, priors=Priors(thermometer=0.0, **exact), wrap=wrap)
+    if given.modulus:
+        value = truth.plan.settings.tube.young_modulus
+        sensor = dataclasses.replace(sensor, young_modulus=(value, 0.01 * given.modulus * value))
+    usual = sensor.rangefinder or Rangefinder()
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
+    tube = {"tube_seed": TUBE, "length": sensor.length or LENGTH, "radius": truth.bore / 2}
     # The clutter is learned from the sensor and the tube as they are.
     bends = [] if sleeve is None else untouched(sleeve, truth)
-    free = record(bends, device, n_cycles=200, tube_seed=TUBE, seed=11, temperature=20.0,
-                  radius=truth.bore / 2)  # fmt: skip
+    free = record(bends, device, n_cycles=200, seed=11, temperature=20.0, **tube)
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
-    name = " ".join([Path(given.truth).name, given.changed, "sleeve" * given.sleeve]).strip()
+    words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]
+    if given.config is not None:
+        words.append(given.config.stem)
+    name = " ".join(word for word in words if word)
     for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
         key = name, str(case[0]), str(given.cycles), str(given.presses)
         if key in there or time.process_time() - began > given.seconds:
             continue
-        data = recorded(truth, case, device, given.cycles, sleeve)
+        data = recorded(truth, case, device, given.cycles, tube, sleeve)
         air = data["temperature"].values.mean()
+        peak = float("nan")
         if "thermometer" in given.changed:
             data["temperature"] = data["temperature"] + 1.0
         start = time.process_time()
         ((_, found),) = inverter.groups(Path("cycles"), data, given.cycles, lambda: None)
         seconds = time.process_time() - start
-        mean = data["signal"].values.mean(axis=0)
-        located = signals.locate(data["time"].values, mean, calibration.processing, temperature=air)
-        peak = float(located.distance) if bool(located.detected) else float("nan")
-        forces = [truth.force(depth) for depth in case[2]]
+        if given.sensor is None:
+            mean = data["signal"].values.mean(axis=0)
+            located = signals.locate(
+                data["time"].values, mean, calibration.processing, temperature=air
+            )
+            peak = float(located.distance) if bool(located.detected) else peak
+        off = np.random.default_rng(2000 + case[0]).normal(1.0, 0.01 * given.modulus)
+        forces = [off * truth.force(depth) for depth in case[2]]
         with given.out.open("a", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writerows(rows((*case, forces), name, given.cycles, found, seconds, peak))
