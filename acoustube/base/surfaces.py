@@ -13,6 +13,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_surface
 from acoustube.base.foreign import child
 from acoustube.base.foreign.limits import check_file, reading
+from acoustube.base.units import MM
 
 FARTHEST = 1e5
 """Largest coordinate of a surface: of 100 m, single precision keeps hundredths of a millimetre."""
@@ -79,7 +80,7 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
     longest = float(surface.extents.max())
     if longest < SHORTEST:
         raise ConfigError(
-            f"{path} is {longest:.3g} mm long, which would be {1e3 * longest:.3g} mm if its "
+            f"{path} is {longest:.3g} mm long, which would be {MM * longest:.3g} mm if its "
             "numbers were metres; give it in mm."
         )
 
@@ -144,5 +145,5 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     check_crossings(surface, path)
     surface.apply_translation([0.0, 0.0, -low])
     # In place, a scale of 1e-3 would make the library join corners.
-    scaled = trimesh.Trimesh(1e-3 * surface.vertices, surface.faces, process=False)
-    return scaled, float(1e-3 * low)
+    scaled = trimesh.Trimesh(surface.vertices / MM, surface.faces, process=False)
+    return scaled, float(low / MM)

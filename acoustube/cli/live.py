@@ -16,6 +16,7 @@ from acoustube.base.console import REPORT_INTERVAL
 from acoustube.base.errors import ConfigError, readable
 from acoustube.base.files import check_new_file
 from acoustube.base.rules import Number
+from acoustube.base.units import CM
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ def _found(ranging: signals.Ranging) -> str:
     """Return the estimate of a cycle in words."""
     if not ranging.detected:
         return "no echo"
-    return f"{100 * float(ranging.distance):.1f} cm, amplitude {float(ranging.amplitude):.3f}"
+    return f"{CM * float(ranging.distance):.1f} cm, amplitude {float(ranging.amplitude):.3f}"
 
 
 def trace(envelope: Any, width: int = TRACE) -> str:

@@ -13,7 +13,7 @@ from acoustube.base.checks import BORE, TEMPERATURE, Optional, Reals, Several, c
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.base.units import KHZ
+from acoustube.base.units import KHZ, MS
 from acoustube.inversion.paths import MOST_MODES, Path, StraightPath
 from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.wrap import Wrap, WrappedPath
@@ -110,7 +110,7 @@ class Baseband:
         self.used = np.flatnonzero((self.time >= start) & (self.time < end))
         if len(self.used) < 16:
             raise ConfigError(
-                f"a cycle of n_samples = {self.n_samples}, {1e3 * self.n_samples / self.rate:.3g} "
+                f"a cycle of n_samples = {self.n_samples}, {MS * self.n_samples / self.rate:.3g} "
                 f"ms, in a tube of length {length:g} m is too short to invert; use longer ones"
             )
         self.k, self.k_by_temperature = self._wavenumbers()

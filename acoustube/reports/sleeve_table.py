@@ -59,10 +59,10 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
 def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
     """Return the lengths, coverage and resolution of a layout, one sentence each."""
     tube = tubes[0]
-    lengths = " and ".join(f"{100 * length:.1f}" for length in found.tube_lengths)
+    lengths = " and ".join(f"{CM * length:.1f}" for length in found.tube_lengths)
     hand = f"{tube.hand}-handed"
     first = (
-        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {100 * tube.length:.1f} "
+        f"tubes: {len(tubes)}, {hand}, {tube.loops:.4g} loops each over {CM * tube.length:.1f} "
         f"cm, pitch {CM * found.pitch:.2f} cm; {lengths} cm long with a lead of "
         f"{CM * tube.lead:g} cm"
     )
@@ -108,7 +108,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
     number, distance = contact
     if number >= len(tubes):
         raise ConfigError(
-            f"distance = {number + 1}:{100 * distance:g} is on tube {number + 1} and the sleeve "
+            f"distance = {number + 1}:{CM * distance:g} is on tube {number + 1} and the sleeve "
             f"has {len(tubes)}; use 1 to {len(tubes)}"
         )
     tube = tubes[number]
@@ -159,6 +159,6 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
         for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
             at, place, along, turned, turn = row
             detected = int(near - 1e-9 <= at <= far + 1e-9)
-            cells = [f"{100 * at:.2f}", *(f"{MM * value:.3f}" for value in place)]
-            table.writerow([number, *cells, f"{100 * along:.3f}", f"{turned:.2f}", turn, detected])
+            cells = [f"{CM * at:.2f}", *(f"{MM * value:.3f}" for value in place)]
+            table.writerow([number, *cells, f"{CM * along:.3f}", f"{turned:.2f}", turn, detected])
     write(path, text.getvalue())

@@ -143,8 +143,8 @@ def windings(
     at = np.asarray(places, float)
     if np.any(np.diff(at) < 2 * reach):
         raise ConfigError(
-            f"presses at {', '.join(f'{100 * place:.4g}' for place in at)} cm are nearer to "
-            f"each other than twice the reach, {200 * reach:.3g} cm, or not in order; move them"
+            f"presses at {', '.join(f'{CM * place:.4g}' for place in at)} cm are nearer to "
+            f"each other than twice the reach, {2 * CM * reach:.3g} cm, or not in order; move them"
         )
     starts = [helix.lead, *(at + reach)]
     stops = [*(at - reach), helix.tube_length]

@@ -23,7 +23,7 @@ from acoustube.base.checks import (
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.base.units import KHZ
+from acoustube.base.units import KHZ, MS
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 5
@@ -222,7 +222,7 @@ def band_of(
     clear = start + (loud[-1] + 1) / rate
     if loud[-1] > 0.3 * n:
         raise ConfigError(
-            f"the ring-down of the untouched cycles is clipped up to {1e3 * clear:.3g} ms, most of "
+            f"the ring-down of the untouched cycles is clipped up to {MS * clear:.3g} ms, most of "
             "the cycle; lower the gain, or record longer cycles"
         )
     power = np.zeros(n // 2 + 1)

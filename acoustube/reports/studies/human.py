@@ -48,9 +48,9 @@ SHIFT = -0.10
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
 """Layer of soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
-GRID = tuple(1e-3 * np.arange(0.5, 13.01, 0.5))
+GRID = tuple(np.arange(0.5, 13.01, 0.5) / MM)
 """Depths in m of the load path on which a press is interpolated by force."""
-RIGID_GRID = tuple(1e-3 * np.arange(0.5, 8.01, 0.5))
+RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
 COLOURS = ("#7fb3d5", "#e59866", "#943126")
 """Colours of the levels."""
 

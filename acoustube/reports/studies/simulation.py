@@ -134,7 +134,7 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
             some = of_rod(only(low, "carrier_frequency", frequency), rod)
             rows.append(
                 Row(
-                    quantity=f"{rod} mm rod, {frequency / 1e3:g} kHz: steps of depth at which "
+                    quantity=f"{rod} mm rod, {KHZ * frequency:g} kHz: steps of depth at which "
                     "the echo rises", unit="%",
                     ours=100 * rising(chosen(some, "absorbing")["amplitude"].values),
                     why="100 % is monotonic. The sleeve paper expects it below "

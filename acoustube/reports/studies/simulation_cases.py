@@ -40,7 +40,7 @@ def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:
 
 def of_rod(cases: xr.Dataset, rod: str) -> xr.Dataset:
     """Return the cases of a rod, given its diameter in mm, by depth."""
-    return only(cases, "diameter", 1e-3 * float(rod)).sortby("depth")
+    return only(cases, "diameter", float(rod) / MM).sortby("depth")
 
 
 def only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:

@@ -183,7 +183,7 @@ def _frequencies(cases: xr.Dataset) -> Figure:
         for frequency in (10e3, 20e3, 42e3):
             some = of_rod(chosen(only(cases, "carrier_frequency", frequency), "absorbing"), rod)
             panel.plot(MM * some["depth"].values, 100 * some["amplitude"].values, ".-",
-                       label=f"{frequency / 1e3:g} kHz")  # fmt: skip
+                       label=f"{KHZ * frequency:g} kHz")  # fmt: skip
         panel.set(yscale="log", xlabel="depth (mm)")
         panel.set_title(f"{rod} mm rod", fontsize="medium")
     axes[0].set_ylabel("highest echo (% of the send pulse)")

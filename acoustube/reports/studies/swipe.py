@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acoustube import signals, sleeve
 from acoustube.base.types import Array
-from acoustube.base.units import CM
+from acoustube.base.units import CM, MS
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.figures.run import PRESS
 from acoustube.reports.studies.arm import TUBE_SEEDS, processing_of
@@ -193,12 +193,12 @@ def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list
             for which, part in zip(("nearer", "farther"), both.T, strict=True)
         ),
         *(
-            Row(quantity=f"pairs {100 * gap:g} cm apart located as two, of {pairs.size}",
+            Row(quantity=f"pairs {CM * gap:g} cm apart located as two, of {pairs.size}",
                 unit="1", ours=float(pairs.sum()), why=of_two)
             for gap, pairs in zip(GAPS, resolved, strict=False)
         ),
         Row(quantity="processing and tracking of a cycle: processor time", unit="ms",
-            ours=1e3 * float(np.median(taken)),
+            ours=MS * float(np.median(taken)),
             why=f"The rangefinder sends one every {1e3 / RATE:g} ms."),
     ]  # fmt: skip
 
