@@ -20,6 +20,7 @@ from acoustube.inversion import (
     measured_clutter,
 )
 from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.fit import Weights, deviance_of, echo_of, restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
@@ -131,7 +132,16 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     assert np.abs(found.value[0] - expected).max() < 1e-9 * np.abs(expected).max()
     # By the network of wrapped tubes too, with all derivatives, here of a straight one.
     sections = StraightPath(k, k, air.sound_speed).sections(places[None], np.zeros(1))
-    for one, other in zip(coupled_echo(given, sections, 0.3), found, strict=True):
+    n_f = len(frequency)
+    joints = np.zeros((2, 1, n_f, 27), complex)
+    joints[..., [0, 4, 8]] = 1.0  # which pass all, and reflect nothing
+    still = {
+        "joints": joints, "moved": 0 * joints, "way": np.ones((1, n_f, 3), complex),
+        "warm": np.zeros((n_f, 3), complex), "through": np.zeros((1, n_f, 0), complex),
+        "through_warm": np.zeros((n_f, 0), complex),
+    }  # fmt: skip
+    joined = [Joined(straight=one, **still) for one in given]
+    for one, other in zip(coupled_echo(joined, sections, 0.3), found, strict=True):
         assert np.abs(one - other).max() < 1e-9 * np.abs(other).max()
 
 

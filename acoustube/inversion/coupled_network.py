@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo
 from acoustube.inversion.paths import Entry, Section
-from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 
 def coupled_echo(
-    presses: list[Matrices], sections: list[Section], face: complex, entry: Entry | None = None
+    presses: list[Joined], sections: list[Section], face: complex, entry: Entry | None = None
 ) -> Echo:
     """Return the echo of presses at the face of the source.
 
     Parameters
     ----------
-    presses : list of Matrices
+    presses : list of Joined
         One for each press, from the face on.
     sections : list of Section
         The propagation before each press.
@@ -76,12 +76,11 @@ def coupled_echo(
             out = _apply_left(_apply_left(_apply_left(left, t12), inner), load)
             next_left = _apply_left(_apply_left(left, t12), inner)
             next_right = sent + _apply(r2, into)
-        press = presses[i]
-        by_depth.append(_moved(press.by_depth, left, right, out, into))
-        stretched += _moved(press.by_stretch, left, right, out, into)
-        if press.by_place is not None and press.by_temperature is not None:
-            by_place[-1] = by_place[-1] + _moved(press.by_place, left, right, out, into)
-            heated += _moved(press.by_temperature, left, right, out, into)
+        deepened, stretch, moved, warmed = presses[i].changes(left, right, out, into)
+        by_depth.append(deepened)
+        by_place[-1] = by_place[-1] + moved
+        stretched += stretch
+        heated += warmed
         left, right = next_left, next_right
     return Echo(value, np.stack(by_place, axis=1), np.stack(by_depth, axis=1), heated, stretched)
 
@@ -111,18 +110,6 @@ def _at_face(
 def _blocks(s: Complex) -> tuple[Complex, Complex, Complex, Complex]:
     """Return the reflection at port 1, transmission 2 to 1 and 1 to 2, reflection at port 2."""
     return s[..., 0, :, 0, :], s[..., 0, :, 1, :], s[..., 1, :, 0, :], s[..., 1, :, 1, :]
-
-
-def _moved(
-    change: Complex, left: Complex, right: Complex, out: Complex | None, into: Complex | None
-) -> Complex:
-    """Return the change of the echo for a change of a press's matrix."""
-    r1, t12, t21, r2 = _blocks(change)
-    found = _between(left, r1, right)
-    if out is not None and into is not None:
-        found = found + _between(left, t12, into) + _between(out, t21, right)
-        found = found + _between(out, r2, into)
-    return found
 
 
 def _apply(matrix: Complex, vector: Complex) -> Complex:

@@ -13,10 +13,12 @@ from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, unknown_clutter
 from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo, Waves, echo
 from acoustube.inversion.paths import MOST_MODES
 from acoustube.inversion.tables import Matrices, table_of
 from acoustube.inversion.tools import Library
+from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
 
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
@@ -160,8 +162,7 @@ class ForwardModel:
             rest[:, 3] = turn * by_resonance * found.value
             rest[:, 4] = turn * by_quality * found.value
             rest[:, 5] = factor * found.by_stretch
-            through = [one.value[..., 1, 0, 0, 0] * one.value[..., 0, 0, 1, 0] for one in matrices]
-            self._add_clutter(spectrum, places, temperature, through, matrices)
+            self._add_clutter(spectrum, places, temperature, matrices)
         elif self.clutter.behind is not None:
             value, _, warm = self.clutter.beyond(np.zeros(n), temperature)
             spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
@@ -194,7 +195,7 @@ class ForwardModel:
     def _echo(
         self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
         stretch: Array,
-    ) -> tuple[Echo, list[Matrices]]:  # fmt: skip
+    ) -> tuple[Echo, Sequence[Matrices | Joined]]:  # fmt: skip
         """Return the echo at the face, and the matrices of the presses along the path."""
         base, path, last = self.base, self.path, len(tools) - 1
         given = [
@@ -206,17 +207,17 @@ class ForwardModel:
             heat = base.k_by_temperature[:, : self.modes]
             waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
             return echo(given, places, waves, face), given
-        joined = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
+        assert isinstance(path, WrappedPath)
+        presses = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
         sections, entry = path.sections(places, temperature), path.entry(temperature)
-        return coupled_echo(joined, sections, face, entry), joined
+        return coupled_echo(presses, sections, face, entry), presses
 
     def _add_clutter(
         self,
         spectrum: Complex,
         places: Array,
         temperature: Array,
-        through: Sequence[Complex],
-        matrices: Sequence[Matrices],
+        matrices: Sequence[Matrices | Joined],
     ) -> None:
         """Add the clutter, dimmed by the presses before it, and its derivatives.
 
@@ -225,7 +226,9 @@ class ForwardModel:
         """
         if self.clutter.behind is None:
             return
-        gain, m = self.base.gain, len(through)
+        gain, m = self.base.gain, len(matrices)
+        passed = [one.transmission() for one in matrices]
+        through = [value for value, *_ in passed]
         value, _, warm = self.clutter.beyond(np.zeros(len(places)), temperature)
         spectrum[:, 0] += gain * value
         spectrum[:, 2 * m + 1] += gain * warm
@@ -239,26 +242,18 @@ class ForwardModel:
             spectrum[:, 0] += share * value
             spectrum[:, 1 + 2 * i] += share * by_place
             spectrum[:, 2 * m + 1] += share * warm
-        for i, matrix in enumerate(matrices):
+        for i, (_, *changes) in enumerate(passed):
             onwards = dimmed[i] * beyond[i][0]
             product: Complex = dimmed[i]
             for j in range(i + 1, m):
                 onwards = onwards + product * (through[j] - 1) * beyond[j][0]
                 product = product * through[j]
-            for part, column in (("by_depth", 2 + 2 * i), ("by_stretch", -1)):
-                moved = _through_moved(matrix.value, getattr(matrix, part))
-                added = gain * moved * onwards
-                spectrum[:, column] += added
-                if part == "by_stretch":
-                    spectrum[:, 2 * m + 1] += self.stretch_by_temperature * added
+            deepened, stretched = (gain * change * onwards for change in changes)
+            spectrum[:, 2 + 2 * i] += deepened
+            spectrum[:, -1] += stretched
+            spectrum[:, 2 * m + 1] += self.stretch_by_temperature * stretched
 
     def without_presses(self, nuisances: Array) -> Complex:
         """Return the baseband of the untouched tube, (n, n_time)."""
         empty = np.zeros((len(nuisances), 0))
         return self.baseband((), empty, empty, nuisances)[0]
-
-
-def _through_moved(s: Complex, change: Complex) -> Complex:
-    """Return the change of the plane wave's transmission both ways."""
-    there, back = s[..., 1, 0, 0, 0], s[..., 0, 0, 1, 0]
-    return np.asarray(change[..., 1, 0, 0, 0] * back + there * change[..., 0, 0, 1, 0])

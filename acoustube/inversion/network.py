@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.tables import Matrices
+from acoustube.inversion.tables import Matrices, padded
 from acoustube.waves.scattering import Complex
 
 
@@ -89,10 +89,9 @@ def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
     """Return matrices of presses padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
     from acoustube.inversion.network_sums import MODES
 
-    if len(parts) == 1 and parts[0].shape[-1] == MODES:
-        return np.ascontiguousarray(parts[0])[None]
+    if len(parts) == 1:
+        return padded(parts[0], MODES)[None]
     found = np.zeros((len(parts), *shape, 2, MODES, 2, MODES), complex)
     for full, part in zip(found, parts, strict=True):
-        m = part.shape[-1]
-        full[..., :m, :, :m] = part
+        full[:] = padded(part, MODES)
     return found

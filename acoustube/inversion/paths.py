@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from acoustube.base.types import Array
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
@@ -81,8 +82,8 @@ class Path(Protocol):
     def sections(self, places: Array, temperature: Array) -> list[Section]:
         """Return the propagation before each press, at places (n, n_presses) in m."""
 
-    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices:
-        """Return the matrices of presses at places (n,) between the modes of the sections."""
+    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices | Joined:
+        """Return presses at places (n,), with matrices between the modes of the sections."""
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
         """Return the phases up to presses at places (n,), or to behind them, (n, n_f, m)."""

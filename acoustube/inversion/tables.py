@@ -34,15 +34,19 @@ class Matrices(NamedTuple):
         Per m.
     by_stretch : ndarray
         Per relative change of frequency.
-    by_place, by_temperature : ndarray or None
-        Per m and per K, where the joints with a bent tube are part of a press; None for zero.
     """
 
     value: Complex
     by_depth: Complex
     by_stretch: Complex
-    by_place: Complex | None = None
-    by_temperature: Complex | None = None
+
+    def transmission(self) -> tuple[Complex, Complex, Complex]:
+        """Return the plane wave's transmission both ways, and changes by depth and stretch."""
+        there, here = (
+            [one[..., out, 0, into, 0] for one in self] for out, into in ((1, 0), (0, 1))
+        )
+        by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
+        return there[0] * here[0], by_depth, by_stretch
 
 
 @lru_cache(maxsize=8)
@@ -159,3 +163,13 @@ def _refinement(given: Array, wanted: Array) -> Complex:
     known = covariance(given, given)
     known[np.diag_indices(len(given))] += ROUNDING**2 * power.sum()
     return np.asarray(np.linalg.solve(known.T, covariance(wanted, given).T).T)
+
+
+def padded(part: Complex, modes: int) -> Complex:
+    """Return matrices (n, n_f, 2, m, 2, m) with zeros for further modes."""
+    m = part.shape[-1]
+    if m == modes:
+        return np.ascontiguousarray(part)
+    found = np.zeros((*part.shape[:2], 2, modes, 2, modes), complex)
+    found[..., :m, :, :m] = part
+    return found

@@ -5,7 +5,7 @@ taken as straight, the rest as bent. In a bend the straight tube's modes couple 
 tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
 wavenumber, and sound is converted only where the tube becomes straight, at a press and at the start
 of the wrap. So the network of presses is that of a straight tube, but for its modes and the joints,
-which become part of the presses' matrices. Curvature and torsion vary along the arm, so slowly that
+which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and torsion vary along the arm, so slowly that
 the bent modes follow them (the adiabatic approximation): the phase is the integral of the
 wavenumber.
 
@@ -25,8 +25,9 @@ from acoustube.air import Air
 from acoustube.base.checks import DISTANCE, Reals, check_alike, check_fields
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.paths import Entry, Section
-from acoustube.inversion.tables import Matrices
+from acoustube.inversion.tables import Matrices, padded
 from acoustube.waves import Bent
 from acoustube.waves.bent_modes import BentModes, bent_modes
 from acoustube.waves.modes import axial_wavenumber
@@ -122,31 +123,25 @@ class WrappedPath:
         by_temperature: Complex,
         heat: float,
     ) -> None:
-        self.wrap, self.k, self.by_temperature = wrap, k, by_temperature
+        missing = ((0, 0), (0, MODES - k.shape[1]))
+        self.wrap, self.k, self.by_temperature = (
+            wrap, np.pad(k, missing), np.pad(by_temperature, missing),
+        )  # fmt: skip
         self.frequency, self.speed = frequency, air.sound_speed
         own = tuple(f"{name[:-1]}s" for name in modes if name.endswith("c"))
         nodes = _bent(wrap, air, frequency, radius, (*modes, *own))
-        m = len(modes)
         beta = np.stack([one.wavenumber for one in nodes])
         slope = np.gradient(beta, frequency, axis=1, edge_order=2)
         warmer = -heat * frequency[:, None] * slope
-        passed = np.stack([one.passed for one in nodes])
-        self.wavenumber, self.joint, self.passing = (
-            CubicSpline(wrap.place, part) for part in (beta, passed[:, :, :m], passed[:, :, m:])
-        )
+        self.wavenumber = CubicSpline(wrap.place, beta)
         self.phase = self.wavenumber.antiderivative()
         self.warmer = CubicSpline(wrap.place, warmer).antiderivative()
+        joints = np.stack([_joint(one, len(modes)) for one in nodes])
+        self.joints = CubicSpline(wrap.place, joints)
         # The antisymmetric modes pass a press unscattered, over twice the reach.
-        own_k = _wavenumbers(own, frequency, radius, air)
-        self.own_k, self.own_heat = (
-            own_k,
-            -heat * frequency[:, None] * np.gradient(own_k, frequency, axis=0, edge_order=2),
-        )
-        self.reflected, self.returned = (
-            CubicSpline(wrap.place, np.stack(part))
-            for part in zip(
-                *((one.reflected, one.returned[:, :m, :m]) for one in nodes), strict=True
-            )
+        self.own_k = _wavenumbers(own, frequency, radius, air)
+        self.own_heat = (
+            -heat * frequency[:, None] * np.gradient(self.own_k, frequency, axis=0, edge_order=2)
         )
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
@@ -165,7 +160,8 @@ class WrappedPath:
         """Return the way to the start of the wrap."""
         k = self.k + temperature[:, None, None] * self.by_temperature
         path = np.exp(-1j * k * self.wrap.start)
-        matrix = self.joint(self.wrap.start).swapaxes(-1, -2) * path[..., None, :]
+        passed = self.joints(self.wrap.start)[:, : MODES**2].reshape(-1, MODES, MODES)
+        matrix = passed.swapaxes(-1, -2) * path[..., None, :]
         return Entry(np.asarray(matrix), self.wrap.start * self.by_temperature)
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
@@ -184,59 +180,19 @@ class WrappedPath:
             start = self._inside(place + reach)
         return found
 
-    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices:
-        """Return the matrices of presses at places (n,) between the bent tube's modes."""
-        reach = self.wrap.reach
-        turn = np.exp(-1j * reach * (self.k + temperature[:, None, None] * self.by_temperature))
+    def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Joined:
+        """Return presses at places (n,) between the bends."""
+        reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
-        ends, moved = (
-            [turn[..., None] * self.joint(at, order) for at in ports] for order in (0, 1)
-        )
-        warm = -1j * reach * self.by_temperature
-        heated = [warm[..., None] * one for one in ends]
-        # Sound that the press scatters, the joints reflect, and the press scatters once more.
-        twice = turn[..., :, None] * turn[..., None, :]
-        back, back_moved = (_blocks([twice * self.returned(at, i) for at in ports]) for i in (0, 1))
-        back_heated = back * np.tile(warm, 2)[:, :, None] + back * np.tile(warm, 2)[:, None]
-        s = _flat(matrices.value)
-        before, after = back @ s, s @ back
-        whole = s + s @ before
-        value, by_depth, by_stretch = (
-            _between(part, ends, ends)
-            for part in (whole, *(
-                d + d @ before + after @ d
-                for d in (_flat(matrices.by_depth), _flat(matrices.by_stretch))
-            ))
+        joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))
+        return Joined(
+            straight=Matrices(*(padded(part, MODES) for part in matrices)),
+            joints=joints, moved=moved,
+            way=np.exp(-1j * reach * (self.k + warm * self.by_temperature)),
+            warm=-1j * reach * self.by_temperature,
+            through=-np.exp(-2j * reach * (self.own_k + warm * self.own_heat)),
+            through_warm=-2j * reach * self.own_heat,
         )  # fmt: skip
-        by_place = _between(whole, moved, ends) + _between(whole, ends, moved)
-        by_place += _between(s @ back_moved @ s, ends, ends)
-        by_temperature = _between(whole, heated, ends) + _between(whole, ends, heated)
-        by_temperature += _between(s @ back_heated @ s, ends, ends)
-        self._add_passing(value, by_place, by_temperature, ports, temperature)
-        for port, at in enumerate(ports):
-            value[:, :, port, :, port] += self.reflected(at)
-            by_place[:, :, port, :, port] += self.reflected(at, 1)
-        return Matrices(value, by_depth, by_stretch, by_place, by_temperature)
-
-    def _add_passing(
-        self, value: Complex, by_place: Complex, by_temperature: Complex,
-        ports: tuple[Array, Array], temperature: Array,
-    ) -> None:  # fmt: skip
-        """Add the antisymmetric modes, which pass a press, to its matrices."""
-        twice = 2 * self.wrap.reach
-        k = self.own_k + temperature[:, None, None] * self.own_heat
-        turn = -np.exp(-1j * twice * k)[..., None]
-        heat = -1j * twice * self.own_heat[..., None]
-        (first, last), (first_moved, last_moved) = (
-            [self.passing(at, order) for at in ports] for order in (0, 1)
-        )
-        back = last.swapaxes(-1, -2)
-        through = back @ (turn * first)
-        moved = last_moved.swapaxes(-1, -2) @ (turn * first) + back @ (turn * first_moved)
-        warmer = back @ (heat * turn * first)
-        for part, there in ((value, through), (by_place, moved), (by_temperature, warmer)):
-            part[:, :, 1, :, 0] += there
-            part[:, :, 0, :, 1] += there.swapaxes(-1, -2)
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
         """Return the phases up to presses at places (n,), or to behind them, (n, n_f, m)."""
@@ -290,28 +246,13 @@ def _wavenumbers(names: tuple[str, ...], frequency: Array, radius: float, air: A
     return np.stack([axial_wavenumber(*one, frequency, radius, air) for one in numbers], -1)
 
 
-def _flat(s: Complex) -> Complex:
-    """Return matrices (n, n_f, 2, m, 2, m) as (n, n_f, 2 m, 2 m)."""
-    m = s.shape[3]
-    return s.reshape(*s.shape[:2], 2 * m, 2 * m)
-
-
-def _blocks(ports: list[Complex]) -> Complex:
-    """Return the block-diagonal matrix (n, n_f, 2 m, 2 m) of one for each port."""
-    n, n_f, m, _ = ports[0].shape
-    found = np.zeros((n, n_f, 2, m, 2, m), complex)
-    for port, one in enumerate(ports):
-        found[:, :, port, :, port] = one
-    return _flat(found)
-
-
-def _between(s: Complex, left: list[Complex], right: list[Complex]) -> Complex:
-    """Return matrices (n, n_f, 2, m, 2, m) between other modes, with the joints on either side."""
-    n, n_f, m_s, m = left[0].shape
-    blocks = s.reshape(n, n_f, 2, m_s, 2, m_s)
-    found = np.zeros((n, n_f, 2, m, 2, m), complex)
-    for out in (0, 1):
-        for into in (0, 1):
-            block = blocks[:, :, out, :, into]
-            found[:, :, out, :, into] = left[out].swapaxes(-1, -2) @ (block @ right[into])
-    return found
+def _joint(bent: BentModes, m: int) -> Complex:
+    """Return the parts of a joint with m modes of presses, (n_f, n_parts)."""
+    n, missing = len(bent.wavenumber), (0, MODES - m)
+    parts = (
+        np.pad(bent.passed[:, :m], ((0, 0), missing, (0, 0))),
+        np.pad(bent.returned[:, :m, :m], ((0, 0), missing, missing)),
+        bent.reflected,
+        bent.passed[:, m:],
+    )
+    return np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
