@@ -20,8 +20,8 @@ from acoustube.inversion import (
     measured_clutter,
 )
 from acoustube.inversion.coupled_network import coupled_echo
-from acoustube.inversion.joints import Joined
 from acoustube.inversion.fit import Weights, deviance_of, echo_of, restricted_deviance
+from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.quantiser import linearised

@@ -5,9 +5,9 @@ taken as straight, the rest as bent. In a bend the straight tube's modes couple 
 tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
 wavenumber, and sound is converted only where the tube becomes straight, at a press and at the start
 of the wrap. So the network of presses is that of a straight tube, but for its modes and the joints,
-which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and torsion vary along the arm, so slowly that
-the bent modes follow them (the adiabatic approximation): the phase is the integral of the
-wavenumber.
+which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and torsion vary
+along the arm, so slowly that the bent modes follow them (the adiabatic approximation): the phase is
+the integral of the wavenumber.
 
 The bent modes kept are three, which become (0,0) and both (1,1) where the tube is straight. Modes
 antisymmetric about the plane of the bend, which the torsion excites, pass a press as if it were not
