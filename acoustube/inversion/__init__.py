@@ -12,10 +12,11 @@ order of time), `doubt` (whether one more is real), `other_depths`, `model_error
 
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, measured_clutter, unknown_clutter
-from acoustube.inversion.estimate import Contact, Estimate, Inversion, Inverter
+from acoustube.inversion.estimate import Contact, Inversion, Inverter
 from acoustube.inversion.folded import baseband_of
 from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Motion
+from acoustube.inversion.posterior import Estimate
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.tracking import ContactTracker, Tracked
 from acoustube.inversion.wrap import Wrap

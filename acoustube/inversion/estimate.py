@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import log, pi
+from math import log
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr, ndtri
 from threadpoolctl import threadpool_limits
 
 from acoustube.base.checks import Reals, checked
@@ -21,11 +19,10 @@ from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.peeling import peeled
+from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
-LEVELS = 0.68, 0.9
-"""Probabilities of the intervals."""
 FEWER = 2 * log(1e4)
 """Minus twice the logarithm of the prior odds of one press more: as errors of the model count as
 independent, evidence holds faint presses far behind a strong one for 100 to 1000 to 1."""
@@ -36,41 +33,12 @@ MISFIT = 0.15
 differ from the library's."""
 GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
+CERTAIN = 2.0
+"""Standard deviations of the noise's energy by which the unexplained energy has to exceed it."""
 EXPLAINED = 1.5
 """Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
 BEAM = 2
 """Hypotheses of each number of presses that are extended."""
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """A quantity of a contact.
-
-    Attributes
-    ----------
-    value : float
-        Of the most likely maximum.
-    deviation : float
-        Standard deviation of the posterior.
-    intervals : dict of float
-        Ends of the central interval of each probability of :data:`LEVELS`.
-    weights, means, deviations : ndarray
-        Of the normal distributions that the posterior is a mixture of, (n,).
-    """
-
-    value: float
-    deviation: float
-    intervals: dict[float, tuple[float, float]]
-    weights: Array
-    means: Array
-    deviations: Array
-
-    def density(self, value: ArrayLike) -> Array:
-        """Return the probability density at values, (n,)."""
-        off = (np.asarray(value)[:, None] - self.means) / self.deviations
-        return np.asarray(
-            np.exp(-(off**2) / 2) / np.sqrt(2 * pi) @ (self.weights / self.deviations)
-        )
 
 
 @dataclass(frozen=True)
@@ -105,8 +73,8 @@ class Inversion:
     contacts : list of Contact
         By distance.
     misfit : float
-        Root of the energy of the echo that the model leaves unexplained beyond the noise, relative
-        to that of the echo; nan without an echo.
+        Root of the energy of the echo that the model certainly leaves unexplained, relative to that
+        of the echo; nan without an echo.
     fits : bool
         Whether the misfit is less than :data:`MISFIT`.
     temperature, gain, stretch : Estimate
@@ -272,86 +240,11 @@ class Inverter:
 
 
 def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the fraction of the echo that the model does not explain."""
+    """Return the fraction of the echo that the model certainly does not explain."""
     rest = builder.quiet(measured - explained)
-    beyond = np.sum(np.abs(rest) ** 2) - builder.model.base.freedom * len(rest)
+    noise = builder.model.base.freedom * len(rest)
+    beyond = np.sum(np.abs(rest) ** 2) - noise - CERTAIN * noise**0.5
     return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
-
-
-class Posterior:
-    """Mixture of normal distributions, one about each maximum of a hypothesis.
-
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-    off : Discrepancy
-        Of the model.
-    """
-
-    def __init__(self, hypothesis: Hypothesis, off: Discrepancy) -> None:
-        fits = hypothesis.fits
-        inflation = max(1.0, hypothesis.residual)
-        n = fits.parameters.shape[1]
-        covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
-        self.mean = fits.parameters
-        self.variance = inflation * np.maximum(np.einsum("nii->ni", covariance), 0.0)
-        self.variance[:, : off.deviation.shape[1]] += off.deviation**2
-        self.weight = np.exp(-0.5 * (off.level - off.level.min()) / inflation)
-        self.weight /= self.weight.sum()
-
-    def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
-        """Return the marginal distribution of a parameter with an independent error added."""
-        deviation = np.sqrt(self.variance[:, parameter] + error**2)
-        return mixture(self.weight, self.mean[:, parameter], deviation)
-
-    def mapped(
-        self,
-        parameter: int,
-        function: Callable[[Array, int], Array],
-        error: Callable[[Array], Array],
-    ) -> Estimate:
-        """Return the distribution of an increasing function of a parameter, its own error added.
-
-        Parameters
-        ----------
-        parameter : int
-        function : callable
-            Takes values and the order of a derivative.
-        error : callable
-            Takes values; standard deviation of the function itself.
-        """
-        mean = self.mean[:, parameter]
-        slope = function(mean, 1)
-        deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error(mean))
-        return mixture(self.weight, function(mean, 0), deviation)
-
-
-def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
-    """Return the estimate of a mixture of normal distributions, the most likely one first.
-
-    Parameters
-    ----------
-    weight, mean, deviation : ndarray
-        (n,).
-    """
-    deviation = np.maximum(deviation, 1e-15)
-    if len(mean) == 1:
-        value, spread = float(mean[0]), float(deviation[0])
-        reach = {level: spread * float(ndtri((1 + level) / 2)) for level in LEVELS}
-        ends = {level: (value - r, value + r) for level, r in reach.items()}
-        return Estimate(value, spread, ends, weight, mean, deviation)
-    middle = float(weight @ mean)
-    spread = float(np.sqrt(weight @ (deviation**2 + (mean - middle) ** 2)))
-    grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
-    below = ndtr((grid[:, None] - mean) / deviation) @ weight
-    ends = {
-        level: (
-            float(np.interp((1 - level) / 2, below, grid)),
-            float(np.interp((1 + level) / 2, below, grid)),
-        )
-        for level in LEVELS
-    }
-    return Estimate(float(mean[0]), spread, ends, weight, mean, deviation)
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:

@@ -1,0 +1,125 @@
+"""Distributions of a hypothesis's parameters: mixtures of normal ones, and their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtr, ndtri
+
+from acoustube.base.types import Array
+from acoustube.inversion.hypotheses import Hypothesis
+from acoustube.inversion.model_error import Discrepancy
+
+LEVELS = 0.68, 0.9
+"""Probabilities of the intervals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A quantity of a contact.
+
+    Attributes
+    ----------
+    value : float
+        Of the most likely maximum.
+    deviation : float
+        Standard deviation of the posterior.
+    intervals : dict of float
+        Ends of the central interval of each probability of :data:`LEVELS`.
+    weights, means, deviations : ndarray
+        Of the normal distributions that the posterior is a mixture of, (n,).
+    """
+
+    value: float
+    deviation: float
+    intervals: dict[float, tuple[float, float]]
+    weights: Array
+    means: Array
+    deviations: Array
+
+    def density(self, value: ArrayLike) -> Array:
+        """Return the probability density at values, (n,)."""
+        off = (np.asarray(value)[:, None] - self.means) / self.deviations
+        return np.asarray(
+            np.exp(-(off**2) / 2) / np.sqrt(2 * pi) @ (self.weights / self.deviations)
+        )
+
+
+class Posterior:
+    """Mixture of normal distributions, one about each maximum of a hypothesis.
+
+    Parameters
+    ----------
+    hypothesis : Hypothesis
+    off : Discrepancy
+        Of the model.
+    """
+
+    def __init__(self, hypothesis: Hypothesis, off: Discrepancy) -> None:
+        fits = hypothesis.fits
+        inflation = max(1.0, hypothesis.residual)
+        n = fits.parameters.shape[1]
+        covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
+        self.mean = fits.parameters
+        self.variance = inflation * np.maximum(np.einsum("nii->ni", covariance), 0.0)
+        self.variance[:, : off.deviation.shape[1]] += off.deviation**2
+        self.weight = np.exp(-0.5 * (off.level - off.level.min()) / inflation)
+        self.weight /= self.weight.sum()
+
+    def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
+        """Return the marginal distribution of a parameter with an independent error added."""
+        deviation = np.sqrt(self.variance[:, parameter] + error**2)
+        return mixture(self.weight, self.mean[:, parameter], deviation)
+
+    def mapped(
+        self,
+        parameter: int,
+        function: Callable[[Array, int], Array],
+        error: Callable[[Array], Array],
+    ) -> Estimate:
+        """Return the distribution of an increasing function of a parameter, its own error added.
+
+        Parameters
+        ----------
+        parameter : int
+        function : callable
+            Takes values and the order of a derivative.
+        error : callable
+            Takes values; standard deviation of the function itself.
+        """
+        mean = self.mean[:, parameter]
+        slope = function(mean, 1)
+        deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error(mean))
+        return mixture(self.weight, function(mean, 0), deviation)
+
+
+def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
+    """Return the estimate of a mixture of normal distributions, the most likely one first.
+
+    Parameters
+    ----------
+    weight, mean, deviation : ndarray
+        (n,).
+    """
+    deviation = np.maximum(deviation, 1e-15)
+    if len(mean) == 1:
+        value, spread = float(mean[0]), float(deviation[0])
+        reach = {level: spread * float(ndtri((1 + level) / 2)) for level in LEVELS}
+        ends = {level: (value - r, value + r) for level, r in reach.items()}
+        return Estimate(value, spread, ends, weight, mean, deviation)
+    middle = float(weight @ mean)
+    spread = float(np.sqrt(weight @ (deviation**2 + (mean - middle) ** 2)))
+    grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
+    below = ndtr((grid[:, None] - mean) / deviation) @ weight
+    ends = {
+        level: (
+            float(np.interp((1 - level) / 2, below, grid)),
+            float(np.interp((1 + level) / 2, below, grid)),
+        )
+        for level in LEVELS
+    }
+    return Estimate(float(mean[0]), spread, ends, weight, mean, deviation)
