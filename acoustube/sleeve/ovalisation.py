@@ -43,12 +43,26 @@ def ovality(tube: Tube, curvature: float) -> float:
     with R the mean radius. A wall as thick as a third of its radius is stiffer, and is supported by
     a pocket or the arm: this is an upper bound.
     """
-    mean = tube.inner_diameter / 2 + tube.wall_thickness / 2
-    found = (1 - tube.poisson_ratio**2) * (curvature * mean**2 / tube.wall_thickness) ** 2
+    found = _flattening(tube, curvature)
     if found > COLLAPSE:
         raise ConfigError(
             f"flattens the tube by {100 * found:.0f} %, and it kinks from {100 * COLLAPSE:.0f} %",
             setting="curvature", value=curvature, unit="1/m",
             advice="wrap it less tightly, or take a thicker wall",
         )  # fmt: skip
-    return found * mean / (tube.inner_diameter / 2)
+    return found * _mean_radius(tube) / (tube.inner_diameter / 2)
+
+
+def kinks(tube: Tube, curvature: float) -> bool:
+    """Return whether a tube kinks at a curvature of its centre line in 1/m, see :func:`ovality`."""
+    return _flattening(tube, curvature) > COLLAPSE
+
+
+def _flattening(tube: Tube, curvature: float) -> float:
+    """Return the relative change of the mean radius of a tube that is bent freely."""
+    thinness = curvature * _mean_radius(tube) ** 2 / tube.wall_thickness
+    return float((1 - tube.poisson_ratio**2) * thinness**2)
+
+
+def _mean_radius(tube: Tube) -> float:
+    return tube.inner_diameter / 2 + tube.wall_thickness / 2

@@ -12,8 +12,10 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Choice, Number, Section, nearest, setting
 from acoustube.base.units import CM, KHZ, MM, MS, PERCENT, UM
+from acoustube.runs.config.ranges import Words, numbers
+from acoustube.sleeve.ovalisation import kinks
+from acoustube.tube import Tube
 
-MOST_VALUES = 64
 MOST_RANGEFINDERS = 1000
 """Combinations of transducer, quality factor, bandwidth, rate, bits and ends that are tried."""
 MOST_SAMPLES = 20000
@@ -25,96 +27,6 @@ WIDEST_CHIRP = 1.6
 """Largest bandwidth of a chirp in its carriers: a little less than the inversion can take."""
 LEAST_RATE = 2.3
 """Lowest sampling rate over the carrier frequency."""
-
-
-@dataclass(frozen=True)
-class Numbers:
-    """Rule for one or more numbers within bounds, both included.
-
-    Parameters
-    ----------
-    each : Number
-        Rule of each.
-    span : bool
-        Whether they are the ends of a range: one number, or two that do not fall.
-    """
-
-    each: Number
-    span: bool = False
-
-    @property
-    def meaning(self) -> str:
-        """Name of the quantity that is set."""
-        return self.each.meaning
-
-    @property
-    def allowed(self) -> str:
-        """The values in words."""
-        kind = "a number or [lowest, highest]" if self.span else "one or more numbers"
-        return f"{kind} within {self.each.allowed}"
-
-    def check(self, name: str, value: Any) -> tuple[float, ...]:
-        """Return the values as a tuple, of a range both ends.
-
-        Raises
-        ------
-        ConfigError
-            If a value is wrong, or there are none or too many.
-        """
-        given = tuple(value) if isinstance(value, list | tuple) else (value,)
-        most = 2 if self.span else MOST_VALUES
-        if not 1 <= len(given) <= most:
-            raise ConfigError(
-                f"has {len(given)} values", setting=name, value=list(given)[:4],
-                advice=f"use {self.allowed}",
-            )  # fmt: skip
-        found = tuple(self.each.check(name, one) for one in given)
-        if self.span and list(found) != sorted(found):
-            raise ConfigError(
-                "falls", setting=name, value=list(found), advice="give the lowest value first"
-            )
-        return (found[0], found[-1]) if self.span else found
-
-
-@dataclass(frozen=True)
-class Words:
-    """Rule for one or more of several words, each once.
-
-    Parameters
-    ----------
-    each : Choice
-        Rule of each.
-    """
-
-    each: Choice
-
-    @property
-    def meaning(self) -> str:
-        """Name of the quantity that is set."""
-        return self.each.meaning
-
-    @property
-    def allowed(self) -> str:
-        """The words, joined."""
-        return f"one or more of {', '.join(self.each.options)}"
-
-    def check(self, name: str, value: Any) -> tuple[str, ...]:
-        """Return the words as a tuple.
-
-        Raises
-        ------
-        ConfigError
-            If one is not a choice, or there are none.
-        """
-        given = tuple(value) if isinstance(value, list | tuple) else (value,)
-        found = tuple(dict.fromkeys(self.each.check(name, one) for one in given))
-        if not found:
-            raise ConfigError("is empty", setting=name, value=[], advice=f"use {self.allowed}")
-        return found
-
-
-def _numbers(default: tuple[float, ...], each: Number, *, span: bool = False) -> Any:
-    return dataclasses.field(default=default, metadata={"rule": Numbers(each, span)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,6 +51,8 @@ class Goal(Section):
         ``table``: the tube is held on rigid ground; ``arm``: it rests on a soft layer.
     layer_mm, layer_mpa : float
         Thickness and Young's modulus of the arm's layer.
+    bend_radius_cm : float
+        Least radius in cm to which the tube is bent, without kinking; 0 for a straight tube.
     hardness_percent : float
         Relative standard deviation of the wall's modulus, in per cent.
     temperature_c : float
@@ -152,10 +66,10 @@ class Goal(Section):
 
     reach_m: float = setting(2.0, Number(0.2, 10, "m", "length over which presses are resolved"))
     nearest_m: float = setting(0.3, Number(0.02, 9, "m", "distance of the nearest press"))
-    forces_n: tuple[float, float] = _numbers(
+    forces_n: tuple[float, float] = numbers(
         (2.0, 20.0), Number(0.05, 500, "N", "forces to be measured"), span=True
     )
-    tools_mm: tuple[float, ...] = _numbers((25.0,), Number(5, 80, "mm", "diameters of the rods"))
+    tools_mm: tuple[float, ...] = numbers((25.0,), Number(5, 80, "mm", "diameters of the rods"))
     separation_cm: float = setting(15.0, Number(3, 200, "cm", "distance of two presses"))
     place_mm: float = setting(
         10.0, Number(0.1, 500, "mm", "largest median standard deviation of the distance")
@@ -163,6 +77,9 @@ class Goal(Section):
     support: str = setting("table", Choice(("table", "arm"), "what the tube lies on"))
     layer_mm: float = setting(20.0, Number(1, 100, "mm", "thickness of the arm's soft layer"))
     layer_mpa: float = setting(0.1, Number(0.005, 50, "MPa", "Young's modulus of that layer"))
+    bend_radius_cm: float = setting(
+        0.0, Number(0, 1000, "cm", "least radius of the tube's bends; 0 for none")
+    )
     hardness_percent: float = setting(
         5.0, Number(0, 50, "%", "standard deviation of the wall's modulus")
     )
@@ -198,6 +115,11 @@ class Goal(Section):
         return self.layer_mm / MM
 
     @property
+    def curvature(self) -> float:
+        """Largest curvature of the tube in 1/m."""
+        return CM / self.bend_radius_cm if self.bend_radius_cm > 0 else 0.0
+
+    @property
     def asked(self) -> tuple[float, float, float, float]:
         """Reach, distance of two presses, deviation of place and nearest press, all in m."""
         return self.reach_m, self.separation, self.place_deviation, self.nearest_m
@@ -211,35 +133,35 @@ class Goal(Section):
 class Variables(Section):
     """Ranges of the design variables; a single number fixes one."""
 
-    bore_mm: tuple[float, float] = _numbers((5.0, 12.0), Number(2, 25, "mm", "bore"), span=True)
-    wall_mm: tuple[float, float] = _numbers(
+    bore_mm: tuple[float, float] = numbers((5.0, 12.0), Number(2, 25, "mm", "bore"), span=True)
+    wall_mm: tuple[float, float] = numbers(
         (1.0, 2.5), Number(0.5, 8, "mm", "wall thickness"), span=True
     )
     outer_mm: float = setting(14.0, Number(4, 40, "mm", "largest outer diameter"))
-    hardness_shore_a: tuple[float, float] = _numbers(
+    hardness_shore_a: tuple[float, float] = numbers(
         (20.0, 60.0), Number(10, 90, "Shore A", "hardness of the wall"), span=True
     )
-    carrier_khz: tuple[float, float] = _numbers(
+    carrier_khz: tuple[float, float] = numbers(
         (10.0, 42.0), Number(5, 90, "kHz", "carrier and resonance of the transducer"), span=True
     )
-    cycles: tuple[float, float] = _numbers(
+    cycles: tuple[float, float] = numbers(
         (3.0, 20.0), Number(1, 100, "", "periods of the drive"), span=True
     )
-    bandwidth_khz: tuple[float, ...] = _numbers(
+    bandwidth_khz: tuple[float, ...] = numbers(
         (0.0,), Number(0, 100, "kHz", "bandwidths of a chirp; 0 is a burst")
     )
     transducer: tuple[str, ...] = dataclasses.field(
         default=("resonant",),
         metadata={"rule": Words(Choice(TRANSDUCERS, "transducers at hand"))},
     )
-    quality_factor: tuple[float, ...] = _numbers(
+    quality_factor: tuple[float, ...] = numbers(
         (14.0,), Number(0, 100, "", "quality factors of the transducers at hand")
     )
-    rate_khz: tuple[float, ...] = _numbers((200.0,), Number(10, 5000, "kHz", "sampling rates"))
-    bits: tuple[int, ...] = _numbers(
+    rate_khz: tuple[float, ...] = numbers((200.0,), Number(10, 5000, "kHz", "sampling rates"))
+    bits: tuple[int, ...] = numbers(
         (12,), Number(8, 16, "", "resolutions of the converter", whole=True)
     )
-    ends: tuple[int, ...] = _numbers((1,), Number(1, 2, "", "rangefinders", whole=True))
+    ends: tuple[int, ...] = numbers((1,), Number(1, 2, "", "rangefinders", whole=True))
 
     @property
     def carrier(self) -> tuple[float, float]:
@@ -300,6 +222,13 @@ class DesignGoal:
                 f"is less than the smallest bore and twice the thinnest wall, {least:g} mm",
                 setting="outer_mm", value=free.outer_mm, advice="raise it or lower bore_mm",
             )  # fmt: skip
+        if not self.bends(
+            free.bore_mm[0], min(free.wall_mm[1], (free.outer_mm - free.bore_mm[0]) / 2)
+        ):
+            raise ConfigError(
+                "kinks all tubes", setting="bend_radius_cm", value=goal.bend_radius_cm,
+                advice="bend less tightly, lower bore_mm, or allow thicker walls and outer_mm",
+            )  # fmt: skip
         if LEAST_RATE * free.carrier_khz[0] > max(free.rate_khz):
             raise ConfigError(
                 f"is too low for a carrier of {free.carrier_khz[0]:g} kHz", setting="rate_khz",
@@ -307,6 +236,11 @@ class DesignGoal:
                 advice=f"use {LEAST_RATE * free.carrier_khz[0]:g} or more",
             )  # fmt: skip
         self._check_sizes()
+
+    def bends(self, bore_mm: float, wall_mm: float) -> bool:
+        """Return whether a tube of a bore and a wall in mm bends as asked without kinking."""
+        tube = Tube(inner_diameter=bore_mm / MM, wall_thickness=wall_mm / MM)
+        return not kinks(tube, self.goal.curvature)
 
     def _check_sizes(self) -> None:
         """Raise if a search would take too long, or a cycle have too many samples."""

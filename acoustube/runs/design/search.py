@@ -155,7 +155,8 @@ class Search:
         return found
 
     def _fits(self, spec: TubeSpec) -> bool:
-        return spec.bore + 2 * spec.wall <= self.design.variables.outer_mm + 1e-9
+        room = spec.bore + 2 * spec.wall <= self.design.variables.outer_mm + 1e-9
+        return room and self.design.bends(spec.bore, spec.wall)
 
     def _first(self) -> list[TubeSpec]:
         """Return the first tubes: a third of all, spread evenly."""
