@@ -23,9 +23,10 @@ from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
-FEWER = 2 * log(1e4)
-"""Minus twice the logarithm of the prior odds of one press more: as errors of the model count as
-independent, evidence holds faint presses far behind a strong one for 100 to 1000 to 1."""
+FEWER, FURTHER = 2 * log(1e4), 2 * log(1e6)
+"""Minus twice the logarithms of the prior odds of one press, and of one more: as errors of the
+model count as independent, evidence holds faint presses far behind a strong one, whose trapped
+sound differs from the model's, for up to 1e5 to 1."""
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
@@ -168,12 +169,13 @@ class Inverter:
                 break
             found = _shifted(builder, found)
             best = found[0]
-            likelier = best.deviance + FEWER < chain[-1].deviance
+            odds = FEWER if number == 1 else FURTHER
+            likelier = best.deviance + odds < chain[-1].deviance
             if number > 1 and best.error > GOOD and (likelier or chain[-1].residual > EXPLAINED):
                 best = _sought_again(builder, best)
             if number > 1:
                 best = doubted(builder, chain[-1], best)
-                likelier = best.deviance + FEWER < chain[-1].deviance
+                likelier = best.deviance + odds < chain[-1].deviance
             chain.append(best)
             if not likelier:
                 break
@@ -182,11 +184,12 @@ class Inverter:
 
     def _posterior(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
         """Return the posterior over hypotheses of each number of presses."""
-        deviance = np.array([one.deviance + FEWER * i for i, one in enumerate(chain)])
+        odds = [0.0, FEWER, *FURTHER * np.arange(1, len(chain)) + FEWER]
+        deviance = np.array([one.deviance + o for one, o in zip(chain, odds, strict=False)])
         inflation = max(1.0, min(one.residual for one in chain))
-        odds = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
-        odds /= odds.sum()
-        number = int(np.argmax(odds))
+        probability = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
+        probability /= probability.sum()
+        number = int(np.argmax(probability))
         off = discrepancy(self.model, chain[number], builder.samples, builder.noise)
         order = np.argsort(off.level)
         best = replace(chain[number], fits=chain[number].fits.at(order))
@@ -196,7 +199,7 @@ class Inverter:
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]
             seen = [
-                weight for one, weight in zip(chain, odds, strict=True)
+                weight for one, weight in zip(chain, probability, strict=True)
                 if np.any(np.abs(one.best[: 2 * len(one.tools) : 2] - place) < SAME_PLACE)
             ]  # fmt: skip
             known = self.model.tables[tool].tool
@@ -218,7 +221,7 @@ class Inverter:
         base = self.model.base
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
-            number={i: float(p) for i, p in enumerate(odds)},
+            number={i: float(p) for i, p in enumerate(probability)},
             place=base.path.place_at(base.window), measured=measured, explained=explained,
             **nuisance,
         )  # fmt: skip
@@ -271,7 +274,7 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
     A press may have stood for the error of others, which were mended with it.
     """
     for number in range(len(chain) - 1, 1, -1):
-        if chain[number].deviance + FEWER < chain[number - 1].deviance:
+        if chain[number].deviance + FURTHER < chain[number - 1].deviance:
             fewer = min(builder.pruned(chain[number]), key=lambda one: one.deviance)
             if fewer.deviance < chain[number - 1].deviance:
                 chain[number - 1] = builder.shifted(fewer)
