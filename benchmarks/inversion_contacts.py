@@ -309,8 +309,12 @@ def arguments():
     parser.add_argument("--cycles", type=int, default=20)
     parser.add_argument("--presses", type=int, default=1)
     parser.add_argument("--sleeve", action="store_true", help="wrapped as in the sleeve paper")
+    parser.add_argument("--loops", type=float, default=9.0, help="of the sleeve")
     parser.add_argument("--config", type=Path, help="settings of another tube, as of a design")
     parser.add_argument("--sensor", type=Path, help="its rangefinder")
+    parser.add_argument(
+        "--shore", type=float, default=0.0, help="added to the hardness of a design's wall"
+    )
     parser.add_argument(
         "--modulus", type=float, default=0.0, help="standard deviation of the wall's, in per cent"
     )
@@ -357,11 +361,14 @@ def main():
         summary(given.out)
         return
     factors, settings = CHANGES[given.changed]
+    if given.shore:
+        hardness = load_config(given.config).tube.shore_a + given.shore
+        settings = settings | {"shore_a": [f"{hardness:g}"]}
     truth = Truth(given.truth, settings, given.mesh, given.config)
     exact = {}
     if given.truth.startswith("spectral"):
         exact = {"place": 0.0, "depth": 0.0, "losses": 0.0}
-    sleeve = design(*SLEEVE, loops=9, n_tubes=2)[0] if given.sleeve else None
+    sleeve = design(*SLEEVE, loops=given.loops, n_tubes=2)[0] if given.sleeve else None
     wrap = None if sleeve is None else wrap_of(sleeve)
     sensor = inversion.Sensor() if given.sensor is None else inversion.read_sensor(given.sensor)
     sensor = dataclasses.replace(sensor, priors=Priors(thermometer=0.0, **exact), wrap=wrap)
@@ -381,6 +388,8 @@ def main():
     words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]
     if given.config is not None:
         words.append(given.config.stem)
+    if given.shore:
+        words.append(f"{given.shore:+g} Shore A")
     name = " ".join(word for word in words if word)
     for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
         key = name, str(case[0]), str(given.cycles), str(given.presses)

@@ -145,6 +145,18 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
         assert np.abs(one - other).max() < 1e-9 * np.abs(other).max()
 
 
+@pytest.mark.parametrize("length", [1.0, 2.0, 2.5])
+def test_clutter_learned_at_another_temperature_has_the_same_times(length):
+    """The window ends at the last echo of the coldest air, whatever the air."""
+    warm, cold = (Baseband(Rangefinder(), RADIUS, length, air, MODES) for air in (34.7, -19.0))
+    assert np.array_equal(warm.window, cold.window)
+    assert warm.window[-1] > 2 * length / cold.air.sound_speed + 0.9e-3
+    free = record([], Rangefinder(), length=length, n_cycles=12, temperature=34.7, seed=1)
+    learned = measured_clutter(warm, free["signal"].values, cold)
+    model = ForwardModel(Library((tool(),)), cold, learned)
+    assert model.without_presses(np.zeros((1, 6))).shape == (1, len(cold.window))
+
+
 def test_table_interpolates_depth_and_frequency(base):
     depth, stretch = np.array([2.513e-3, 5.377e-3]), np.array([0.0031, -0.0042])
     found = ToolTable(tool(), base.frequency, 3)(depth, stretch).value

@@ -38,6 +38,9 @@ QUIET_SHARE = 0.3
 """Last part of a cycle whose mean is subtracted from it."""
 TUBE = Number(0.01, 100.0, "m")
 CYCLE = Number(2, 1e6, "samples", whole=True)
+SLOWEST = 318.0
+"""Speed of sound in m/s a little under that at -20 degC: by it the times are the same at all
+temperatures, at another of which the clutter may have been learned."""
 FEWEST_CYCLES = 8
 """Cycles from which on their noise is estimated from their scatter."""
 
@@ -88,7 +91,7 @@ class Baseband:
         self.rate = rangefinder.sampling_rate
         carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
         self.air = air_at(temperature)
-        flight, late = 2 * length / self.air.sound_speed, rangefinder.drive.duration + 0.5e-3
+        flight, late = 2 * length / SLOWEST, rangefinder.drive.duration + 0.5e-3
         lasting = flight + max(3e-3, 2e-3 + late)
         self.period = self._period(max(self.n_samples, int(self.rate * lasting)))
         self.step = step = self.rate / self.period
