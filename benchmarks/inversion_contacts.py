@@ -1,12 +1,13 @@
 """Contacts found by waveform inversion in simulated recordings, beside the highest peak.
 
-Recordings of the default rangefinder on the default tube: 25 mm rod, random places and depths,
-air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched cycles. Their scattering
-is computed at depths of its own, off the library's, by the spectral solver, by it from a wall on
-another mesh, or by the time-domain method, or read from the files of `acoustube scatter` or of
-`spectral_presses.py` whose names end in ``_MM.nc``, MM the depth. With ``--changed`` tube, tool or
-sensor differ from what the inversion is told. Every recording is a row of a CSV file; rows that
-are there are not computed again.
+Recordings of the default rangefinder on the default tube under a 25 mm rod, or of a design
+(``--config``, ``--sensor``; ``--shore`` and ``--modulus`` for a wall that is not as told): random
+places and depths, air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched
+cycles. Their scattering is computed at depths of its own, off the library's, by the spectral
+solver, by it from a wall on another mesh, or by the time-domain method, or read from the files of
+`acoustube scatter` or of ``spectral_presses.py`` whose names end in ``_MM.nc``, MM the depth. With
+``--changed`` tube, tool or sensor differ from what the inversion is told. Every recording is a row
+of a CSV file; rows that are there are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """
@@ -113,9 +114,9 @@ class Truth:
         mesh, self.how = (own, "spectral") if kind == "mesh" else (mesh, name)
         settings = {"mesh": [mesh]} | changed
         if config is None:
-            settings |= {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}
+            settings = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]} | settings
         else:
-            settings |= {"depth_mm": [designed_depths(config)]}
+            settings = {"depth_mm": [designed_depths(config)]} | settings
         (self.plan,) = tool_plans(settings, 0.005, config)
         self.path = DepthPath(presses.press_to(self.plan.settings, self.plan.pressed))
         self.bore = self.plan.settings.tube.inner_diameter
@@ -362,6 +363,8 @@ def main():
         return
     factors, settings = CHANGES[given.changed]
     if given.shore:
+        if given.config is None:
+            raise SystemExit("--shore goes with --config; name the settings of a design")
         hardness = load_config(given.config).tube.shore_a + given.shore
         settings = settings | {"shore_a": [f"{hardness:g}"]}
     truth = Truth(given.truth, settings, given.mesh, given.config)
@@ -388,8 +391,10 @@ def main():
     words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]
     if given.config is not None:
         words.append(given.config.stem)
-    if given.shore:
-        words.append(f"{given.shore:+g} Shore A")
+    others = ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("loops", 9.0, "loops")
+    told = [(getattr(given, one), usual, unit) for one, usual, unit in others]
+    words += [f"{value:g} {unit}" for value, usual, unit in told if value != usual]
+    words += [f"{given.mesh} mesh"] if given.mesh != "usual" else []
     name = " ".join(word for word in words if word)
     for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
         key = name, str(case[0]), str(given.cycles), str(given.presses)

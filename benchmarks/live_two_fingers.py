@@ -5,8 +5,9 @@ its own computes their cycles beforehand, by :class:`acoustube.sensor.TubeSensor
 board would sample them: 80 kHz without a filter, 8 bits, its gain raised so that presses fill the
 converter. Another one writes them to a pseudo-terminal, 20 a second, the bytes at the pace of
 1 Mbaud, after an untouched time from which the clutter is learned. Printed are the cycles sent,
-received and left out, percentiles of the latency from a cycle's last byte to its row, the resident
-memory after half a minute and at the end, the seconds of one core, and the errors of the contacts.
+received and left out, percentiles of the latency from a cycle's last byte to its row (of the last
+2000 cycles), the resident memory after half a minute and at the end, the seconds of one core, and
+the errors of the contacts.
 On Linux: ``OMP_NUM_THREADS=1 python benchmarks/live_two_fingers.py LIBRARY [--minutes 10]``.
 """
 

@@ -2,12 +2,12 @@
 
 Reading order: `tools` (scattering of tools over depth), `tables` and `spline_sums` (its
 interpolation), `paths` and `wrap` (propagation along straight and wrapped tubes), `network`,
-`network_sums` and `coupled_network` (presses along a tube), `quantiser` (rounded samples),
-`baseband` and `folded` (cycles of the rangefinder), `clutter`, `model` (the forward model), `fit`
-(its likelihood), `search` (candidates), `hypotheses` (sets of presses), `peeling` (presses in the
-order of time), `doubt` (whether one more is real), `other_depths`, `model_error` and `estimate`
-(their posterior). For streams: `motion` (the filter), `proposals` and `births` (new contacts),
-`cycle` and `tracks` (one explanation of the cycles) and `tracking`.
+`network_sums`, `joints`, `joint_sums` and `coupled_network` (presses along a tube), `quantiser`
+(rounded samples), `baseband` and `folded` (cycles of the rangefinder), `clutter`, `model` (the
+forward model), `fit` (its likelihood), `search` (candidates), `hypotheses` (sets of presses),
+`peeling` (presses in the order of time), `doubt` (whether one more is real), `other_depths`,
+`model_error`, `posterior` and `estimate`. For streams: `motion` (the filter), `proposals` and
+`births` (new contacts), `cycle` and `tracks` (one explanation of the cycles) and `tracking`.
 """
 
 from acoustube.inversion.baseband import Baseband

@@ -39,8 +39,8 @@ QUIET_SHARE = 0.3
 TUBE = Number(0.01, 100.0, "m")
 CYCLE = Number(2, 1e6, "samples", whole=True)
 SLOWEST = 318.0
-"""Speed of sound in m/s a little under that at -20 degC: by it the times are the same at all
-temperatures, at another of which the clutter may have been learned."""
+"""Speed of sound in m/s at -21 degC, which sets the end of the window: the same at all
+temperatures, so that clutter learned at one fits another."""
 FEWEST_CYCLES = 8
 """Cycles from which on their noise is estimated from their scatter."""
 

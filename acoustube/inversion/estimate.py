@@ -24,9 +24,9 @@ from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
 FEWER, FURTHER = 2 * log(1e4), 2 * log(1e6)
-"""Minus twice the logarithms of the prior odds of one press, and of one more: as errors of the
-model count as independent, evidence holds faint presses far behind a strong one, whose trapped
-sound differs from the model's, for up to 1e5 to 1."""
+"""Minus twice the logarithms of the prior odds of the first press, 1e-4, and of each further one,
+1e-6: errors of the model count as independent, so that the evidence of a press that is none, far
+behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more."""
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
@@ -34,8 +34,8 @@ MISFIT = 0.15
 differ from the library's."""
 GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
-CERTAIN = 2.0
-"""Standard deviations of the noise's energy by which the unexplained energy has to exceed it."""
+EXCESS = 2.0
+"""Standard deviations of the noise's energy by which the residual's has to exceed it."""
 EXPLAINED = 1.5
 """Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
 BEAM = 2
@@ -74,8 +74,8 @@ class Inversion:
     contacts : list of Contact
         By distance.
     misfit : float
-        Root of the energy of the echo that the model certainly leaves unexplained, relative to that
-        of the echo; nan without an echo.
+        Root of the energy of the residual above the noise's and two standard deviations of that,
+        relative to the energy of the echo; nan without an echo.
     fits : bool
         Whether the misfit is less than :data:`MISFIT`.
     temperature, gain, stretch : Estimate
@@ -243,10 +243,10 @@ class Inverter:
 
 
 def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the fraction of the echo that the model certainly does not explain."""
+    """Return the fraction of the echo that the model does not explain, less what may be noise."""
     rest = builder.quiet(measured - explained)
     noise = builder.model.base.freedom * len(rest)
-    beyond = np.sum(np.abs(rest) ** 2) - noise - CERTAIN * noise**0.5
+    beyond = np.sum(np.abs(rest) ** 2) - noise - EXCESS * noise**0.5
     return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
 
 

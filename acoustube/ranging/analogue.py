@@ -160,6 +160,8 @@ def clutter(
             interpolate_scattering(press.scattering, frequency),
         )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
+        # Relative to straight tube, whose phase between the reference planes `steps` has.
+        total *= np.exp(2j * straight * np.ptp(press.scattering.planes))
         behind = first
     _add_reflectors(total, steps, number[:behind], reflectors[:behind])
     return np.asarray(total * np.exp(-1j * straight * spacing))

@@ -222,11 +222,12 @@ class DesignGoal:
                 f"is less than the smallest bore and twice the thinnest wall, {least:g} mm",
                 setting="outer_mm", value=free.outer_mm, advice="raise it or lower bore_mm",
             )  # fmt: skip
-        if not self.bends(
-            free.bore_mm[0], min(free.wall_mm[1], (free.outer_mm - free.bore_mm[0]) / 2)
-        ):
+        # A wall as thick as the bore is wide resists kinking best.
+        thickest = min(free.wall_mm[1], (free.outer_mm - free.bore_mm[0]) / 2)
+        stiffest = min(max(free.bore_mm[0], free.wall_mm[0]), thickest)
+        if not self.bends(free.bore_mm[0], stiffest):
             raise ConfigError(
-                "kinks all tubes", setting="bend_radius_cm", value=goal.bend_radius_cm,
+                "kinks all tubes", setting="bend_radius_cm", value=goal.bend_radius_cm, unit="cm",
                 advice="bend less tightly, lower bore_mm, or allow thicker walls and outer_mm",
             )  # fmt: skip
         if LEAST_RATE * free.carrier_khz[0] > max(free.rate_khz):

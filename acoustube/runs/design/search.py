@@ -169,7 +169,8 @@ class Search:
         ]  # fmt: skip
         fitting = dict.fromkeys(spec for spec in places if self._fits(spec))
         if not fitting:  # a narrow choice
-            fitting = dict.fromkeys([TubeSpec(*(float(v[0]) for v in values))])
+            lattice = [TubeSpec(*map(float, row)) for row in itertools.product(*values)]
+            fitting = dict.fromkeys([next(filter(self._fits, lattice), lattice[0])])
         return list(fitting)[: max(self.most // 3, 1)]
 
     def _around(self, centre: TubeSpec, step: int) -> Iterator[TubeSpec]:
