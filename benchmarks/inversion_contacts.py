@@ -110,13 +110,11 @@ class Truth:
         self.files = {}
         for one in Path(name).glob("*.nc") if Path(name).is_dir() else ():
             self.files[1e-3 * float(one.stem.rpartition("_")[2])] = scattering_file.read(one)
-        kind, _, own = name.partition("-")
-        mesh, self.how = (own, "spectral") if kind == "mesh" else (mesh, name)
-        settings = {"mesh": [mesh]} | changed
-        if config is None:
-            settings = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]} | settings
-        else:
-            settings = {"depth_mm": [designed_depths(config)]} | settings
+        kind, _, other = name.partition("-")
+        mesh, self.how = (other, "spectral") if kind == "mesh" else (mesh, name)
+        usual = {"indenter_mm": ["25"], "depth_mm": ["0.5:8:0.25"]}
+        own = usual if config is None else {"depth_mm": [designed_depths(config)]}
+        settings = own | {"mesh": [mesh]} | changed
         (self.plan,) = tool_plans(settings, 0.005, config)
         self.path = DepthPath(presses.press_to(self.plan.settings, self.plan.pressed))
         self.bore = self.plan.settings.tube.inner_diameter

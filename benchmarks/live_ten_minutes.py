@@ -34,7 +34,7 @@ DAMAGED = 100
 """One frame in so many has lost its second half."""
 
 
-def play(n_cycles: int) -> Iterator[bytes]:
+def frames_of(n_cycles: int) -> Iterator[bytes]:
     """Yield the frames of cycles, some of them damaged."""
     for i in range(n_cycles):
         frame = FRAMES[i % len(FRAMES)]
@@ -104,6 +104,6 @@ def main(minutes: float) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--board"]:
         end, n_cycles = (int(word) for word in sys.argv[2:4])
-        write_frames(end, play(n_cycles))
+        write_frames(end, frames_of(n_cycles))
     else:
         main(float(sys.argv[1]) if sys.argv[1:] else 10.0)

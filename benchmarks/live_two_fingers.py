@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from inversion_tracking import AIR, LENGTH, NEAR, RATE, TUBE, hands, print_errors
-from live_ten_minutes import TESTS, resident
+from live_ten_minutes import TESTS, resident, write_frames
 
 sys.path.insert(0, str(TESTS))
 
@@ -79,12 +79,10 @@ def make(library: Path, out: Path, n_cycles: int) -> None:
 
 def play(end: int, cycles: Path) -> None:
     """Write cycles to the board's end of a pseudo-terminal, at the board's pace."""
-    import live_ten_minutes as pace
-
     with np.load(cycles) as file:
         frames = [encode(i, one) for i, one in enumerate(file["samples"])]
     time.sleep(STARTING)
-    pace.write_frames(end, frames)
+    write_frames(end, frames)
 
 
 def listen(library: Path, folder: Path):

@@ -25,21 +25,12 @@ from acoustube.inversion.small_matrices import (
     plus,
     product,
     product_left,
+    scaled,
 )
 from acoustube.waves.scattering import Complex
 
 PASSED, RETURNED, REFLECTED, PASSING = 0, 9, 18, 27
 """Where the parts of a joint begin."""
-
-
-@compiled
-def _scaled(rows: Vector, a: Matrix, columns: Vector) -> Matrix:
-    """Return a matrix whose rows and columns are scaled."""
-    return (
-        rows[0] * a[0] * columns[0], rows[0] * a[1] * columns[1], rows[0] * a[2] * columns[2],
-        rows[1] * a[3] * columns[0], rows[1] * a[4] * columns[1], rows[1] * a[5] * columns[2],
-        rows[2] * a[6] * columns[0], rows[2] * a[7] * columns[1], rows[2] * a[8] * columns[2],
-    )  # fmt: skip
 
 
 @compiled
@@ -51,7 +42,7 @@ def _three(a: Complex) -> Vector:
 def _joint(at: Complex, way: Vector) -> tuple[Matrix, Matrix]:
     """Return what a joint passes and returns, referred to the press."""
     ones = (1.0 + 0j, 1.0 + 0j, 1.0 + 0j)
-    return _scaled(way, kept(at[PASSED:]), ones), _scaled(way, kept(at[RETURNED:]), way)
+    return scaled(way, kept(at[PASSED:]), ones), scaled(way, kept(at[RETURNED:]), way)
 
 
 @compiled

@@ -24,7 +24,7 @@ from acoustube.inversion.small_matrices import (
     kept,
     plus,
     product,
-    propagated,
+    scaled,
     unit_less,
 )
 from acoustube.waves.scattering import Complex
@@ -87,13 +87,13 @@ def echoes(
                     turned = product(inner, product(behind, block(one, 1, 0)))
                     found = added(block(one, 0, 0), product(block(one, 0, 1), turned))
                 way = path[a, i, f, 0], path[a, i, f, 1], path[a, i, f, 2]
-                keep(propagated(found, way), load[i])
+                keep(scaled(way, found, way), load[i])
             seen = kept(load[0])
-            scaled = (
+            sent_back = (
                 face * seen[0], face * seen[1], face * seen[2], face * seen[3], face * seen[4],
                 face * seen[5], face * seen[6], face * seen[7], face * seen[8],
             )  # fmt: skip
-            inner = inverse(unit_less(scaled))
+            inner = inverse(unit_less(sent_back))
             left, right = (inner[0], inner[1], inner[2]), (inner[0], inner[3], inner[6])
             value[a, f] = dot(left, (seen[0], seen[3], seen[6]))
             wave, warm = (

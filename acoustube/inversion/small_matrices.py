@@ -96,12 +96,12 @@ def inverse(a: Matrix) -> Matrix:
 
 
 @compiled
-def propagated(a: Matrix, p: Vector) -> Matrix:
-    """Return a reflection seen over a length of tube."""
+def scaled(rows: Vector, a: Matrix, columns: Vector) -> Matrix:
+    """Return a matrix whose rows and columns are scaled."""
     return (
-        p[0] * a[0] * p[0], p[0] * a[1] * p[1], p[0] * a[2] * p[2],
-        p[1] * a[3] * p[0], p[1] * a[4] * p[1], p[1] * a[5] * p[2],
-        p[2] * a[6] * p[0], p[2] * a[7] * p[1], p[2] * a[8] * p[2],
+        rows[0] * a[0] * columns[0], rows[0] * a[1] * columns[1], rows[0] * a[2] * columns[2],
+        rows[1] * a[3] * columns[0], rows[1] * a[4] * columns[1], rows[1] * a[5] * columns[2],
+        rows[2] * a[6] * columns[0], rows[2] * a[7] * columns[1], rows[2] * a[8] * columns[2],
     )  # fmt: skip
 
 

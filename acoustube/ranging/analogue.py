@@ -145,14 +145,13 @@ def clutter(
         )
     n = len(reflectors)
     straight = axial_wavenumber(0, 0, frequency, radius, air)
-    bends = [press for press in presses if press.scattering.inside is not None]
+    bends = [one for one in presses if one.scattering.inside is not None]
+    pressed = [one for one in presses if one.scattering.inside is None]
     waves, number = _plane_waves(bends, frequency, straight, spacing, n)
     steps = np.exp(-2j * spacing * waves)
     total = np.zeros(len(frequency), complex)
     behind = n
-    for press in sorted(presses, key=lambda press: -press.position):
-        if press.scattering.inside is not None:
-            continue
+    for press in sorted(pressed, key=lambda press: -press.position):
         first = min(int(press.position / spacing + 0.5), behind)
         _add_reflectors(total, steps, number[first:behind], reflectors[first:behind])
         plane, s = (
