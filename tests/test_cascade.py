@@ -21,8 +21,8 @@ from acoustube.waves import (
     scatter,
     transfer,
 )
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.network import interpolate_scattering
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """That of the table below."""
@@ -157,6 +157,27 @@ def test_scattering_between_its_frequencies_is_that_of_its_response():
         wanted = np.exp((-2j * np.pi * between - eta) * delay)
         # What the band's ends, which do not agree, leave at its middle.
         assert found == pytest.approx(wanted, abs=2e-3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 300.0])
+def test_scattering_above_a_cut_on_is_interpolated_without_its_step(damping):
+    """A membrane of admittance 0.3 where two modes meet: from 0.5 kHz above the higher's cut-on.
+
+    With the step interpolated too, reflection and conversion are off by up to 0.1.
+    """
+    modes, given = ("00", "11c"), np.arange(23e3, 40e3, 100.0)
+    cut_on = cut_on_frequency(1, 1, BORE, 343.2)
+
+    def matrix(f):
+        kz = np.sqrt(np.where(f.real > cut_on, 1 - (cut_on / f) ** 2, 0))
+        s = np.zeros((len(f), 2, 2, 2, 2), complex)
+        s[:, 0, 1, 0, 1] = np.where(f.real > cut_on, (kz - 0.3) / (kz + 0.3), 0)
+        s[:, 0, 0, 0, 1] = s[:, 0, 1, 0, 0] = 2 * np.sqrt(0.3 * kz) / (kz + 0.3)
+        return s
+
+    wanted = np.arange(cut_on + 500.0, 38e3, 33.0) - 1j * damping / (2 * np.pi)
+    found = interpolate_scattering(made(given, matrix(given + 0j), modes), wanted)
+    assert np.abs(found - matrix(wanted)).max() < 5e-3
 
 
 FREQUENCY = np.arange(25e3, 59.1e3, 200.0)

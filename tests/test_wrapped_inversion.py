@@ -11,7 +11,14 @@ from test_inversion import matrices as scattering
 
 from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
-from acoustube.inversion import Baseband, ContactTracker, ForwardModel, Inverter, Library
+from acoustube.inversion import (
+    Baseband,
+    ContactTracker,
+    ForwardModel,
+    Inverter,
+    Library,
+    measured_clutter,
+)
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.tables import Matrices
 from acoustube.inversion.wrap import WrappedPath
@@ -21,7 +28,7 @@ from acoustube.runs.inversion import read_sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
-from acoustube.sleeve import design, wrapped
+from acoustube.sleeve import design, windings, wrapped
 from acoustube.waves import Bent, PlacedScatterer, axial_wavenumber, joined_bends
 from acoustube.waves.bent_modes import bent_modes
 from acoustube.waves.modes.grid_modes import mode_numbers
@@ -150,8 +157,8 @@ def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
         assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
 
 
-def wrapped_cycles(depth, place, seed, n_cycles=20):
-    """Cycles of a press on the arm."""
+def wrapped_presses(depth, place):
+    """A press on the arm, between bends."""
     frequency = np.arange(20e3, 62e3, 100.0)
     propagates = frequency[:, None] > CUT_ONS
     s = scattering(depth, frequency)[0]
@@ -160,10 +167,35 @@ def wrapped_cycles(depth, place, seed, n_cycles=20):
         frequency=frequency, modes=MODES, s=s, propagates=propagates, cut_ons=CUT_ONS,
         sound_speed=AIR.sound_speed, extent=(-WRAP.reach, WRAP.reach),
     )  # fmt: skip
-    presses = wrapped(
-        HELIX, [PlacedScatterer(pressed, place)], AIR, radius=RADIUS, reach=WRAP.reach
-    )
+    return wrapped(HELIX, [PlacedScatterer(pressed, place)], AIR, radius=RADIUS, reach=WRAP.reach)
+
+
+def wrapped_cycles(depth, place, seed, n_cycles=20):
+    """Cycles of a press on the arm."""
+    presses = wrapped_presses(depth, place)
     return record(presses, radius=RADIUS, n_cycles=n_cycles, seed=seed, temperature=20.0)
+
+
+def test_far_end_behind_a_press_on_an_arm_sounds_as_it_is_recorded():
+    """The echo of the far end, which the press dims and delays, in cycles with little noise."""
+    rangefinder = Rangefinder(clutter=1e-12, noise=1e-6, bits=16, gain=50.0, far_reflection=0.3)
+    tube = {"radius": RADIUS, "length": 2.5, "temperature": 20.0, "n_cycles": 1, "seed": 1}
+    bends = windings(
+        HELIX, AIR, np.arange(20e3, 62e3, 100.0), [], reach=WRAP.reach, radius=RADIUS, modes=MODES
+    )
+    base = Baseband(rangefinder, RADIUS, 2.5, 20.0, MODES, wrap=WRAP)
+    untouched, pressed = (
+        base.of_cycles(record(presses, rangefinder, **tube)["signal"].values)[0]
+        for presses in (bends, wrapped_presses(5e-3, 0.9))
+    )
+    free = record(bends, rangefinder, **tube)["signal"].values
+    model = ForwardModel(Library((tool(),)), base, measured_clutter(base, free))
+    place, depth = np.array([[0.9]]), np.array([[5e-3]])
+    modelled = model.baseband((0,), place, depth, np.zeros((1, 6)))[0][0]
+    late = base.path.place_at(base.window) > 2.4
+    assert np.linalg.norm((pressed - untouched)[late]) > 0.3 * np.linalg.norm(untouched[late])
+    off = np.linalg.norm((pressed - modelled)[late])
+    assert off < 0.1 * np.linalg.norm(untouched[late])
 
 
 @pytest.mark.slow

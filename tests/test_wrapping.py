@@ -15,7 +15,7 @@ from acoustube.waves import (
     joined_bends,
     transfer,
 )
-from acoustube.waves.network import interpolate_scattering
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.scattering import ModalScattering
 
 AIR, BORE, REACH = air_at(20.0), 3.95e-3, 0.03

@@ -40,6 +40,8 @@ class Joined:
         Their relative derivatives by temperature in 1/K, (n_f, 3).
     through, through_warm : ndarray
         The same of the modes that pass from joint to joint, (n, n_f, n_own) and (n_f, n_own).
+    untouched : ndarray
+        Factor of the plane wave from port to port of a bend without a press, (n, n_f).
     """
 
     straight: Matrices
@@ -49,6 +51,7 @@ class Joined:
     warm: Complex
     through: Complex
     through_warm: Complex
+    untouched: Complex
 
     @cached_property
     def value(self) -> Complex:
@@ -89,10 +92,14 @@ class Joined:
         ))  # fmt: skip
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's transmission both ways, and changes by depth and stretch."""
+        """Return the plane wave's transmission both ways, and changes by depth and stretch.
+
+        Relative to the bend without a press, as clutter behind it is.
+        """
         plane = np.zeros(self.way.shape, complex)
         plane[..., 0] = 1.0
         onwards, back = self.changes(right=plane, out=plane), self.changes(left=plane, into=plane)
         there, here = self.value[..., 1, 0, 0, 0], self.value[..., 0, 0, 1, 0]
         by_depth, by_stretch = (onwards[i] * here + there * back[i] for i in (0, 1))
-        return there * here, by_depth, by_stretch
+        both_ways = self.untouched**2
+        return there * here / both_ways, by_depth / both_ways, by_stretch / both_ways

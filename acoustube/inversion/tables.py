@@ -11,6 +11,9 @@ from scipy.ndimage import spline_filter1d
 
 from acoustube.base.types import Array
 from acoustube.inversion.tools import Tool
+from acoustube.waves.interpolation import onsets, restored, steps, without
+from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 FINER = 2
@@ -79,7 +82,8 @@ class ToolTable:
     Trapped sound rings for so long that the tool's frequencies sample it just densely enough:
     cubics between them lose what sounds later than 2 ms. They are first interpolated to finer ones
     by the conditional mean of a stationary Gaussian process, whose covariance is the Fourier
-    transform of the power expected of the impulse response over time. Between these frequencies,
+    transform of the power expected of the impulse response over time; steps at cut-ons are
+    subtracted before (:mod:`acoustube.waves.interpolation`). Between these frequencies,
     which are even, coefficients of B-splines are used; between the depths, which are not, cubic
     splines. Derivatives are those of the interpolation itself.
     """
@@ -94,7 +98,11 @@ class ToolTable:
         self.count = last - first + 1
         kept = np.ascontiguousarray(tool.s[:, :, :, :modes, :, :modes]).astype(complex)
         flat = kept.reshape(len(tool.depth), len(tool.frequency), -1)
-        fine = _refinement(tool.frequency, self.start + step * np.arange(self.count)) @ flat
+        names = tool.modes[:modes]
+        cut_ons = [cut_on_frequency(*mode_numbers(n), tool.radius, tool.sound_speed) for n in names]
+        fine = _refined(
+            tool.frequency, flat, self.start + step * np.arange(self.count), np.array(cut_ons)
+        )
         filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
         self.value = filtered.astype(np.complex64)
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
@@ -142,6 +150,13 @@ class ToolTable:
             full[..., self.seen] = part
             part = full
         return part.reshape(shape)
+
+
+def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
+    """Return coefficients (n_depths, n_given, n) at finer frequencies, (n_depths, n_wanted, n)."""
+    found = steps(given, wanted, onsets(cut_ons))
+    matrix = _refinement(given, wanted)
+    return np.stack([restored(found, matrix @ without(found, one), one) for one in flat])
 
 
 def _refinement(given: Array, wanted: Array) -> Complex:

@@ -185,6 +185,7 @@ class WrappedPath:
         reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
         joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))
+        bent = self.wavenumber(place) + warm * self.warmer(place, 1)
         return Joined(
             straight=Matrices(*(padded(part, MODES) for part in matrices)),
             joints=joints, moved=moved,
@@ -192,6 +193,7 @@ class WrappedPath:
             warm=-1j * reach * self.by_temperature,
             through=-np.exp(-2j * reach * (self.own_k + warm * self.own_heat)),
             through_warm=-2j * reach * self.own_heat,
+            untouched=np.exp(-2j * reach * bent[..., 0]),
         )  # fmt: skip
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:

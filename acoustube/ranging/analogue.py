@@ -32,12 +32,9 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.ranging.rangefinder import Drive, Rangefinder
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.network import (
-    WRAPAROUND_ATTENUATION,
-    interpolate_scattering,
-    transfer,
-)
+from acoustube.waves.network import WRAPAROUND_ATTENUATION, transfer
 from acoustube.waves.network_checks import in_band
 from acoustube.waves.scattering import Complex, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_duration

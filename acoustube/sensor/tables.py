@@ -11,10 +11,10 @@ from scipy.interpolate import CubicSpline
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion import Library, Tool
+from acoustube.waves.interpolation import Onsets, interpolated, onsets
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.grid_modes import mode_numbers
-from acoustube.waves.network import interpolate_scattering
-from acoustube.waves.scattering import Complex, ModalScattering
+from acoustube.waves.scattering import Complex
 
 MOST_MODES = 3
 """Modes that carry sound between contacts."""
@@ -152,17 +152,17 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
         for port in (0, 1):
             untouched[:, port, mode, 1 - port, mode] = propagates
     speed = stretch * tool.sound_speed
-    cut_ons = [cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in tool.modes]
+    names = tool.modes[:m]
+    begun = onsets(
+        np.array([cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in names])
+    )
+    given = tool.frequency * stretch
     found = np.empty((len(kept), len(s) + 1, len(frequency)), complex)
     for row, place in zip(found, kept, strict=True):  # one by one, for a tenth of the memory
         o, i, p, j = map(int, np.unravel_index(place, s.shape[2:]))
         column = np.column_stack([untouched[:, o, i, p, j], s[:, :, o, i, p, j].T])
-        one = ModalScattering(
-            frequency=tool.frequency * stretch, modes=tool.modes[:m],
-            s=column.astype(complex), propagates=np.ones((len(tool.frequency), m), bool),
-            cut_ons=np.array(cut_ons[:m]), sound_speed=speed, extent=(0.0, 0.0),
-        )  # fmt: skip
-        row[:] = interpolate_scattering(one, frequency).T
+        same = Onsets(*(np.full(column.shape[1], one[place]) for one in begun))
+        row[:] = interpolated(given, column.astype(complex), frequency, same).T
     return found
 
 

@@ -37,6 +37,7 @@ from acoustube.base.checks import (
 from acoustube.base.rules import Number
 from acoustube.waves import network_checks as checks
 from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer, Scattering
@@ -274,84 +275,6 @@ def _pressure_at(
     here = _propagator(waves, ahead) * forward
     rest = _propagator(waves, left)
     return np.asarray((here + rest * (load @ (rest * here)))[:, :, 0])
-
-
-def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
-    """Return a scattering matrix at other frequencies, real or complex.
-
-    Parameters
-    ----------
-    scattering : ModalScattering
-        At evenly spaced frequencies.
-    frequency : ndarray
-        In Hz, (n,), their real parts within its band.
-
-    Returns
-    -------
-    ndarray
-        (n, port_out, mode_out, port_in, mode_in); zero where a mode does not propagate.
-
-    Raises
-    ------
-    ValueError
-        If the frequencies leave the band, or the given ones are not evenly spaced, or too far apart
-        for a cut-on among them.
-
-    Notes
-    -----
-    By the impulse response of the band: its spectrum at a frequency with a negative imaginary part
-    is that of the response times a decaying exponential. At even frequencies it is computed by the
-    chirp z-transform [1]_.
-
-    References
-    ----------
-    .. [1] Rabiner, L. R., Schafer, R. W. and Rader, C. M. (1969). The chirp z-transform algorithm.
-       IEEE Transactions on Audio and Electroacoustics 17, 86-92. doi:10.1109/TAU.1969.1162034
-    """
-    checks.check_interpolation(scattering, frequency)
-    given, s = scattering.frequency, scattering.s
-    step, n = np.diff(given), len(given)
-    # The response begins before zero, since the press begins before its reference plane.
-    early = n // 10
-    time = (np.arange(n) - early) / (n * step[0])
-    flat, wanted = s.reshape(n, -1), np.asarray(frequency)
-    # Without the line between the ends of the band, which would sound at all times: its samples
-    # there are those of a periodic function then.
-    rise = (flat[-1] - flat[0]) / (given[-1] - given[0])
-    rest = flat - flat[0] - np.outer(given - given[0], rise)
-    inverse = np.roll(np.fft.ifft(rest, axis=0), early, axis=0)
-    response = np.exp(2j * pi * given[0] * time)[:, None] * inverse
-    found = _spectrum(response, time, wanted) + flat[0] + np.outer(wanted - given[0], rise)
-    return np.asarray(found).reshape(len(frequency), *s.shape[1:])
-
-
-def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
-    """Return the spectra of columns over an even time, at any frequencies, real or complex.
-
-    By the chirp z-transform for evenly spaced frequencies: ten times as fast as sums.
-    """
-    n = len(frequency)
-    steps = np.diff(frequency)
-    if n < 2 or np.ptp(steps.real) > 1e-9 * steps[0].real or np.any(steps.imag != 0):
-        return np.asarray(np.exp(-2j * pi * np.outer(frequency, time)) @ response, complex)
-    rate = time[1] - time[0]
-    ratio, first = np.exp(-2j * pi * steps[0].real * rate), np.exp(2j * pi * frequency[0] * rate)
-    sums = _chirp_z(response, n, ratio, first)
-    return np.asarray(sums * np.exp(-2j * pi * frequency * time[0])[:, None], complex)
-
-
-def _chirp_z(columns: Complex, n: int, ratio: complex, first: complex) -> Complex:
-    """Return the z-transforms of columns at ``first ratio^-k`` for k from 0 to n - 1.
-
-    SciPy's, without the memory and the time that importing its signals with the statistics takes.
-    """
-    n_in = len(columns)
-    chirp = ratio ** (np.arange(max(n, n_in)) ** 2 / 2)
-    size = next_fast_len(n_in + n - 1)
-    weighted = columns * (first ** -np.arange(n_in) * chirp[:n_in])[:, None]
-    kernel = np.fft.fft(1 / np.concatenate([chirp[n_in - 1 : 0 : -1], chirp[:n]]), size)
-    convolved = np.fft.ifft(kernel[:, None] * np.fft.fft(weighted, size, axis=0), axis=0)
-    return np.asarray(convolved[n_in - 1 : n_in + n - 1] * chirp[:n, None])
 
 
 def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScattering:

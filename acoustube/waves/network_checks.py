@@ -14,7 +14,7 @@ from acoustube.base.units import KHZ
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.port_waves import Complex
-from acoustube.waves.scattering import ModalScattering, PlacedScatterer
+from acoustube.waves.scattering import PlacedScatterer
 
 OUT_OF_BAND_ENERGY = 1e-4
 """Largest fraction of a pulse's energy outside the band of the scattering matrices."""
@@ -96,9 +96,8 @@ def in_band(
     return inside
 
 
-def check_interpolation(scattering: ModalScattering, frequency: NDArray[Any]) -> None:
-    """Validate frequencies at which a scattering matrix is to be interpolated."""
-    given = scattering.frequency
+def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -> None:
+    """Validate frequencies between which, and at which, scattering is to be interpolated."""
     low, high = given[[0, -1]]
     least, most = np.min(np.real(frequency)), np.max(np.real(frequency))
     if not low * (1 - 1e-9) <= least <= most <= high * (1 + 1e-9):
@@ -109,7 +108,7 @@ def check_interpolation(scattering: ModalScattering, frequency: NDArray[Any]) ->
     step = np.diff(given)
     if np.ptp(step) > 1e-6 * step[0]:
         raise ValueError("the frequencies of a press must be evenly spaced; compute them so")
-    within = np.any((scattering.cut_ons > low) & (scattering.cut_ons < high))
+    within = np.any((cut_ons > low) & (cut_ons < high))
     if within and step[0] > COARSEST_STEP:
         raise ValueError(
             f"steps of {step[0]:g} Hz are too coarse to interpolate next to a cut-on; compute the "
