@@ -3,7 +3,8 @@
 Fingers land, slide, deepen and lift at about 0.55 and 1 m of a tube of 2 m, over and over; cycles
 are computed one by one by the rangefinder's model, with the library's scattering at depths between
 its own. The figures show the search, the filter and the noise, not errors of the scattering. With
-``--board`` the cycles are those of EchoTube's board: 80 kHz, unfiltered, 8 bits.
+``--board`` the cycles are those of EchoTube's board: 80 kHz, unfiltered, 8 bits. With ``--sleeve``
+the tube is wrapped around a forearm as in the sleeve paper; its bends take a second or two a cycle.
 
 Usage: python benchmarks/inversion_tracking.py FOLDER --seconds 60
 """
@@ -18,11 +19,17 @@ from pathlib import Path
 import numpy as np
 from placed_press import placed_press
 
+from acoustube.air import air_at
 from acoustube.inversion import ContactTracker, ForwardModel, baseband_of, measured_clutter
 from acoustube.ranging import Rangefinder, digitise, response
 from acoustube.runs.libraries.files import open_library
+from acoustube.runs.wrap import wrap_of
+from acoustube.sleeve import between_bends, design, windings
 
 LENGTH, TUBE, AIR, RATE, NEAR = 2.0, 7, 20.1, 20, 0.05
+FOREARM, WRAPPED, REACH = (0.26, (0.18, 0.266)), 2.5, 0.03
+"""Length and girths of the arm, length of the tube around it, and half the length of tube that is
+straight at a press, in m."""
 UNTOUCHED = 100
 """Cycles from which the clutter is learned."""
 SETTLED = 0.5
@@ -50,8 +57,10 @@ def hands(t, least):
 class Tube:
     """Cycles of presses with a tool's scattering."""
 
-    def __init__(self, tool, board):
-        self.tool, self.board = tool, board
+    def __init__(self, tool, board, sleeve=None):
+        self.tool, self.board, self.sleeve = tool, board, sleeve
+        self.length = LENGTH if sleeve is None else WRAPPED
+        self.bends = [] if sleeve is None else self.between([])
         if board:
             self.own = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8)
             self.fine = Rangefinder(sampling_rate=240e3, n_samples=6000)
@@ -61,16 +70,31 @@ class Tube:
     def cycle(self, pressed, number):
         """Return the counts of a cycle."""
         placed = [placed_press(self.tool, place, depth) for place, depth, _ in pressed]
-        _, voltage = response(placed, self.fine, length=LENGTH, temperature=AIR, tube_seed=TUBE)
+        if self.sleeve is not None:
+            bends = self.between([one.position for one in placed]) if placed else self.bends
+            placed = [between_bends(one, REACH) for one in placed] + bends
+        _, voltage = response(
+            placed, self.fine, radius=self.tool.radius, length=self.length, temperature=AIR,
+            tube_seed=TUBE,
+        )  # fmt: skip
         voltage = voltage[::3].copy() if self.board else voltage
         return digitise(voltage, self.own, np.array([number]), 5)[0]
+
+    def between(self, places):
+        """Return the bends of the sleeve between presses, at the temperature of the library."""
+        tool = self.tool
+        return windings(
+            self.sleeve, air_at(20.0), tool.frequency, sorted(places), reach=REACH,
+            radius=tool.radius, modes=tool.modes,
+        )  # fmt: skip
 
 
 def followed(tube, library, seconds):
     """Return times of cycles, rows (deepest, time since landing, errors, coverage) and ghosts."""
     tool = library.tools[0]
     base = baseband_of(
-        tube.own, library.radius, LENGTH, 20.0, library.modes, tube.own.n_samples
+        tube.own, library.radius, tube.length, 20.0, library.modes, tube.own.n_samples,
+        None if tube.sleeve is None else wrap_of(tube.sleeve),
     )  # fmt: skip
     free = np.array([tube.cycle([], i) for i in range(UNTOUCHED)])
     tracker = ContactTracker(ForwardModel(library, base, measured_clutter(base, free)))
@@ -124,9 +148,11 @@ def main():
     parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the stream")
     parser.add_argument("--board", action="store_true", help="80 kHz and 8 bits")
+    parser.add_argument("--sleeve", action="store_true", help="wrapped around a forearm")
     given = parser.parse_args()
     library = open_library(given.folder)
-    tube = Tube(library.tools[0], given.board)
+    sleeve = design(*FOREARM, loops=9, n_tubes=2)[0] if given.sleeve else None
+    tube = Tube(library.tools[0], given.board, sleeve)
     times, rows, ghosts = followed(tube, library, given.seconds)
     q = np.quantile(times, [0.5, 0.95, 1])
     print(f"{len(times)} cycles; {q[0]:.1f} ms of processor time, 95 % {q[1]:.1f}, most {q[2]:.0f}")

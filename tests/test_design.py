@@ -311,14 +311,15 @@ def small(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("small")
-def test_search_from_three_seeds_ends_within_five_per_cent():
+@pytest.mark.parametrize("seeds", [(0, 1), pytest.param((0, 1, 2), marks=pytest.mark.long)])
+def test_search_from_other_seeds_ends_within_five_per_cent(seeds):
     """On echoes with one best tube, which is not among the first; of at most 105 tubes 30."""
     design = DesignGoal(goal=Goal(forces_n=(2, 15)), variables=Variables(carrier_khz=(15, 40)))
 
     def compute(specs):
         return {spec: made_up(spec) for spec in specs}
 
-    ends = [Search(design, compute, seed, 30).run() for seed in (0, 1, 2)]
+    ends = [Search(design, compute, seed, 30).run() for seed in seeds]
     scores = np.exp([one.score for one in ends])
     assert np.ptp(scores) < 0.05 * scores.min()
     assert all(abs(one.tube.bore - 8.5) <= 1 for one in ends)

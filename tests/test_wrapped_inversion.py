@@ -170,6 +170,13 @@ def wrapped_presses(depth, place):
     return wrapped(HELIX, [PlacedScatterer(pressed, place)], AIR, radius=RADIUS, reach=WRAP.reach)
 
 
+def untouched():
+    """The bends of the arm without a press."""
+    return windings(
+        HELIX, AIR, np.arange(20e3, 62e3, 100.0), [], reach=WRAP.reach, radius=RADIUS, modes=MODES
+    )
+
+
 def wrapped_cycles(depth, place, seed, n_cycles=20):
     """Cycles of a press on the arm."""
     presses = wrapped_presses(depth, place)
@@ -180,11 +187,9 @@ def test_far_end_behind_a_press_on_an_arm_sounds_as_it_is_recorded():
     """The echo of the far end, which the press dims and delays, in cycles with little noise."""
     rangefinder = Rangefinder(clutter=1e-12, noise=1e-6, bits=16, gain=50.0, far_reflection=0.3)
     tube = {"radius": RADIUS, "length": 2.5, "temperature": 20.0, "n_cycles": 1, "seed": 1}
-    bends = windings(
-        HELIX, AIR, np.arange(20e3, 62e3, 100.0), [], reach=WRAP.reach, radius=RADIUS, modes=MODES
-    )
+    bends = untouched()
     base = Baseband(rangefinder, RADIUS, 2.5, 20.0, MODES, wrap=WRAP)
-    untouched, pressed = (
+    alone, pressed = (
         base.of_cycles(record(presses, rangefinder, **tube)["signal"].values)[0]
         for presses in (bends, wrapped_presses(5e-3, 0.9))
     )
@@ -193,9 +198,9 @@ def test_far_end_behind_a_press_on_an_arm_sounds_as_it_is_recorded():
     place, depth = np.array([[0.9]]), np.array([[5e-3]])
     modelled = model.baseband((0,), place, depth, np.zeros((1, 6)))[0][0]
     late = base.path.place_at(base.window) > 2.4
-    assert np.linalg.norm((pressed - untouched)[late]) > 0.3 * np.linalg.norm(untouched[late])
+    assert np.linalg.norm((pressed - alone)[late]) > 0.3 * np.linalg.norm(alone[late])
     off = np.linalg.norm((pressed - modelled)[late])
-    assert off < 0.1 * np.linalg.norm(untouched[late])
+    assert off < 0.1 * np.linalg.norm(alone[late])
 
 
 @pytest.mark.slow
@@ -252,9 +257,18 @@ def test_wrap_beyond_the_tube_has_no_place_for_a_press():
         ForwardModel(Library((tool(),)), base)
 
 
-def test_contacts_of_a_wrapped_tube_are_not_followed(model):
-    with pytest.raises(ConfigError, match="on straight tubes alone"):
-        ContactTracker(model)
+@pytest.mark.slow
+def test_contact_on_an_arm_is_followed(model):
+    """Of a tube whose clutter is known; it moves by 0.5 mm and deepens."""
+    free = record(untouched(), radius=RADIUS, n_cycles=30, seed=2, temperature=20.0)
+    clutter = measured_clutter(model.base, free["signal"].values)
+    tracker = ContactTracker(ForwardModel(model.tool_library, model.base, clutter))
+    for place, depth, seed in ((0.52, 4.3e-3, 3), (0.5205, 4.5e-3, 4)):
+        cycles = wrapped_cycles(depth, place, seed, n_cycles=6)["signal"].values
+        found = [tracker.update(one).contacts for one in cycles][-1]
+        assert len(found) == 1
+        assert found[0].distance.value == pytest.approx(place, abs=0.5e-3)
+        assert found[0].depth.value == pytest.approx(depth, abs=0.15e-3)
 
 
 @pytest.mark.slow

@@ -35,6 +35,9 @@ ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is taken."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
 """Errors of the model at all times, relative to the highest echo, that are tried besides none."""
+BENT_SPREADS = 6e-3, 2.4e-2
+"""Those that are tried too on a wrapped tube: next to their cut-on modes are slow, and reflected
+where the curvature changes."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
@@ -352,7 +355,8 @@ class Builder:
         best = min(judged(error, 0.0) for error in ERRORS)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
-        wider = [judged(error, spread) for error in sorted(errors) for spread in SPREADS]
+        spreads = SPREADS + BENT_SPREADS * self.model.path.converts
+        wider = [judged(error, spread) for error in sorted(errors) for spread in spreads]
         _, error, spread = min([best, *wider])
         return error, weights(self.model, self.noise, error, echo, spread)
 

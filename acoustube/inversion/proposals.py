@@ -12,15 +12,18 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.inversion.fit import Weights, weights
 from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.paths import stretches
 from acoustube.inversion.search import (
     APART,
     Candidates,
     Front,
     apart,
+    at_face,
     candidates,
     exclude,
     separate,
 )
+from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
@@ -50,16 +53,25 @@ class Proposals:
         table = model.tables[tool]
         low, high = table.range
         self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
-        stretch = np.full(len(self.depths), model.stretch)
-        found = table(self.depths, stretch).value[:, :, 0, 0, 0, 0] * base.gain
-        self.shapes = found.conj().astype(np.complex64)
-        self.places = np.arange(base.nearest, base.length - 0.05, PLACE_STEP)
-        waves = 2j * base.k[:, :1].conj()
-        self.turns = np.exp(waves * self.places).astype(np.complex64)
+        matrices = table(self.depths, np.full(len(self.depths), model.stretch))
+        low, high = model.span
+        high = min(high, base.length - 0.05)
+        self.places = np.arange(low, high, PLACE_STEP)
+        starts = np.array([start for start, _ in stretches(model.path, low, high, [])])
+        face = at_face(model, 0.0)
+        shapes = [
+            base.gain * face.out[:, 0] * face.into[:, 0] * _reflection(model, matrices, place)
+            for place in np.append((starts[1:] + starts[:-1]) / 2, (starts[-1] + high) / 2)
+        ]
+        self.zone = np.searchsorted(starts, self.places, side="right") - 1
+        self.shapes = np.conj(shapes).astype(np.complex64)
+        self.turns = np.exp(2j * self._phases(self.places).conj().T).astype(np.complex64)
         quiet = weights(model, noise, 0.0, None)
         self.quiet = _precision(quiet)
-        nodes = np.arange(base.nearest, base.length + NODES, NODES)
-        spectra = found[:, None] * np.exp(waves * nodes).conj().T
+        nodes = np.arange(low, high + NODES, NODES)
+        zones = np.searchsorted(starts, nodes, side="right") - 1
+        turned = np.exp(-2j * self._phases(nodes))
+        spectra = np.stack([shapes[zone] * one for zone, one in zip(zones, turned, strict=True)], 1)
         # Of both phases, which in samples below the Nyquist rate have different energies.
         power = [np.abs(quiet(base.transformed(turn * spectra))) ** 2 for turn in (1, 1j)]
         level = np.log(np.maximum(np.sum(power, axis=(0, -1)) / 2, 1e-300))
@@ -104,28 +116,36 @@ class Proposals:
         field = base.adjoint(whiten(rest) @ whiten.matrix.conj())
         energy = self.energy * self._dimmed(whiten)
         gain = np.empty(energy.shape)
-        filters, ends = [self.shapes * field], [0.0]
-        scales = [1.0]
+        face = at_face(self.model, 0.0)
+        fields, ends, scales = [field], [0.0], [1.0]
         for front in fronts:
-            # What has passed the contacts, without the path to there, which the turns have.
-            passed = front.out[:, 0] * front.into[:, 0]
-            passed = passed * np.exp(2j * base.k[:, 0] * front.place)
-            filters.append(self.shapes * (passed.conj() * field))
+            # What has passed the contacts, without the path to there, which the turns have, and the
+            # entry, which the shapes have.
+            passed = front.out[:, 0] * front.into[:, 0] / (face.out[:, 0] * face.into[:, 0])
+            passed = passed * np.exp(2j * self._phases(np.array([front.place]), behind=True)[0])
+            fields.append(passed.conj() * field)
             scales.append(float(np.median(np.abs(passed)) ** 2))
             ends.append(front.place)
         owner = np.searchsorted(ends[1:], self.places)
+        searched = np.full(len(self.places), True)
         if near is not None:
-            owner[np.abs(self.places - near) > FINE_REACH] = -1
-        for i, one in enumerate(filters):
-            here = owner == i
-            level = np.abs(one.astype(np.complex64) @ self.turns[:, here])
+            searched = np.abs(self.places - near) <= FINE_REACH
+        for i, j in np.unique(np.stack([owner, self.zone])[:, searched], axis=1).T:
+            here = searched & (owner == i) & (self.zone == j)
+            filters = (self.shapes[j] * fields[i]).astype(np.complex64)
+            level = np.abs(filters @ self.turns[:, here])
             energy[:, here] *= scales[i]
             gain[:, here] = 2 * (2 * level - energy[:, here])
         exclude(gain, self.places, ends[1:], near, FINE_REACH)
         found: list[tuple[float, float, float]] = []
         for best in self._places(gain.max(axis=0), number, least):
-            found += self._refined(filters[owner[best]], energy[:, best], best, fine, temperature)
+            filters = self.shapes[self.zone[best]] * fields[owner[best]]
+            found += self._refined(filters, energy[:, best], best, fine, temperature)
         return candidates(found)
+
+    def _phases(self, places: Array, temperature: float = 0.0, *, behind: bool = False) -> Complex:
+        """Return the plane wave's phases at places, or behind contacts there, (n, n_f)."""
+        return self.model.path.phases(places, temperature, behind=behind)[..., 0]
 
     def _places(self, gain: Array, number: int, least: float) -> list[int]:
         """Return the nearest place of a gain, and those of the highest gains, apart."""
@@ -148,12 +168,16 @@ class Proposals:
         self, filters: Complex, energy: Array, best: int, count: int, temperature: float
     ) -> list[tuple[float, float, float]]:
         """Return the highest separate maxima of the filter with its phase, about a place."""
-        base = self.model.base
         places = self.places[best] + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE_STEP)
-        waves = base.k[:, :1] + temperature * base.k_by_temperature[:, :1]
-        level = (filters @ np.exp(2j * waves.conj() * places)).real
+        level = (filters @ np.exp(2j * self._phases(places, temperature).conj().T)).real
         gain = 2 * (2 * level - energy[:, None])
         return separate(gain, places, self.depths, count)
+
+
+def _reflection(model: ForwardModel, matrices: Matrices, place: float) -> Complex:
+    """Return the reflection of the plane wave at a place, at all depths, (n_depths, n_f)."""
+    at = np.full(len(matrices.value), place)
+    return model.path.joined(matrices, at, np.zeros(len(at))).value[:, :, 0, 0, 0, 0]
 
 
 def _precision(whiten: Weights) -> Array:

@@ -84,11 +84,6 @@ class ContactTracker:
     motion : Motion, optional
     cycle_rate : float, optional
         Cycles per second; that of the rangefinder by default.
-
-    Raises
-    ------
-    ConfigError
-        If the tube is wrapped.
     """
 
     @checked(
@@ -102,11 +97,6 @@ class ContactTracker:
         motion: Motion | None = None,
         cycle_rate: float | None = None,
     ) -> None:
-        if model.path.converts:
-            raise ConfigError(
-                "contacts are followed from cycle to cycle on straight tubes alone, and this one "
-                "is wrapped; record cycles and invert them"
-            )
         self.model, self.most = model, most
         self.motion = motion or Motion()
         self.step = 1 / (cycle_rate or model.base.rangefinder.cycle_rate)

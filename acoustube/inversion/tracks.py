@@ -67,8 +67,9 @@ ADAPTED, RISE = 0.2, 1.5
 it: an echo that is not explained yet is no error."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Relative error of the model at first, and its range."""
-SPREAD = 5e-4
-"""Error of the model at all times relative to the highest echo."""
+SPREAD, BENT_SPREAD = 5e-4, 6e-3
+"""Error of the model at all times relative to the highest echo, of a straight tube and of one that
+is wrapped."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
 second one at a time; all contacts are shifted by half wavelengths together too."""
@@ -115,11 +116,12 @@ class Track:
         self.n_cycles, self.n_bad, self.numbers = 0, 0, 0
         self.rests: deque[Complex] = deque(maxlen=MEAN)
         self.whiten, self.untouched = quiet, np.zeros(0, complex)
+        self.spread = BENT_SPREAD if model.path.converts else SPREAD
 
     def update(self, cycle: Cycle, step: float) -> Update:
         """Return the distribution a time in s later, after a cycle more."""
         error = self.error if self.known else 0.0
-        self.whiten = weights(self.model, cycle.noise, error, self.echo, SPREAD)
+        self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
         found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
         new = any(one.age in NEW for one in self.known)
@@ -219,7 +221,9 @@ class Track:
         if prior is None:
             error = self.error if self.known else 0.0
             rest = np.mean(self.rests, axis=0)
-            whiten = weights(self.model, cycle.noise / len(self.rests), error, self.echo, SPREAD)
+            whiten = weights(
+                self.model, cycle.noise / len(self.rests), error, self.echo, self.spread
+            )
             samples = cycle.samples - found.rest[0] + rest
         elif prior.tools == branches.tools:
             known.append(prior.take(np.arange(1)))

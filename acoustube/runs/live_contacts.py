@@ -94,11 +94,6 @@ class Follower:
         sensor = Sensor() if how.sensor is None else read_sensor(how.sensor)
         self.tool_library = sensor.own(open_library(how.folder))
         rangefinder = sensor.rangefinder or Rangefinder(sampling_rate=rate, bits=BITS)
-        if sensor.wrap is not None:
-            raise ConfigError(
-                f"{how.sensor} states a wrap, and live follows contacts on straight tubes alone; "
-                "record cycles and give them to acoustube invert, or leave out --library"
-            )
         if abs(rangefinder.sampling_rate / rate - 1) > 1e-3:
             raise ConfigError(
                 f"the stream has rate = {rate:g} Hz and the sensor sampling_rate = "
@@ -113,7 +108,7 @@ class Follower:
         self.sensor = replace(sensor, rangefinder=rangefinder)
         self.base = baseband_of(
             rangefinder, self.tool_library.radius, sensor.length or USUAL_LENGTH, air,
-            self.tool_library.modes, n_samples,
+            self.tool_library.modes, n_samples, sensor.wrap,
         )  # fmt: skip
         check_band(self.tool_library, self.base)
         self.untouched: list[NDArray[np.uint8]] = []
