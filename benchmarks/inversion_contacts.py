@@ -317,6 +317,9 @@ def arguments():
     parser.add_argument(
         "--modulus", type=float, default=0.0, help="standard deviation of the wall's, in per cent"
     )
+    parser.add_argument(
+        "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"
+    )
     parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
@@ -372,7 +375,9 @@ def main():
     sleeve = design(*SLEEVE, loops=given.loops, n_tubes=2)[0] if given.sleeve else None
     wrap = None if sleeve is None else wrap_of(sleeve)
     sensor = inversion.Sensor() if given.sensor is None else inversion.read_sensor(given.sensor)
-    sensor = dataclasses.replace(sensor, priors=Priors(thermometer=0.0, **exact), wrap=wrap)
+    sensor = dataclasses.replace(
+        sensor, priors=Priors(thermometer=0.0, bore=0.01 * given.bore, **exact), wrap=wrap
+    )
     if given.modulus:
         value = truth.plan.settings.tube.young_modulus
         sensor = dataclasses.replace(sensor, young_modulus=(value, 0.01 * given.modulus * value))
@@ -389,7 +394,10 @@ def main():
     words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]
     if given.config is not None:
         words.append(given.config.stem)
-    others = ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("loops", 9.0, "loops")
+    others = (
+        ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 0.0, "% bore"),
+        ("loops", 9.0, "loops"),
+    )  # fmt: skip
     told = [(getattr(given, one), usual, unit) for one, usual, unit in others]
     words += [f"{value:g} {unit}" for value, usual, unit in told if value != usual]
     words += [f"{given.mesh} mesh"] if given.mesh != "usual" else []

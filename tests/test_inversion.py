@@ -323,6 +323,25 @@ def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouch
     assert np.median(wide) > 4 * np.median(narrow)
 
 
+def test_tolerance_of_the_bore_widens_depth_and_force_in_proportion(base, library, untouched):
+    """A relative deviation of 2 % is one of the depth, besides the others."""
+    clutter = measured_clutter(base, untouched)
+    cycles = record([press(5e-3, 0.6)], n_cycles=20, tube_seed=7, seed=70)["signal"].values
+    known, uncertain = (
+        Inverter(ForwardModel(library, base, clutter, Priors(bore=bore)), most=1)(cycles).contacts
+        for bore in (0.0, 0.02)
+    )
+    added = [
+        np.sqrt(wide.deviation**2 - narrow.deviation**2)
+        for wide, narrow in zip(
+            (uncertain[0].depth, uncertain[0].force), (known[0].depth, known[0].force), strict=True
+        )
+    ]
+    assert added[0] == pytest.approx(0.02 * known[0].depth.value, rel=0.02)
+    # The force of the tool is proportional to the square of the depth.
+    assert added[1] == pytest.approx(0.04 * known[0].force.value, rel=0.03)
+
+
 def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouched):
     """A tool that sounds at a depth d over 4 mm nearly as at 8 mm - d."""
     known = library.tools[0]

@@ -51,8 +51,12 @@ class Priors:
         tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
     place, depth : float
         Of the offsets in m between a press and the library's press of the same echo: errors
-        of mesh and solver that no recording shows; no parameters either. Defaults 0.08 mm and
-        0.05 mm, those of two meshes; 0 if there are none.
+        of mesh and solver that no recording shows; no parameters either. Defaults 0.03 mm and
+        0.015 mm, those of two meshes and solvers; 0 if there are none.
+    bore : float
+        Of the bore's diameter, relative, from the library's. A press of a wider bore sounds like
+        one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
+        extruded tube, say.
     """
 
     temperature: float = 0.3
@@ -63,20 +67,38 @@ class Priors:
     stretch: float = 2e-3
     losses: float = 4e-4
     thermometer: float = 0.1
-    place: float = 0.08e-3
-    depth: float = 0.05e-3
+    place: float = 0.03e-3
+    depth: float = 0.015e-3
+    bore: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
-        offset = Number(0, 0.01, "m")
+        offset, share = Number(0, 0.01, "m"), Number(0, 0.1)
         check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
-                     losses=Number(0, 0.1))  # fmt: skip
+                     losses=share, bore=share)  # fmt: skip
 
     @property
     def deviations(self) -> Array:
         """All, in the order of :data:`NUISANCES`."""
         return np.array([getattr(self, name) for name in NUISANCES])
+
+    def offsets(self, depths: Array) -> Array:
+        """Return the standard deviations of the offsets of place and depth in turn of each press.
+
+        Parameters
+        ----------
+        depths : ndarray
+            In m, (n, n_presses).
+
+        Returns
+        -------
+        ndarray
+            In m, (n, 2 n_presses).
+        """
+        found = np.empty((len(depths), 2 * depths.shape[1]))
+        found[:, ::2], found[:, 1::2] = self.place, np.hypot(self.depth, self.bore * depths)
+        return found
 
 
 class ForwardModel:

@@ -85,5 +85,4 @@ def discrepancy(
         own = np.linalg.norm(known.whiten(value - before), axis=1)
         deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
         value = before
-    offsets = np.tile([model.priors.place, model.priors.depth], m)
-    return Discrepancy(level, np.hypot(deviation, offsets))
+    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)))

@@ -189,8 +189,9 @@ class ContactTracker:
         weight /= weight.sum()
         variance = np.einsum("nii->ni", best.covariance)[:, : best.parameters]
         variance = variance + self._lasting(found)
-        priors, m = model.priors, len(best.tools)
-        variance[:, : 2 * m] += np.tile([priors.place**2, priors.depth**2], m)
+        m = len(best.tools)
+        depths = split(best.mean[:, : best.parameters])[1]
+        variance[:, : 2 * m] += model.priors.offsets(depths) ** 2
 
         def told(parameter: int, error: float = 0.0) -> Estimate:
             deviation = np.sqrt(variance[:, parameter] + error**2)
