@@ -376,11 +376,12 @@ def main():
     wrap = None if sleeve is None else wrap_of(sleeve)
     sensor = inversion.Sensor() if given.sensor is None else inversion.read_sensor(given.sensor)
     sensor = dataclasses.replace(
-        sensor, priors=Priors(thermometer=0.0, bore=0.01 * given.bore, **exact), wrap=wrap
+        sensor,
+        priors=Priors(
+            thermometer=0.0, bore=0.01 * given.bore, modulus=0.01 * given.modulus, **exact
+        ),
+        wrap=wrap,
     )
-    if given.modulus:
-        value = truth.plan.settings.tube.young_modulus
-        sensor = dataclasses.replace(sensor, young_modulus=(value, 0.01 * given.modulus * value))
     usual = sensor.rangefinder or Rangefinder()
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
     tube = {"tube_seed": TUBE, "length": sensor.length or LENGTH, "radius": truth.bore / 2}

@@ -323,23 +323,23 @@ def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouch
     assert np.median(wide) > 4 * np.median(narrow)
 
 
-def test_tolerance_of_the_bore_widens_depth_and_force_in_proportion(base, library, untouched):
-    """A relative deviation of 2 % is one of the depth, besides the others."""
+def test_tolerances_of_bore_and_modulus_widen_depth_and_force(base, library, untouched):
+    """In proportion: 2 % of the bore and 5 % of the modulus, besides the other deviations."""
     clutter = measured_clutter(base, untouched)
     cycles = record([press(5e-3, 0.6)], n_cycles=20, tube_seed=7, seed=70)["signal"].values
-    known, uncertain = (
-        Inverter(ForwardModel(library, base, clutter, Priors(bore=bore)), most=1)(cycles).contacts
-        for bore in (0.0, 0.02)
-    )
-    added = [
-        np.sqrt(wide.deviation**2 - narrow.deviation**2)
-        for wide, narrow in zip(
-            (uncertain[0].depth, uncertain[0].force), (known[0].depth, known[0].force), strict=True
-        )
-    ]
-    assert added[0] == pytest.approx(0.02 * known[0].depth.value, rel=0.02)
+
+    def told(**tolerance):
+        model = ForwardModel(library, base, clutter, Priors(**tolerance))
+        contact = Inverter(model, most=1)(cycles).contacts[0]
+        return np.square([contact.depth.deviation, contact.force.deviation]), contact
+
+    known, contact = told()
+    added = np.sqrt(told(bore=0.02)[0] - known)
+    assert added[0] == pytest.approx(0.02 * contact.depth.value, rel=0.02)
     # The force of the tool is proportional to the square of the depth.
-    assert added[1] == pytest.approx(0.04 * known[0].force.value, rel=0.03)
+    assert added[1] == pytest.approx(0.04 * contact.force.value, rel=0.03)
+    added = np.sqrt(told(modulus=0.05)[0] - known)
+    assert added == pytest.approx([0.0, 0.05 * contact.force.value], rel=1e-3, abs=1e-9)
 
 
 def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouched):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import log
 
 import numpy as np
@@ -208,7 +209,9 @@ class Inverter:
                     probability=float(sum(seen)),
                     distance=posterior.estimate(2 * i, self._scale_error(place)),
                     depth=posterior.estimate(2 * i + 1),
-                    force=posterior.mapped(2 * i + 1, known.force_at, known.force_deviation),
+                    force=posterior.mapped(
+                        2 * i + 1, known.force_at, partial(self.model.priors.force_deviation, known)
+                    ),
                     tool=tool,
                 )
             )

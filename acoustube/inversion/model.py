@@ -17,7 +17,7 @@ from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo, Waves, echo
 from acoustube.inversion.paths import MOST_MODES
 from acoustube.inversion.tables import Matrices, table_of
-from acoustube.inversion.tools import Library
+from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
 
@@ -57,6 +57,9 @@ class Priors:
         Of the bore's diameter, relative, from the library's. A press of a wider bore sounds like
         one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
         extruded tube, say.
+    modulus : float
+        Of the wall's Young's modulus, relative, from the library's, to which the force of a lumen
+        of one shape is proportional. Default 0; 0.1 of 2 Shore A.
     """
 
     temperature: float = 0.3
@@ -70,13 +73,14 @@ class Priors:
     place: float = 0.03e-3
     depth: float = 0.015e-3
     bore: float = 0.0
+    modulus: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
         offset, share = Number(0, 0.01, "m"), Number(0, 0.1)
         check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
-                     losses=share, bore=share)  # fmt: skip
+                     losses=share, bore=share, modulus=Number(0, 1))  # fmt: skip
 
     @property
     def deviations(self) -> Array:
@@ -99,6 +103,10 @@ class Priors:
         found = np.empty((len(depths), 2 * depths.shape[1]))
         found[:, ::2], found[:, 1::2] = self.place, np.hypot(self.depth, self.bore * depths)
         return found
+
+    def force_deviation(self, tool: Tool, depths: Array) -> Array:
+        """Return the standard deviation in N of a tool's force at depths in m, (n,)."""
+        return np.hypot(tool.force_deviation(depths), self.modulus * tool.force_at(depths))
 
 
 class ForwardModel:

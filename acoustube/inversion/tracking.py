@@ -204,9 +204,8 @@ class ContactTracker:
                 continue
             depth = best.mean[:, 2 * i + 1]
             slope = known.force_at(depth, 1) * np.sqrt(variance[:, 2 * i + 1])
-            force = mixture(
-                weight, known.force_at(depth), np.hypot(slope, known.force_deviation(depth))
-            )  # fmt: skip
+            own = model.priors.force_deviation(known, depth)
+            force = mixture(weight, known.force_at(depth), np.hypot(slope, own))
             distance = told(2 * i, self._scale_error(places[0, i]))
             contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))
             numbers.append(one.number)
