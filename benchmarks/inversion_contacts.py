@@ -315,7 +315,11 @@ def arguments():
         "--shore", type=float, default=0.0, help="added to the hardness of a design's wall"
     )
     parser.add_argument(
-        "--modulus", type=float, default=0.0, help="standard deviation of the wall's, in per cent"
+        "--modulus",
+        type=float,
+        default=0.0,
+        help="told standard deviation of the wall's, in per cent, by which forces are off at random "
+        "unless --shore is given",
     )
     parser.add_argument(
         "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"
@@ -421,7 +425,8 @@ def main():
                 data["time"].values, mean, calibration.processing, temperature=air
             )
             peak = float(located.distance) if bool(located.detected) else peak
-        off = np.random.default_rng(2000 + case[0]).normal(1.0, 0.01 * given.modulus)
+        unknown = 0.0 if given.shore else 0.01 * given.modulus
+        off = np.random.default_rng(2000 + case[0]).normal(1.0, unknown)
         forces = [off * truth.force(depth) for depth in case[2]]
         with given.out.open("a", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
