@@ -318,8 +318,8 @@ def arguments():
         "--modulus",
         type=float,
         default=0.0,
-        help="told standard deviation of the wall's, in per cent, by which forces are off at random "
-        "unless --shore is given",
+        help="told standard deviation of the wall's, in per cent, by which forces are off at "
+        "random, but not with --shore",
     )
     parser.add_argument(
         "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"
