@@ -12,6 +12,7 @@ from boards import Board
 from commands import run_here
 from rich.console import Console
 from test_inversion import press, tool
+from test_wrapped_inversion import WRAPPED, untouched, wrapped_presses
 
 from acoustube.cli.live import run_live
 from acoustube.ranging import Rangefinder, digitise, response
@@ -29,9 +30,13 @@ BOARD = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8, noise=1e-3)
 
 
 def cycle(presses, number):
+    """Return the bytes of a cycle with presses (place, depth)."""
+    return sampled([press(depth, place) for place, depth in presses], number)
+
+
+def sampled(placed, number, length=LENGTH):
     """Return the bytes of a cycle, of every third sample of the voltage at 240 kHz."""
-    placed = [press(depth, place) for place, depth in presses]
-    _, voltage = response(placed, FINE, length=LENGTH, tube_seed=7)
+    _, voltage = response(placed, FINE, length=length, tube_seed=7)
     counts = digitise(voltage[::3].copy(), BOARD, np.array([number]), 3)[0]
     return counts[PULSE_WIDTH_BYTES:].astype(np.uint8)
 
@@ -92,6 +97,20 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
         assert float(row["probability"]) > 0.9
         assert row["indenter_mm"] == "25"
     assert tally.found.contacts
+
+
+@pytest.mark.slow
+def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
+    path = tmp_path / "sleeve.toml"
+    path.write_text(SENSOR.replace("200\n", "250\n") + WRAPPED)
+    follower = Follower(Contacts(folder=folder / "lib", sensor=path, rest=0.5), 80e3, 2000, 20.0)
+    found = None
+    for first, placed, count in ((0, untouched(), 12), (12, wrapped_presses(5e-3, 0.5), 5)):
+        for i in range(first, first + count):
+            found = follower.update(sampled(placed, i, length=2.5), i / 20)
+    (contact,) = found.contacts
+    assert contact.distance.value == pytest.approx(0.5, abs=5e-3)
+    assert contact.depth.value == pytest.approx(5e-3, rel=0.06)
 
 
 def test_cycles_are_left_out_when_others_wait(folder, cycles):
