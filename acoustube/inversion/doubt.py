@@ -17,9 +17,10 @@ from acoustube.inversion.hypotheses import Builder, Hypothesis
 
 SAMPLES = 10
 """Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
-LEAST, LARGEST = 0.02, 0.1
-"""Least and largest error of the model that are allowed for: two solvers, or meshes, differ by the
-least near closure; an error over the largest stands for presses not found yet."""
+LEAST, BENT_LEAST, LARGEST = 0.02, 0.06, 0.1
+"""Least errors of the model that are allowed for, of a straight tube and of a wrapped one, and the
+largest: two solvers, or meshes, differ by the least near closure, echoes on a sleeve next to a
+cut-on; an error over the largest stands for presses not found yet."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
@@ -41,8 +42,9 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         `more`, whose deviance is the larger one of its own and that of `fewer` less the gain of
         evidence with the weights stated above.
     """
-    error = sqrt(SAMPLES) * min(max(fewer.error, LEAST), LARGEST)
     model = builder.model
+    least = BENT_LEAST if model.path.converts else LEAST
+    error = sqrt(SAMPLES) * min(max(fewer.error, least), LARGEST)
     echo = echo_of(model, fewer.tools, fewer.best)
     whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)
     deviance = []
