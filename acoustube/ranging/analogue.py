@@ -32,7 +32,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.ranging.rangefinder import Drive, Rangefinder
-from acoustube.waves.interpolation import interpolate_scattering
+from acoustube.waves.interpolation import analytic, interpolate_scattering
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.network import WRAPAROUND_ATTENUATION, transfer
 from acoustube.waves.network_checks import in_band
@@ -173,8 +173,7 @@ def _plane_waves(
         scattering, inside = bend.scattering, bend.scattering.inside
         assert inside is not None
         table = CubicSpline(scattering.frequency, inside.wavenumber, axis=1)
-        # To first order in the imaginary part of frequency, the damping's.
-        found = table(frequency.real) + 1j * frequency.imag * table(frequency.real, 1)
+        found = analytic(table, frequency)
         ends = bend.position + scattering.planes[0] + np.cumsum([0.0, *inside.length])
         part = np.searchsorted(ends, places, side="right")
         within = (part > 0) & (part < len(ends))

@@ -31,9 +31,10 @@ CLEARANCE = 1e-9
 """Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
-LONGEST_DELAY = 0.25
+LONGEST_DELAY = 1.0
 """Largest delay of the plane wave in a bend, in periods of the impulse response that steps of
-frequency resolve: higher modes are slower by up to two times."""
+frequency resolve: of that the interpolation takes account, and higher modes are slower by up to two
+times."""
 
 
 def winding(
@@ -77,9 +78,8 @@ def winding(
     Curvature and torsion are constant over half a turn each, the same parts whatever lies between:
     their steps echo a little, as those of the untouched tube do. The parts are joined with all
     their modes, evanescent ones too. Over 1.1 m, parts a quarter as long change the coefficients by
-    3e-3 at most. Interpolation between frequencies over 28 to 56 kHz changes them by 6e-3 at most,
-    next to the cut-on of (2,1), and that of the plane wave by 3e-4 (rms); within 6 kHz of an end of
-    the band by more.
+    3e-3 at most. Interpolation between frequencies changes that of the plane wave by less than
+    1e-4, and those of (1,1) by 1e-3, but for 1e-2 in the first kHz above a cut-on.
     """
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):

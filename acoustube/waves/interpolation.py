@@ -1,7 +1,8 @@
 """Scattering between the frequencies it was computed at.
 
 By the impulse response of the band: the samples stand for an even time, whose spectrum can be had
-at any frequency, real or complex.
+at any frequency, real or complex. What a bend transmits is interpolated relative to the plane wave
+in it: as band-limited functions of frequency long delays are off where the band ends.
 
 A coefficient of a mode is zero below the mode's cut-on f_c, and begins there with a step: at its
 cut-on a mode is reflected with -1. Above, it is an analytic function of the mode's axial
@@ -25,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
+from scipy.interpolate import CubicSpline
 
 from acoustube.base.types import Array
 from acoustube.waves import network_checks as checks
@@ -164,9 +166,27 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
     """
     given, cut_ons = (np.asarray(one, float) for one in (scattering.frequency, scattering.cut_ons))
     checks.check_interpolation(given, cut_ons, frequency)
-    flat, wanted = scattering.s.reshape(len(given), -1), np.asarray(frequency)
+    wanted, shape = np.asarray(frequency), scattering.s.shape
+    here, there = (_passing(scattering, f) for f in (given, wanted))
+    flat = (scattering.s / here).reshape(len(given), -1)
     found = interpolated(given, flat, wanted, onsets(cut_ons))
-    return found.reshape(len(wanted), *scattering.s.shape[1:])
+    return found.reshape(len(wanted), *shape[1:]) * there
+
+
+def _passing(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
+    """Return factors of the coefficients (n, 2, 1, 2, 1): the plane wave through a bend, or 1."""
+    found = np.ones((len(frequency), 2, 1, 2, 1), complex)
+    if scattering.inside is not None:
+        table = CubicSpline(scattering.frequency, scattering.inside.wavenumber, axis=1)
+        phase = scattering.inside.length @ analytic(table, frequency)
+        found[:, 0, 0, 1, 0] = found[:, 1, 0, 0, 0] = np.exp(-1j * phase)
+    return found
+
+
+def analytic(table: CubicSpline, frequency: NDArray[Any]) -> Complex:
+    """Return a spline over frequency at complex ones, to first order in their imaginary part."""
+    real, imaginary = np.real(frequency), np.imag(frequency)
+    return np.asarray(table(real) + 1j * imaginary * table(real, 1))
 
 
 def interpolated(
