@@ -263,6 +263,7 @@ def test_contact_on_an_arm_is_followed(model):
     free = record(untouched(), radius=RADIUS, n_cycles=30, seed=2, temperature=20.0)
     clutter = measured_clutter(model.base, free["signal"].values)
     tracker = ContactTracker(ForwardModel(model.tool_library, model.base, clutter))
+    assert all(not tracker.update(one).contacts for one in free["signal"].values[:3])
     for place, depth, seed in ((0.52, 4.3e-3, 3), (0.5205, 4.5e-3, 4)):
         cycles = wrapped_cycles(depth, place, seed, n_cycles=6)["signal"].values
         found = [tracker.update(one).contacts for one in cycles][-1]

@@ -158,11 +158,14 @@ class WrappedPath:
 
     def entry(self, temperature: Array) -> Entry:
         """Return the way to the start of the wrap."""
-        k = self.k + temperature[:, None, None] * self.by_temperature
-        path = np.exp(-1j * k * self.wrap.start)
-        passed = self.joints(self.wrap.start)[:, : MODES**2].reshape(-1, MODES, MODES)
+        # Antisymmetric modes too: the face reflects them.
+        k = np.concatenate([self.k, self.own_k], axis=1)
+        by_temperature = np.concatenate([self.by_temperature, self.own_heat], axis=1)
+        path = np.exp(-1j * (k + temperature[:, None, None] * by_temperature) * self.wrap.start)
+        joint = self.joints(self.wrap.start).reshape(len(k), -1, MODES)
+        passed = np.concatenate([joint[:, :MODES], joint[:, 3 * MODES :]], axis=1)
         matrix = passed.swapaxes(-1, -2) * path[..., None, :]
-        return Entry(np.asarray(matrix), self.wrap.start * self.by_temperature)
+        return Entry(np.asarray(matrix), np.asarray(self.wrap.start * by_temperature, complex))
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
         """Return the propagation before each press, at places (n, n_presses) in m."""
