@@ -111,10 +111,13 @@ def by_network(frequency, places, depths):
 
 
 @pytest.mark.parametrize(
-    ("places", "tolerance"), [([0.4], 0.015), ([1.3], 0.03), ([0.6, 1.1], 0.03)]
+    ("places", "tolerance"), [([0.4], 0.012), ([1.3], 0.01), ([0.6, 1.1], 0.006)]
 )
 def test_echo_of_a_wrapped_tube_is_that_of_its_bends_in_series(places, tolerance):
-    """The change of the echo from 2 to 5 mm: what the presses do not change is not in the model."""
+    """The change of the echo from 2 to 5 mm: what the presses do not change is not in the model.
+
+    Without antisymmetric modes between face and wrap the echo of two is off by 1.4 %.
+    """
     frequency = np.linspace(36.5e3, 47.5e3, 12)
     k, cold = wavenumbers(MODES, frequency), np.zeros(1)
     path = WrappedPath(WRAP, AIR, frequency, RADIUS, MODES, k, 0 * k, 1.7e-3)
