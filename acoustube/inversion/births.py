@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.fit import CLOSEST, Weights, split
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import Branches, Motion
-from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.proposals import ModalProposals, Proposals
 from acoustube.inversion.search import Front, front_of
 from acoustube.waves.scattering import Complex
 
@@ -22,13 +24,17 @@ LANDING = 0.01
 
 
 def candidates(
-    proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
+    proposals: Sequence[Proposals | ModalProposals],
+    motion: Motion,
+    branches: Branches,
+    rest: Complex,
+    whiten: Weights,
 ) -> list[Branches]:
     """Return branches with one contact more, for each rank along the tube and each tool.
 
     Parameters
     ----------
-    proposals : list of Proposals
+    proposals : sequence of Proposals or ModalProposals
         Of each tool.
     motion : Motion
     branches : Branches

@@ -1,4 +1,4 @@
-"""Candidates for a new contact in one cycle, in some milliseconds.
+"""Candidates for a new contact in one cycle, in some milliseconds on a straight tube.
 
 The matched filter of :mod:`acoustube.inversion.search`, with what does not depend on the cycle
 computed beforehand: the turns of the phase over the places, and the energies of the echoes in the
@@ -17,6 +17,7 @@ from acoustube.inversion.search import (
     APART,
     Candidates,
     Front,
+    Templates,
     apart,
     at_face,
     candidates,
@@ -32,6 +33,9 @@ FINE_STEP, FINE_REACH = 0.5e-3, 9e-3
 """Step in m of the fine search over places, and its reach to both sides."""
 NODES = 0.15
 """Distance in m of the places at which the energies of echoes are computed."""
+WORTH, MORE_PLACES = 40.0, 2
+"""Gain by the plane wave from which all modes are tried on a wrapped tube, and places that are kept
+more then."""
 SMOOTHED = 0.4e-3
 """Time in s over which the noise is averaged: the length of an echo."""
 
@@ -172,6 +176,44 @@ class Proposals:
         level = (filters @ np.exp(2j * self._phases(places, temperature).conj().T)).real
         gain = 2 * (2 * level - energy[:, None])
         return separate(gain, places, self.depths, count)
+
+
+class ModalProposals:
+    """Matched filter for the echoes of a tool on a wrapped tube, by all modes.
+
+    Parameters
+    ----------
+    model, tool, noise
+        See :class:`Proposals`.
+    """
+
+    def __init__(self, model: ForwardModel, tool: int, noise: float) -> None:
+        self.model = model
+        self.plane = Proposals(model, tool, noise)
+        self.modal = Templates(model, tool, DEPTH_STEP)
+
+    def search(
+        self,
+        rest: Complex,
+        whiten: Weights,
+        fronts: list[Front],
+        *,
+        number: int = 2,
+        fine: int = 3,
+        least: float = np.inf,
+        near: float | None = None,
+        temperature: float = 0.0,
+    ) -> Candidates:
+        """Return candidates for one more contact, as :meth:`Proposals.search`."""
+        found = self.plane.search(
+            rest, whiten, fronts, number=1, fine=1, least=least, near=near, temperature=temperature
+        )
+        if not np.any(found.gain > WORTH):
+            return found
+        return self.modal.search(
+            rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, near=near,
+            temperature=temperature,
+        )  # fmt: skip
 
 
 def _reflection(model: ForwardModel, matrices: Matrices, place: float) -> Complex:

@@ -72,13 +72,15 @@ class Templates:
     model : ForwardModel
     tool : int
         Number of the tool.
+    step : float
+        Of the depths in m.
     """
 
-    def __init__(self, model: ForwardModel, tool: int) -> None:
+    def __init__(self, model: ForwardModel, tool: int, step: float = DEPTH_STEP) -> None:
         self.model, base = model, model.base
         table = model.tables[tool]
         low, high = table.range
-        self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
+        self.depths = np.linspace(low, high, max(4, round((high - low) / step) + 1))
         stretch = np.full(len(self.depths), model.stretch)
         self.whole = table(self.depths, stretch)
         low, high = model.span

@@ -9,6 +9,7 @@ where the cycles are as likely without.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,7 @@ from acoustube.inversion.motion import (
     predicted,
     updated,
 )
-from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.proposals import ModalProposals, Proposals
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -88,7 +89,7 @@ class Track:
     Parameters
     ----------
     model : ForwardModel
-    proposals : list of Proposals
+    proposals : sequence of Proposals or ModalProposals
         Of each tool.
     motion : Motion
     most : int
@@ -102,7 +103,7 @@ class Track:
     def __init__(
         self,
         model: ForwardModel,
-        proposals: list[Proposals],
+        proposals: Sequence[Proposals | ModalProposals],
         motion: Motion,
         most: int,
         branches: Branches,
