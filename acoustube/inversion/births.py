@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.fit import CLOSEST, Weights, split
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import Branches, Motion
-from acoustube.inversion.proposals import ModalProposals, Proposals
+from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import Front, front_of
 from acoustube.waves.scattering import Complex
 
@@ -24,7 +22,7 @@ LANDING = 0.01
 
 
 def candidates(
-    proposals: Sequence[Proposals | ModalProposals],
+    proposals: list[Proposals],
     motion: Motion,
     branches: Branches,
     rest: Complex,
@@ -34,7 +32,7 @@ def candidates(
 
     Parameters
     ----------
-    proposals : sequence of Proposals or ModalProposals
+    proposals : list of Proposals
         Of each tool.
     motion : Motion
     branches : Branches

@@ -1,8 +1,10 @@
-"""Candidates for a new contact in one cycle, in some milliseconds on a straight tube.
+"""Candidates for a new contact in one cycle.
 
-The matched filter of :mod:`acoustube.inversion.search`, with what does not depend on the cycle
-computed beforehand: the turns of the phase over the places, and the energies of the echoes in the
-noise of an untouched tube. Behind a contact the plane wave alone is followed.
+First the plane wave alone is followed, in some milliseconds: the matched filter of
+:mod:`acoustube.inversion.search`, with what does not depend on the cycle computed beforehand: the
+turns of the phase over the places, and the energies of the echoes in the noise of an untouched
+tube. Where that finds something, all modes are followed: behind a contact, and in bends, sound
+arrives by several of them, centimetres apart.
 """
 
 from __future__ import annotations
@@ -34,14 +36,13 @@ FINE_STEP, FINE_REACH = 0.5e-3, 9e-3
 NODES = 0.15
 """Distance in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
-"""Gain by the plane wave from which all modes are tried on a wrapped tube, and places that are kept
-more then."""
+"""Gain by the plane wave from which all modes are tried, and places that are kept more then."""
 SMOOTHED = 0.4e-3
 """Time in s over which the noise is averaged: the length of an echo."""
 
 
-class Proposals:
-    """Matched filter for the echoes of a tool.
+class PlaneFilter:
+    """Matched filter for the echoes of a tool by the plane wave.
 
     Parameters
     ----------
@@ -178,18 +179,18 @@ class Proposals:
         return separate(gain, places, self.depths, count)
 
 
-class ModalProposals:
-    """Matched filter for the echoes of a tool on a wrapped tube, by all modes.
+class Proposals:
+    """Candidates for contacts of a tool, by all modes where the plane wave alone finds some.
 
     Parameters
     ----------
     model, tool, noise
-        See :class:`Proposals`.
+        See :class:`PlaneFilter`.
     """
 
     def __init__(self, model: ForwardModel, tool: int, noise: float) -> None:
         self.model = model
-        self.plane = Proposals(model, tool, noise)
+        self.plane = PlaneFilter(model, tool, noise)
         self.modal = Templates(model, tool, DEPTH_STEP)
 
     def search(
@@ -204,7 +205,7 @@ class ModalProposals:
         near: float | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
-        """Return candidates for one more contact, as :meth:`Proposals.search`."""
+        """Return candidates for one more contact, as :meth:`PlaneFilter.search`."""
         found = self.plane.search(
             rest, whiten, fronts, number=1, fine=1, least=least, near=near, temperature=temperature
         )

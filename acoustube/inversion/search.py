@@ -116,12 +116,15 @@ class Templates:
         """
         base = self.model.base
         field = base.adjoint(whiten(residual) @ whiten.matrix.conj())
-        coarse = np.empty((len(self.depths), len(self.places)))
+        coarse = np.full((len(self.depths), len(self.places)), -np.inf)
+        sought = np.full(len(self.places), True)
+        if near is not None:
+            sought = np.abs(self.places - near) <= FINE_REACH
         zones, starts = self._zones(fronts, temperature)
         owner = np.searchsorted(starts, self.places, side="right") - 1
         matrix = whiten.matrix.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
-            here = owner == number_of_zone
+            here = sought & (owner == number_of_zone)
             if here.any():
                 zone.set_energy(base, matrix, self.places[here])
                 level = np.abs(zone.correlate(field, self.places[here]))

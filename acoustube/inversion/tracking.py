@@ -23,7 +23,7 @@ from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.motion import Branches, Motion, Update, at_rest
 from acoustube.inversion.posterior import Estimate, mixture
-from acoustube.inversion.proposals import ModalProposals, Proposals
+from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
 
@@ -101,8 +101,7 @@ class ContactTracker:
         self.motion = motion or Motion()
         self.step = 1 / (cycle_rate or model.base.rangefinder.cycle_rate)
         noise = model.base.noise(1)
-        kind = ModalProposals if model.path.converts else Proposals
-        self.proposals = [kind(model, i, noise) for i in range(len(model.tables))]
+        self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
         self.threads = ThreadpoolController()  # finding the libraries takes milliseconds
         self.n_cycles = 0

@@ -9,7 +9,6 @@ where the cycles are as likely without.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +33,7 @@ from acoustube.inversion.motion import (
     predicted,
     updated,
 )
-from acoustube.inversion.proposals import ModalProposals, Proposals
+from acoustube.inversion.proposals import Proposals
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -89,7 +88,7 @@ class Track:
     Parameters
     ----------
     model : ForwardModel
-    proposals : sequence of Proposals or ModalProposals
+    proposals : list of Proposals
         Of each tool.
     motion : Motion
     most : int
@@ -103,7 +102,7 @@ class Track:
     def __init__(
         self,
         model: ForwardModel,
-        proposals: Sequence[Proposals | ModalProposals],
+        proposals: list[Proposals],
         motion: Motion,
         most: int,
         branches: Branches,
