@@ -101,6 +101,7 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
 
 @pytest.mark.slow
 def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
+    """An echo of two to four counts: two half wavelengths of place, and a tenth of the depth."""
     path = tmp_path / "sleeve.toml"
     path.write_text(SENSOR.replace("200\n", "250\n") + WRAPPED)
     follower = Follower(Contacts(folder=folder / "lib", sensor=path, rest=0.5), 80e3, 2000, 20.0)
@@ -109,8 +110,8 @@ def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
         for i in range(first, first + count):
             found = follower.update(sampled(placed, i, length=2.5), i / 20)
     (contact,) = found.contacts
-    assert contact.distance.value == pytest.approx(0.5, abs=5e-3)
-    assert contact.depth.value == pytest.approx(5e-3, rel=0.06)
+    assert contact.distance.value == pytest.approx(0.5, abs=10e-3)
+    assert contact.depth.value == pytest.approx(5e-3, rel=0.1)
 
 
 def test_cycles_are_left_out_when_others_wait(folder, cycles):
