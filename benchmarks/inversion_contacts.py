@@ -1,9 +1,9 @@
 """Contacts found by waveform inversion in simulated recordings, beside the highest peak.
 
 Recordings of the default rangefinder on the default tube under a 25 mm rod, or of a design
-(``--config``, ``--sensor``; ``--shore`` and ``--modulus`` for a wall that is not as told): random
-places and depths, air of 20 +- 0.3 degC, one tube whose clutter is learned from 200 untouched
-cycles. Their scattering is computed at depths of its own, off the library's, by the spectral
+(``--config``, ``--sensor``; ``--shore`` for a wall that is not as told, ``--modulus`` for the
+tolerance that is): random places and depths, air of 20 +- 0.3 degC, one tube whose clutter is
+learned from 200 untouched cycles. Their scattering is computed at depths of its own, off the library's, by the spectral
 solver, by it from a wall on another mesh, or by the time-domain method, or read from the files of
 `acoustube scatter` or of ``spectral_presses.py`` whose names end in ``_MM.nc``, MM the depth. With
 ``--changed`` tube, tool or sensor differ from what the inversion is told. Every recording is a row
@@ -318,8 +318,8 @@ def arguments():
         "--modulus",
         type=float,
         default=0.0,
-        help="told standard deviation of the wall's, in per cent, by which forces are off at "
-        "random, but not with --shore",
+        help="standard deviation of the wall's modulus that is told, in per cent; without --shore "
+        "true forces differ at random by as much",
     )
     parser.add_argument(
         "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"

@@ -43,7 +43,7 @@ def candidates(
     fronts, places, warm = fronts_of(proposals[0].model, branches)
     found: list[Branches] = []
     for tool, one in enumerate(proposals):
-        given = one.search(rest, whiten, fronts, least=BIRTH, temperature=warm)
+        given = one.search(rest, whiten, fronts, temperature=warm)
         ranks = np.searchsorted(places, given.place)
         apart = np.abs(given.place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
         apart &= given.gain > BIRTH

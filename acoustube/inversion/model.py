@@ -58,8 +58,9 @@ class Priors:
         one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
         extruded tube, say.
     modulus : float
-        Of the wall's Young's modulus, relative, from the library's, to which the force of a lumen
-        of one shape is proportional. Default 0; 0.1 of 2 Shore A.
+        Of the wall's Young's modulus, relative to its value, the library's or a twin's; forces are
+        proportional to it. It adds to the deviation that a twin's file states. Default 0; 0.1 for
+        2 Shore A.
     """
 
     temperature: float = 0.3

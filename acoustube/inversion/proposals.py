@@ -16,23 +16,20 @@ from acoustube.inversion.fit import Weights, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.paths import stretches
 from acoustube.inversion.search import (
-    APART,
     Candidates,
     Front,
     Templates,
-    apart,
     at_face,
     candidates,
     exclude,
-    separate,
 )
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
 """Steps in m of the coarse search."""
-FINE_STEP, FINE_REACH = 0.5e-3, 9e-3
-"""Step in m of the fine search over places, and its reach to both sides."""
+REACH = 9e-3
+"""Distance in m from a place near which is searched."""
 NODES = 0.15
 """Distance in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
@@ -86,19 +83,10 @@ class PlaneFilter:
         self.energy = np.exp((1 - share) * level[:, i] + share * level[:, i + 1])
         self.delay = base.rangefinder.lead + base.rangefinder.drive.duration / 2
 
-    def search(
-        self,
-        rest: Complex,
-        whiten: Weights,
-        fronts: list[Front],
-        *,
-        number: int = 2,
-        fine: int = 3,
-        least: float = np.inf,
-        near: float | None = None,
-        temperature: float = 0.0,
-    ) -> Candidates:
-        """Return candidates for one more contact.
+    def highest(
+        self, rest: Complex, whiten: Weights, fronts: list[Front], near: float | None = None
+    ) -> float:
+        """Return the highest gain of one more contact.
 
         Parameters
         ----------
@@ -107,15 +95,8 @@ class PlaneFilter:
         whiten : Weights
         fronts : list of Front
             Of the contacts known, by place.
-        number, fine : int
-            Number of places, and of candidates at each.
-        least : float
-            Gain from which the nearest place is a candidate too: what lies before a contact changes
-            its echo, which then leaves more than the echo of the new one.
         near : float, optional
             Place in m about which alone is searched.
-        temperature : float
-            Deviation in K.
         """
         base = self.model.base
         field = base.adjoint(whiten(rest) @ whiten.matrix.conj())
@@ -134,32 +115,19 @@ class PlaneFilter:
         owner = np.searchsorted(ends[1:], self.places)
         searched = np.full(len(self.places), True)
         if near is not None:
-            searched = np.abs(self.places - near) <= FINE_REACH
+            searched = np.abs(self.places - near) <= REACH
         for i, j in np.unique(np.stack([owner, self.zone])[:, searched], axis=1).T:
             here = searched & (owner == i) & (self.zone == j)
             filters = (self.shapes[j] * fields[i]).astype(np.complex64)
             level = np.abs(filters @ self.turns[:, here])
             energy[:, here] *= scales[i]
             gain[:, here] = 2 * (2 * level - energy[:, here])
-        exclude(gain, self.places, ends[1:], near, FINE_REACH)
-        found: list[tuple[float, float, float]] = []
-        for best in self._places(gain.max(axis=0), number, least):
-            filters = self.shapes[self.zone[best]] * fields[owner[best]]
-            found += self._refined(filters, energy[:, best], best, fine, temperature)
-        return candidates(found)
+        exclude(gain, self.places, ends[1:], near, REACH)
+        return float(gain.max())
 
-    def _phases(self, places: Array, temperature: float = 0.0, *, behind: bool = False) -> Complex:
+    def _phases(self, places: Array, *, behind: bool = False) -> Complex:
         """Return the plane wave's phases at places, or behind contacts there, (n, n_f)."""
-        return self.model.path.phases(places, temperature, behind=behind)[..., 0]
-
-    def _places(self, gain: Array, number: int, least: float) -> list[int]:
-        """Return the nearest place of a gain, and those of the highest gains, apart."""
-        first = np.flatnonzero(gain > least)[:1]
-        near = [
-            int(np.argmax(np.where(np.abs(self.places - place) < APART, gain, -np.inf)))
-            for place in self.places[first]
-        ]
-        return apart(gain, self.places, number, *near)
+        return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:
         """Return the precision at the echoes of the places, relative to the untouched tube's."""
@@ -168,15 +136,6 @@ class PlaneFilter:
         width = max(1, round(SMOOTHED / (base.window[1] - base.window[0])))
         smooth = np.convolve(ratio, np.ones(width) / width, "same")
         return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
-
-    def _refined(
-        self, filters: Complex, energy: Array, best: int, count: int, temperature: float
-    ) -> list[tuple[float, float, float]]:
-        """Return the highest separate maxima of the filter with its phase, about a place."""
-        places = self.places[best] + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE_STEP)
-        level = (filters @ np.exp(2j * self._phases(places, temperature).conj().T)).real
-        gain = 2 * (2 * level - energy[:, None])
-        return separate(gain, places, self.depths, count)
 
 
 class Proposals:
@@ -201,16 +160,22 @@ class Proposals:
         *,
         number: int = 2,
         fine: int = 3,
-        least: float = np.inf,
         near: float | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
-        """Return candidates for one more contact, as :meth:`PlaneFilter.search`."""
-        found = self.plane.search(
-            rest, whiten, fronts, number=1, fine=1, least=least, near=near, temperature=temperature
-        )
-        if not np.any(found.gain > WORTH):
-            return found
+        """Return candidates for one more contact, none where the plane wave's gain is small.
+
+        Parameters
+        ----------
+        rest, whiten, fronts, near
+            See :meth:`PlaneFilter.highest`.
+        number, fine : int
+            Number of places, to which :data:`MORE_PLACES` are added, and of candidates at each.
+        temperature : float
+            Deviation in K.
+        """
+        if self.plane.highest(rest, whiten, fronts, near) < WORTH:
+            return candidates([])
         return self.modal.search(
             rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, near=near,
             temperature=temperature,

@@ -239,11 +239,9 @@ def exclude(
         gain[:, np.abs(places - near) > reach] = -np.inf
 
 
-def apart(gain: Array, places: Array, number: int, *first: int) -> list[int]:
-    """Return the first of places (n,) and those of the highest positive gains, all apart."""
-    left, found = gain.copy(), list(first)
-    for i in first:
-        left[np.abs(places - places[i]) < APART] = -np.inf
+def apart(gain: Array, places: Array, number: int) -> list[int]:
+    """Return those of places (n,) with the highest positive gains, all apart."""
+    left, found = gain.copy(), list[int]()
     for _ in range(number):
         best = int(np.argmax(left))
         if not left[best] > 0:

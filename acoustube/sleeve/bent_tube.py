@@ -33,7 +33,7 @@ SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
 LONGEST_DELAY = 1.0
 """Largest delay of the plane wave in a bend, in periods of the impulse response that steps of
-frequency resolve: of that the interpolation takes account, and higher modes are slower by up to two
+frequency resolve. The interpolation removes that delay; higher modes are slower by up to two
 times."""
 
 
