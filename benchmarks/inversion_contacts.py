@@ -6,9 +6,8 @@ tolerance that is): random places and depths, air of 20 +- 0.3 degC, one tube wh
 learned from 200 untouched cycles. Their scattering is computed at depths of its own, off the
 library's, by the spectral solver, by it from a wall on another mesh, or by the time-domain method,
 or read from the files of `acoustube scatter` or of ``spectral_presses.py`` whose names end in
-``_MM.nc``, MM the depth. With
-``--changed`` tube, tool or sensor differ from what the inversion is told. Every recording is a row
-of a CSV file; rows that are there are not computed again.
+``_MM.nc``, MM the depth. With ``--changed`` tube, tool or sensor differ from what the inversion is
+told. Every recording is a row of a CSV file; rows that are there are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """

@@ -159,9 +159,10 @@ def test_clutter_learned_at_another_temperature_has_the_same_times(length):
 
 def test_table_interpolates_depth_and_frequency(base):
     depth, stretch = np.array([2.513e-3, 5.377e-3]), np.array([0.0031, -0.0042])
-    found = ToolTable(tool(), base.frequency, 2)(depth, stretch).value
+    narrow = tool(radius=0.4 * RADIUS)  # no cut-on in the band, as these matrices have none
+    found = ToolTable(narrow, base.frequency, 3)(depth, stretch).value
     for i in range(2):
-        exact = matrices(depth[i], base.frequency * (1 + stretch[i]))[0][..., :2, :, :2]
+        exact = matrices(depth[i], base.frequency * (1 + stretch[i]))[0]
         # Cubic splines over 0.1 mm and 100 Hz, fourth order.
         assert np.abs(found[i] - exact).max() < 2e-5
 

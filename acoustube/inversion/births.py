@@ -22,11 +22,7 @@ LANDING = 0.01
 
 
 def candidates(
-    proposals: list[Proposals],
-    motion: Motion,
-    branches: Branches,
-    rest: Complex,
-    whiten: Weights,
+    proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
 ) -> list[Branches]:
     """Return branches with one contact more, for each rank along the tube and each tool.
 

@@ -355,7 +355,7 @@ class Builder:
         best = min(judged(error, 0.0) for error in ERRORS)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
-        spreads = SPREADS + BENT_SPREADS * self.model.path.converts
+        spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
         wider = [judged(error, spread) for error in sorted(errors) for spread in spreads]
         _, error, spread = min([best, *wider])
         return error, weights(self.model, self.noise, error, echo, spread)

@@ -54,15 +54,16 @@ class PlaneFilter:
         self.model, base = model, model.base
         table = model.tables[tool]
         low, high = table.range
-        self.depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
-        matrices = table(self.depths, np.full(len(self.depths), model.stretch))
+        depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
+        matrices = table(depths, np.full(len(depths), model.stretch))
         low, high = model.span
         high = min(high, base.length - 0.05)
         self.places = np.arange(low, high, PLACE_STEP)
         starts = np.array([start for start, _ in stretches(model.path, low, high, [])])
         face = at_face(model, 0.0)
+        self.entered = face.out[:, 0] * face.into[:, 0]
         shapes = [
-            base.gain * face.out[:, 0] * face.into[:, 0] * _reflection(model, matrices, place)
+            base.gain * self.entered * _reflection(model, matrices, place)
             for place in np.append((starts[1:] + starts[:-1]) / 2, (starts[-1] + high) / 2)
         ]
         self.zone = np.searchsorted(starts, self.places, side="right") - 1
@@ -102,12 +103,11 @@ class PlaneFilter:
         field = base.adjoint(whiten(rest) @ whiten.matrix.conj())
         energy = self.energy * self._dimmed(whiten)
         gain = np.empty(energy.shape)
-        face = at_face(self.model, 0.0)
         fields, ends, scales = [field], [0.0], [1.0]
         for front in fronts:
             # What has passed the contacts, without the path to there, which the turns have, and the
             # entry, which the shapes have.
-            passed = front.out[:, 0] * front.into[:, 0] / (face.out[:, 0] * face.into[:, 0])
+            passed = front.out[:, 0] * front.into[:, 0] / self.entered
             passed = passed * np.exp(2j * self._phases(np.array([front.place]), behind=True)[0])
             fields.append(passed.conj() * field)
             scales.append(float(np.median(np.abs(passed)) ** 2))

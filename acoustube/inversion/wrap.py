@@ -136,6 +136,7 @@ class WrappedPath:
         self.wavenumber = CubicSpline(wrap.place, beta)
         self.phase = self.wavenumber.antiderivative()
         self.warmer = CubicSpline(wrap.place, warmer).antiderivative()
+        self.plane_wave = CubicSpline(wrap.place, np.stack([beta[..., 0], warmer[..., 0]], axis=1))
         joints = np.stack([_joint(one, len(modes)) for one in nodes])
         self.joints = CubicSpline(wrap.place, joints)
         # The antisymmetric modes pass a press unscattered, over twice the reach.
@@ -188,7 +189,7 @@ class WrappedPath:
         reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
         joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))
-        bent = self.wavenumber(place) + warm * self.warmer(place, 1)
+        bent, heat = self.plane_wave(place).swapaxes(0, 1)
         return Joined(
             straight=Matrices(*(padded(part, MODES) for part in matrices)),
             joints=joints, moved=moved,
@@ -196,7 +197,7 @@ class WrappedPath:
             warm=-1j * reach * self.by_temperature,
             through=-np.exp(-2j * reach * (self.own_k + warm * self.own_heat)),
             through_warm=-2j * reach * self.own_heat,
-            untouched=np.exp(-2j * reach * bent[..., 0]),
+            untouched=np.exp(-2j * reach * (bent + temperature[:, None] * heat)),
         )  # fmt: skip
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:

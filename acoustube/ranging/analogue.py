@@ -14,7 +14,6 @@ from math import log, pi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
-from scipy.interpolate import CubicSpline
 
 from acoustube.air import Air, air_at
 from acoustube.base.checks import (
@@ -32,7 +31,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.ranging.rangefinder import Drive, Rangefinder
-from acoustube.waves.interpolation import analytic, interpolate_scattering
+from acoustube.waves.interpolation import interpolate_scattering, plane_wavenumbers
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.network import WRAPAROUND_ATTENUATION, transfer
 from acoustube.waves.network_checks import in_band
@@ -172,8 +171,7 @@ def _plane_waves(
     for bend in bends:
         scattering, inside = bend.scattering, bend.scattering.inside
         assert inside is not None
-        table = CubicSpline(scattering.frequency, inside.wavenumber, axis=1)
-        found = analytic(table, frequency)
+        found = plane_wavenumbers(scattering, frequency)
         ends = bend.position + scattering.planes[0] + np.cumsum([0.0, *inside.length])
         part = np.searchsorted(ends, places, side="right")
         within = (part > 0) & (part < len(ends))

@@ -45,7 +45,7 @@ little to see."""
 
 
 class Onsets(NamedTuple):
-    """Where coefficients begin, and how.
+    """Cut-on frequencies of scattering coefficients, and which of these convert modes.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Onsets(NamedTuple):
 
 
 def onsets(cut_ons: Array) -> Onsets:
-    """Return the onsets of the coefficients of a matrix (2, m, 2, m), flattened.
+    """Return the cut-ons of the coefficients of a scattering matrix (2, m, 2, m), flattened.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def onsets(cut_ons: Array) -> Onsets:
 
 
 class Step(NamedTuple):
-    """What is subtracted of coefficients with one onset, as a linear function of them.
+    """Steps of scattering coefficients at a cut-on: polynomials, as weights of the coefficients.
 
     Attributes
     ----------
@@ -177,14 +177,22 @@ def _passing(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
     """Return factors of the coefficients (n, 2, 1, 2, 1): the plane wave through a bend, or 1."""
     found = np.ones((len(frequency), 2, 1, 2, 1), complex)
     if scattering.inside is not None:
-        table = CubicSpline(scattering.frequency, scattering.inside.wavenumber, axis=1)
-        phase = scattering.inside.length @ analytic(table, frequency)
+        phase = scattering.inside.length @ plane_wavenumbers(scattering, frequency)
         found[:, 0, 0, 1, 0] = found[:, 1, 0, 0, 0] = np.exp(-1j * phase)
     return found
 
 
-def analytic(table: CubicSpline, frequency: NDArray[Any]) -> Complex:
-    """Return a spline over frequency at complex ones, to first order in their imaginary part."""
+def plane_wavenumbers(bend: ModalScattering, frequency: NDArray[Any]) -> Complex:
+    """Return the plane wave's wavenumbers in the parts of a bend, in 1/m, (n_parts, n).
+
+    Parameters
+    ----------
+    bend : ModalScattering
+    frequency : ndarray
+        In Hz, real or complex, (n,): to first order in the imaginary part.
+    """
+    assert bend.inside is not None
+    table = CubicSpline(bend.frequency, bend.inside.wavenumber, axis=1)
     real, imaginary = np.real(frequency), np.imag(frequency)
     return np.asarray(table(real) + 1j * imaginary * table(real, 1))
 
@@ -241,11 +249,11 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
     By the chirp z-transform for evenly spaced frequencies: ten times as fast as sums.
     """
     n = len(frequency)
-    steps = np.diff(frequency)
-    if n < 2 or np.ptp(steps.real) > 1e-9 * steps[0].real or np.any(steps.imag != 0):
+    spacing = np.diff(frequency)
+    if n < 2 or np.ptp(spacing.real) > 1e-9 * spacing[0].real or np.any(spacing.imag != 0):
         return np.asarray(np.exp(-2j * pi * np.outer(frequency, time)) @ response, complex)
     rate = time[1] - time[0]
-    ratio, first = np.exp(-2j * pi * steps[0].real * rate), np.exp(2j * pi * frequency[0] * rate)
+    ratio, first = np.exp(-2j * pi * spacing[0].real * rate), np.exp(2j * pi * frequency[0] * rate)
     sums = _chirp_z(response, n, ratio, first)
     return np.asarray(sums * np.exp(-2j * pi * frequency * time[0])[:, None], complex)
 

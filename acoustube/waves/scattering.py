@@ -63,8 +63,8 @@ class ModalScattering:
         Reference planes of the ports, in m from the position: both there for a press, at its ends
         for a bend.
     inside : PlaneWave or None
-        Wavenumber of the plane wave in each part of a bend, for the clutter there; None for a
-        press.
+        Wavenumber of the plane wave in each part of a bend, for the clutter there and for
+        interpolation over frequency; None for a press.
     """
 
     frequency: Array
