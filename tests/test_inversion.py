@@ -428,6 +428,22 @@ def test_press_of_another_tool_is_a_misfit(base, untouched):
     assert not Inverter(model, most=1)(cycles).fits
 
 
+def test_echo_that_ends_otherwise_is_a_misfit(inverter):
+    """Trapped sound that the library lacks: late, where a further press would be hidden, and a
+    hundredth of the echo's energy (0.098 squared), which is less than the misfit that is told."""
+    pressed = press(6e-3, 0.5)
+    matrix, f = pressed.scattering.s.copy(), pressed.scattering.frequency
+    for port in (0, 1):
+        matrix[:, port, 0, port, 0] += 0.3 * 4e-4 * 6.0**3 / (1 + 200j * (f / 42e3 - 1.01))
+    other = dataclasses.replace(pressed.scattering, s=matrix)
+    found = [
+        inverter(record([one], n_cycles=20, tube_seed=7, seed=3)["signal"].values)
+        for one in (pressed, dataclasses.replace(pressed, scattering=other))
+    ]
+    assert [one.fits for one in found] == [True, False]
+    assert found[1].contacts[0].distance.value == pytest.approx(0.5, abs=1e-3)
+
+
 def test_tools_are_told_apart(base, untouched):
     other = tool(diameter=10e-3, s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
     model = ForwardModel(Library((other, tool())), base, measured_clutter(base, untouched))

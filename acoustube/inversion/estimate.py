@@ -31,8 +31,8 @@ behind one whose trapped sound differs from the model's, reaches odds of 1e5 and
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
-"""Fraction of the echo that the model does not explain, from which tube, tool or sensor are said to
-differ from the library's."""
+"""Relative error of the forward model from which tube, tool, sensor or number of contacts are said
+to differ from what is told."""
 GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
 EXCESS = 2.0
@@ -75,8 +75,10 @@ class Inversion:
     contacts : list of Contact
         By distance.
     misfit : float
-        Root of the energy of the residual above the noise's and two standard deviations of that,
-        relative to the energy of the echo; nan without an echo.
+        Relative error of the forward model: the larger one of the likeliest
+        (:attr:`.Hypothesis.error`), by which the end of an echo may differ more than the whole, and
+        of the root of the energy of the residual above the noise's and two standard deviations of
+        that, relative to the energy of the echo; nan without an echo.
     fits : bool
         Whether the misfit is less than :data:`MISFIT`.
     temperature, gain, stretch : Estimate
@@ -220,7 +222,8 @@ class Inverter:
             for name in ("temperature", "gain", "stretch")
         }
         measured, explained = self._echoes(best, builder)
-        misfit = _misfit(measured, explained, builder) if contacts else float("nan")
+        unexplained = _unexplained(measured, explained, builder) if contacts else float("nan")
+        misfit = max(unexplained, best.error)
         base = self.model.base
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
@@ -245,7 +248,7 @@ class Inverter:
         return builder.samples - untouched, value - untouched
 
 
-def _misfit(measured: Complex, explained: Complex, builder: Builder) -> float:
+def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:
     """Return the fraction of the echo that the model does not explain, less what may be noise."""
     rest = builder.quiet(measured - explained)
     noise = builder.model.base.freedom * len(rest)

@@ -283,11 +283,10 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
 
 
 def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Reporter) -> None:
-    """Report groups whose echoes the library does not explain."""
+    """Report groups whose echoes differ from the library's."""
     if misfits:
         report.note(
-            f"{path}: in {len(misfits)} of {n_groups} groups the library explains the echo to "
-            f"{PERCENT * (1 - min(max(misfits), 1.0)):.0f} to "
-            f"{PERCENT * (1 - min(min(misfits), 1.0)):.0f} % only; tube, tools, sensor or number "
-            "of contacts are not those of the library"
+            f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "
+            f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, tools, "
+            "sensor or number of contacts are not those told, or the force is beyond the library's"
         )

@@ -183,5 +183,5 @@ def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
     if abs(contact.distance.value - place) > NEAR:
         return contact, f"its echo comes from {CM * contact.distance.value:.1f} cm"
     if inverted.misfit > MISFIT:
-        return contact, f"{PERCENT * inverted.misfit:.0f} % of its echo is not explained"
+        return contact, f"its echo differs from the library's by {PERCENT * inverted.misfit:.0f} %"
     return contact, ""
