@@ -155,15 +155,15 @@ class Truth:
         return known
 
 
-def cases(forms, first, count, n_presses, seed):
+def cases(forms, first, count, n_presses, seed, within=PLACES, apart=APART):
     """Yield number, places and depths in m of recordings, the depths of some forms."""
     rng = np.random.default_rng(seed)
     for number in range(count):
         if n_presses == 1:
-            places = rng.uniform(*PLACES, 1)
+            places = rng.uniform(*within, 1)
         else:
-            nearest = rng.uniform(PLACES[0], PLACES[0] + FIRST)
-            places = nearest + np.cumsum([0.0, *rng.uniform(*APART, n_presses - 1)])
+            nearest = rng.uniform(within[0], within[0] + FIRST)
+            places = nearest + np.cumsum([0.0, *rng.uniform(*apart, n_presses - 1)])
         depths = rng.choice(forms, n_presses)
         if number >= first:
             yield number, places, depths
@@ -324,6 +324,13 @@ def arguments():
     parser.add_argument(
         "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"
     )
+    parser.add_argument(
+        "--places", type=float, nargs=2, default=PLACES, help="range of a single press's place in m"
+    )
+    parser.add_argument(
+        "--apart", type=float, nargs=2, default=APART, help="range of the presses' distance in m"
+    )
+    parser.add_argument("--length", type=float, help="of the tube in m, in place of the sensor's")
     parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
@@ -385,10 +392,11 @@ def main():
             thermometer=0.0, bore=0.01 * given.bore, modulus=0.01 * given.modulus, **exact
         ),
         wrap=wrap,
+        length=given.length or sensor.length or LENGTH,
     )
     usual = sensor.rangefinder or Rangefinder()
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
-    tube = {"tube_seed": TUBE, "length": sensor.length or LENGTH, "radius": truth.bore / 2}
+    tube = {"tube_seed": TUBE, "length": sensor.length, "radius": truth.bore / 2}
     # The clutter is learned from the sensor and the tube as they are.
     bends = [] if sleeve is None else untouched(sleeve, truth)
     free = record(bends, device, n_cycles=200, seed=11, temperature=20.0, **tube)
@@ -406,8 +414,11 @@ def main():
     told = [(getattr(given, one), usual, unit) for one, usual, unit in others]
     words += [f"{value:g} {unit}" for value, usual, unit in told if value != usual]
     words += [f"{given.mesh} mesh"] if given.mesh != "usual" else []
+    ranges = (given.places, PLACES, "m"), (given.apart, APART, "m apart")
+    words += [f"{x[0]:g} to {x[1]:g} {u}" for x, usual, u in ranges if tuple(x) != usual]
     name = " ".join(word for word in words if word)
-    for case in cases(truth.depths(), given.first, given.count, given.presses, seed):
+    drawn = given.first, given.count, given.presses, seed, given.places, given.apart
+    for case in cases(truth.depths(), *drawn):
         key = name, str(case[0]), str(given.cycles), str(given.presses)
         if key in there or time.process_time() - began > given.seconds:
             continue
