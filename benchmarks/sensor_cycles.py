@@ -5,8 +5,11 @@ not have, places the matrices in the tube and records them (``acoustube.ranging.
 noise. Echoes are compared in place (the lag of the highest correlation), in amplitude (of the
 envelope's peak) and sample by sample, each contact's from 2 ms before the next one's.
 
+With ``--loops`` the tube is wrapped about the sleeve paper's forearm, in the chain as bends in
+series, which keep their curvature over half a turn each.
+
 Usage: acoustube library --indenter 25 --depth 0.5:8:0.25 --out FOLDER
-       python benchmarks/sensor_cycles.py FOLDER --count 200
+       python benchmarks/sensor_cycles.py FOLDER --count 200 [--loops 9]
 """
 
 from __future__ import annotations
@@ -18,12 +21,17 @@ import time
 
 import numpy as np
 
+from acoustube.air import air_at
 from acoustube.ranging import Rangefinder, record
+from acoustube.runs.wrap import wrap_of
 from acoustube.sensor import Contact, TubeSensor
+from acoustube.sleeve import design, windings, wrapped
 from acoustube.waves import PlacedScatterer
 
 PLACES, DEPTHS, FORMS = (0.3, 2.3), (0.7e-3, 7.9e-3), 40
 """Ranges in m of places and depths, and the number of different depths."""
+FOREARM = 0.26, (0.18, 0.266)
+"""Length in m of a sleeve, and girths of the forearm at its ends."""
 QUIET = dataclasses.replace(Rangefinder(), noise=0.0, drift=0.0, quantised=False, offset=0.0)
 
 
@@ -56,16 +64,22 @@ def transparent(matrix):
     return dataclasses.replace(matrix, s=s)
 
 
-def compared(sensor, known, places, depths):
+def recorded(sensor, placed):
+    """Return the counts of the full chain's cycle."""
+    return record(placed, sensor.rangefinder, length=sensor.length)["signal"].values[0]
+
+
+def compared(sensor, known, places, depths, arm):
     """Return errors of place in mm, of amplitude and of samples, of the first contact's echo."""
     from scipy.signal import hilbert
 
     placed = [PlacedScatterer(known[d], z) for z, d in zip(places, depths, strict=True)]
-    free = PlacedScatterer(transparent(known[depths[0]]), places[0])
-    truth, untouched = (
-        record(these, sensor.rangefinder, length=sensor.length)["signal"].values[0]
-        for these in (placed, [free])
-    )
+    if arm is None:
+        free = [PlacedScatterer(transparent(known[depths[0]]), places[0])]
+    else:
+        free, tube = arm[1], {"radius": sensor.tool_library.radius, "reach": sensor.wrap.reach}
+        placed = wrapped(arm[0], placed, air_at(sensor.temperature), **tube)
+    truth, untouched = recorded(sensor, placed), recorded(sensor, free)
     given = [Contact(place=z, depth=d) for z, d in zip(places, depths, strict=True)]
     exact, found = truth - untouched, sensor.read(given) - sensor.read([])
     speed, rate = sensor.tool_library.sound_speed, sensor.rangefinder.sampling_rate
@@ -88,10 +102,16 @@ def in_words(values, scale=1.0):
     return " / ".join(f"{x:.3g}" for x in q)
 
 
-def accuracy(sensor, count):
+def accuracy(sensor, count, helix):
     """Print errors for one, two and three contacts."""
     known, rng = matrices(), np.random.default_rng(8)
-    depths = np.array(sorted(known))
+    depths, arm = np.array(sorted(known)), None
+    if helix is not None:
+        like = known[depths[0]]
+        arm = helix, windings(
+            helix, air_at(sensor.temperature), like.frequency, [], reach=sensor.wrap.reach,
+            radius=sensor.tool_library.radius, modes=like.modes,
+        )  # fmt: skip
     for n in (1, 2, 3):
         rows = []
         for _ in range(count if n == 1 else count // 4):
@@ -99,7 +119,7 @@ def accuracy(sensor, count):
                 places = np.sort(rng.uniform(*PLACES, n))
                 if n == 1 or np.diff(places).min() > 0.15:
                     break
-            rows.append(compared(sensor, known, places, rng.choice(depths, n)))
+            rows.append(compared(sensor, known, places, rng.choice(depths, n), arm))
         place, height, first, whole = np.array(rows).T
         print(f"{n} contacts, {len(rows)} cycles; median / 90 % / largest of the first echo:")
         print(f"  place {in_words(place)} mm, amplitude {in_words(height, 100)} %, "
@@ -125,7 +145,9 @@ def speed(sensor):
     for n in range(1, sensor.most_contacts + 1):
         places = np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
         depths = rng.uniform(1e-3, 7e-3, (2048, n))
-        own = TubeSensor(sensor.tool_library, length=sensor.length, most_contacts=n)
+        own = TubeSensor(
+            sensor.tool_library, length=sensor.length, most_contacts=n, wrap=sensor.wrap
+        )
         for words, seed in (("without", None), ("with", 1)):
             own.read_many(places[:256], depths[:256], seed=seed)
             times = []
@@ -150,11 +172,16 @@ def main():
     parser.add_argument("folder", help="of the library")
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--only", choices=("accuracy", "speed"))
+    parser.add_argument("--loops", type=float, help="of the tube about a forearm")
     given = parser.parse_args()
+    helix, tube = None, {}
+    if given.loops:
+        helix = design(*FOREARM, loops=given.loops, n_tubes=2)[0]
+        tube = {"wrap": wrap_of(helix), "length": max(helix.tube_length, 2.4)}
     if given.only != "speed":
-        accuracy(TubeSensor.from_library(given.folder, QUIET), given.count)
+        accuracy(TubeSensor.from_library(given.folder, QUIET, **tube), given.count, helix)
     start = time.process_time()
-    sensor = TubeSensor.from_library(given.folder)
+    sensor = TubeSensor.from_library(given.folder, **tube)
     print(f"sensor made in {time.process_time() - start:.1f} s; {resident()}")
     if given.only != "accuracy":
         speed(sensor)

@@ -72,7 +72,7 @@ class Priors:
     losses: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.03e-3
-    depth: float = 0.015e-3
+    depth: float = 0.012e-3
     bore: float = 0.0
     modulus: float = 0.0
 

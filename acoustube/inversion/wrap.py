@@ -97,7 +97,7 @@ class WrappedPath:
     wrap : Wrap
     air : Air
     frequency : ndarray
-        Even, in Hz, (n_f,).
+        Even, in Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
     radius : float
         Of the bore in m.
     modes : tuple of str
@@ -116,7 +116,7 @@ class WrappedPath:
         self,
         wrap: Wrap,
         air: Air,
-        frequency: Array,
+        frequency: Array | Complex,
         radius: float,
         modes: tuple[str, ...],
         k: Complex,
@@ -232,7 +232,7 @@ class WrappedPath:
 
 
 def _bent(
-    wrap: Wrap, air: Air, frequency: Array, radius: float, modes: tuple[str, ...]
+    wrap: Wrap, air: Air, frequency: Array | Complex, radius: float, modes: tuple[str, ...]
 ) -> list[BentModes]:
     """Return the bent modes at the nodes of a wrap, one after the other, in the same order."""
     found: list[BentModes] = []
@@ -244,7 +244,9 @@ def _bent(
     return found
 
 
-def _wavenumbers(names: tuple[str, ...], frequency: Array, radius: float, air: Air) -> Complex:
+def _wavenumbers(
+    names: tuple[str, ...], frequency: Array | Complex, radius: float, air: Air
+) -> Complex:
     """Return wavenumbers of modes in the straight tube, (n_f, m)."""
     if not names:
         return np.zeros((len(frequency), 0), complex)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import log, pi
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,18 +13,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from acoustube.air import air_at
+from acoustube.air import Air, air_at
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion import Library
+from acoustube.inversion import Library, Wrap
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, sent_spectrum
 from acoustube.sensor.cycles import Parts, Shape
 from acoustube.sensor.network import Constants, Pair
 from acoustube.sensor.tables import PressTables, press_tables
-from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.sensor.wrapped import (
+    PLACES,
+    far_end,
+    joined_tables,
+    phases,
+    straight_wavenumbers,
+    untouched_echo,
+    wrapped_path,
+)
 from acoustube.waves.scattering import Complex
 
 WRAPAROUND_ATTENUATION = 300.0
@@ -43,14 +52,17 @@ def assembled(
     temperature: float,
     tube_seed: int,
     tolerance: float,
-) -> tuple[PressTables, Shape, Parts]:
-    """Return the tables of a sensor and what its compiled functions need.
+    wrap: Wrap | None = None,
+) -> tuple[PressTables, Shape, Parts, Pair | None]:
+    """Return the tables of a sensor, what its compiled functions need, and the change by a wrap.
+
+    The last is that of the untouched tube's echo, from the straight tube's.
 
     Parameters
     ----------
     library : Library
     rangefinder : Rangefinder
-    length, temperature, tube_seed, tolerance
+    length, temperature, tube_seed, tolerance, wrap
         As of :class:`acoustube.sensor.TubeSensor`.
 
     Raises
@@ -70,28 +82,98 @@ def assembled(
     received *= np.exp(-2j * pi * damped * r.lead)
     inside = _band(grid, received, (library.band[0] * stretch, library.band[1] * stretch))
     damped = damped[inside]
-    tables = press_tables(library, damped, stretch, tolerance)
-    names = library.modes[: tables.modes]
-    waves = np.stack(
-        [axial_wavenumber(*mode_numbers(name), damped, library.radius, air) for name in names]
-    )
-    clutter, whole = _clutter_beyond(waves[0], r.clutter, length, tube_seed)
+    press = press_tables(library, damped, stretch, tolerance)
+    if wrap is None:
+        tube = _straight(library, press, air, damped, r, length)
+    else:
+        tube = _wrapped(library, press, air, damped, r, length, wrap)
+    given = len(damped), r.clutter, length, tube_seed
+    clutter, whole = _clutter_beyond(tube.phase, *given)
     scale = r.gain * received[inside] * r.sampling_rate * _taper(int(inside.sum()))
     growth = np.exp(damping * np.arange(r.n_samples) / r.sampling_rate)
-    arrays = tables.values, waves.imag, -waves.real / (2 * pi), clutter
-    constants = Constants(*map(_float32, arrays))
-    tables = replace(tables, values=np.asarray(constants.presses))  # of one memory, if on the CPU
-    end = r.far_reflection * np.exp(-2j * waves[0] * length)
-    untouched = end / (1 - r.face_reflection * end) + whole
+    constants = Constants(
+        _float32(tube.tables.values), _float32(tube.decay), _float32(tube.turn), _float32(clutter),
+        _float32(_triangle(tube.far)),
+    )  # fmt: skip
+    if tube.entry is not None:
+        constants = constants._replace(entry=_float32(np.stack([tube.entry.real, tube.entry.imag])))
+    # Of one memory, if on the CPU.
+    tables = replace(tube.tables, values=np.asarray(constants.presses))
     parts = Parts(
         constants, _float32(tables.depths), _float32(tables.diameters),
-        jnp.asarray(tables.first, jnp.int32), _pair(untouched), _pair(scale), _float32(growth),
+        jnp.asarray(tables.first, jnp.int32), _pair(tube.untouched + whole), _pair(scale),
+        _float32(growth),
     )  # fmt: skip
     shape = Shape(
         tuple(int(n) for n in tables.number.ravel()), tables.modes, period, r.n_samples,
-        int(np.flatnonzero(inside)[0]) + 1, length, complex(r.face_reflection), r.far_reflection,
+        int(np.flatnonzero(inside)[0]) + 1, tube.ends, complex(r.face_reflection), tube.places,
     )  # fmt: skip
-    return tables, shape, parts
+    if wrap is None:
+        return tables, shape, parts, None
+    straight = _straight(library, press, air, damped, r, length)
+    bent = tube.untouched + whole - straight.untouched - _clutter_beyond(straight.phase, *given)[1]
+    return tables, shape, parts, _pair(bent)
+
+
+class _Tube(NamedTuple):
+    """What differs between a straight and a wrapped tube; see :class:`.Constants`, :class:`.Shape`.
+
+    Attributes
+    ----------
+    phase : callable
+        Of the plane wave, complex, up to places in m (n,), (n, n_f).
+    far, entry : ndarray
+        (n_f, m, m), and (m, m_s, n_f) or None.
+    untouched : ndarray
+        Echo of the tube without contact or clutter, (n_f,).
+    """
+
+    tables: PressTables
+    decay: Array
+    turn: Array
+    far: Complex
+    untouched: Complex
+    ends: tuple[float, float]
+    phase: Callable[[Array], Complex]
+    entry: Complex | None = None
+    places: int = 1
+
+
+def _straight(
+    library: Library, tables: PressTables, air: Air, frequency: Complex, r: Rangefinder,
+    length: float,
+) -> _Tube:  # fmt: skip
+    names = library.modes[: tables.modes]
+    waves = straight_wavenumbers(names, frequency, library.radius, air).T
+    end = r.far_reflection * np.exp(-2j * waves[0] * length)
+    far = np.broadcast_to(
+        r.far_reflection * np.eye(len(waves)), (len(frequency), *2 * waves.shape[:1])
+    )
+    return _Tube(
+        tables, np.asarray(waves.imag, float), np.asarray(-waves.real / (2 * pi), float),
+        far.astype(complex),
+        end / (1 - r.face_reflection * end), (0.0, length), lambda place: np.outer(place, waves[0]),
+    )  # fmt: skip
+
+
+def _wrapped(
+    library: Library, tables: PressTables, air: Air, frequency: Complex, r: Rangefinder,
+    length: float, wrap: Wrap,
+) -> _Tube:  # fmt: skip
+    path = wrapped_path(wrap, air, frequency, library, tables.modes)
+    far = far_end(path, length, r.far_reflection)
+    entry = path.entry(np.zeros(1)).matrix[0]
+    return _Tube(
+        joined_tables(tables, library, path), *phases(path), far,
+        untouched_echo(path, far, entry, r.face_reflection), (wrap.start, wrap.stop),
+        lambda place: path.plane(place)[0].T, np.moveaxis(entry, 0, -1), PLACES,
+    )  # fmt: skip
+
+
+def _triangle(matrix: Complex) -> Array:
+    """Return real and imaginary parts on and above the diagonal, (2, m (m + 1) / 2, n_f)."""
+    part = matrix[:, *np.triu_indices(matrix.shape[-1])].T
+    return np.asarray(np.stack([part.real, part.imag]), float)
 
 
 def _pair(array: Complex) -> Pair:
@@ -128,24 +210,24 @@ def _taper(n: int) -> Array:
 
 
 def _clutter_beyond(
-    wave: Complex, density: float, length: float, seed: int
+    phase: Callable[[Array], Complex], n_f: int, density: float, length: float, seed: int
 ) -> tuple[NDArray[np.float32], Complex]:
     """Return the echo of the clutter beyond each reflector, and that of all, (n_f,).
 
     The former's real and imaginary parts, (n_reflectors + 1, 2, n_f). That of
     :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
     """
-    total: Complex = np.zeros(len(wave), complex)
+    total: Complex = np.zeros(n_f, complex)
     if density == 0:
-        return np.zeros((1, 2, len(wave)), np.float32), total
+        return np.zeros((1, 2, n_f), np.float32), total
     n = int(length / REFLECTOR_SPACING)
     deviation = np.sqrt(density * REFLECTOR_SPACING)
     reflectors = np.random.default_rng(seed).normal(0.0, deviation, n)
     place = (np.arange(n) + 0.5) * REFLECTOR_SPACING
-    beyond = np.zeros((n + 1, 2, len(wave)), np.float32)
+    beyond = np.zeros((n + 1, 2, n_f), np.float32)
     for end in range(n, 0, -REFLECTORS_AT_ONCE):
         part = slice(max(end - REFLECTORS_AT_ONCE, 0), end)
-        each = reflectors[part, None] * np.exp(-2j * place[part, None] * wave)
+        each = reflectors[part, None] * np.exp(-2j * phase(np.asarray(place[part], float)))
         each[-1] += total
         found = np.cumsum(each[::-1], axis=0)[::-1]
         beyond[part, 0], beyond[part, 1] = found.real, found.imag

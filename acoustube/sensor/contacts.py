@@ -157,7 +157,12 @@ def _neighbours(
 
 
 def check_contacts(
-    tables: PressTables, place: Array, depth: Array, diameter: Array, length: float
+    tables: PressTables,
+    place: Array,
+    depth: Array,
+    diameter: Array,
+    span: tuple[float, float],
+    apart: float,
 ) -> None:
     """Raise if a contact is beyond the tube or the library, or meets another.
 
@@ -166,8 +171,10 @@ def check_contacts(
     tables : PressTables
     place, depth, diameter : ndarray
         In m, (n, n_contacts); those of depth 0 do not count.
-    length : float
-        Of the tube in m.
+    span : (float, float)
+        Nearest and farthest place in m.
+    apart : float
+        Least distance of two contacts in m.
 
     Raises
     ------
@@ -180,7 +187,7 @@ def check_contacts(
     for wrong, words in (
         (there & ((diameter < known[0]) | (diameter > known[1])), "diameter"),
         (there & (depth > most * (1 + 1e-6)), "depth"),
-        (there & ((place < HALF_PRESS) | (place > length - HALF_PRESS)), "place"),
+        (there & ((place < span[0]) | (place > span[1])), "place"),
     ):  # fmt: skip
         if np.any(wrong):
             i = tuple(np.argwhere(wrong)[0])
@@ -188,14 +195,14 @@ def check_contacts(
                 diameter_of(tables, float(diameter[i]))
             if words == "depth":
                 Number(0, float(most[i]), "m", "of the library").check("depth", depth[i])
-            Number(HALF_PRESS, length - HALF_PRESS, "m", "on the tube").check("place", place[i])
+            Number(*span, "m", "on the tube").check("place", place[i])
     ordered = np.sort(np.where(there, place, np.inf), axis=1)
-    apart = np.diff(np.where(np.isfinite(ordered), ordered, 1e9), axis=1)
-    near = (apart < 2 * HALF_PRESS) & np.isfinite(ordered[:, 1:])
+    between = np.diff(np.where(np.isfinite(ordered), ordered, 1e9), axis=1)
+    near = (between < apart) & np.isfinite(ordered[:, 1:])
     if np.any(near):
         row, i = np.argwhere(near)[0]
         a, b = CM * ordered[row, i : i + 2]
         raise ConfigError(
-            f"contacts at {a:.4g} and {b:.4g} cm meet; place them {2 * CM * HALF_PRESS:g} cm apart "
+            f"contacts at {a:.4g} and {b:.4g} cm meet; place them {CM * apart:g} cm apart "
             "or farther"
         )

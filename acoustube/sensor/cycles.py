@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acoustube.base.types import Array
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import REFLECTOR_SPACING
 from acoustube.sensor.network import Constants, Pair, Press, echo
@@ -34,12 +35,12 @@ class Shape:
         :attr:`acoustube.sensor.tables.PressTables.number`, flat.
     modes, period, n_samples, first_bin : int
         Modes; samples of the cyclic time and of a cycle; number of the band's first frequency.
-    length : float
-        Of the tube in m.
+    ends : tuple of float
+        Places in m where the modes of the sections begin and end.
     face : complex
         Reflection coefficient of the face.
-    far : float
-        Reflection coefficient of the far end.
+    places : int
+        Places of a wrapped tube at which the scattering of contacts is known; 1 of a straight one.
     """
 
     number: tuple[int, ...]
@@ -47,9 +48,9 @@ class Shape:
     period: int
     n_samples: int
     first_bin: int
-    length: float
+    ends: tuple[float, float]
     face: complex
-    far: float
+    places: int = 1
 
 
 class Parts(NamedTuple):
@@ -108,7 +109,19 @@ def changes_of(
         return jax.lax.complex(changed.re, changed.im)
 
     band = jax.lax.map(spectrum_of, (place, depth, diameter), batch_size=AT_ONCE)
-    spectrum = jnp.zeros((len(place), shape.period // 2 + 1), jnp.complex64)
+    return _voltage(shape, parts, band)
+
+
+def echo_voltage(shape: Shape, parts: Parts, echo_at_face: Pair) -> Array:
+    """Return the voltage of an echo at the band's frequencies, (n_samples,)."""
+    received = echo_at_face * parts.scale
+    band = jax.lax.complex(received.re, received.im)
+    return np.asarray(_voltage(shape, parts, band[None])[0], float)
+
+
+def _voltage(shape: Shape, parts: Parts, band: jax.Array) -> jax.Array:
+    """Return the voltage of spectra at the band's frequencies, (n, n_samples)."""
+    spectrum = jnp.zeros((len(band), shape.period // 2 + 1), jnp.complex64)
     columns = slice(shape.first_bin, shape.first_bin + band.shape[1])
     spectrum = spectrum.at[:, columns].set(band)
     return jnp.fft.irfft(spectrum, shape.period)[:, : shape.n_samples] * parts.growth[None]
@@ -226,9 +239,14 @@ def echo_of(
     n = parts.constants.clutter.shape[0] - 1
     reflector = jnp.clip((place / REFLECTOR_SPACING + 0.5).astype(jnp.int32), 0, n)
     size = 2 * shape.modes
+    # Contacts of depth 0 may be anywhere.
+    place = jnp.maximum(place, shape.ends[0])
+    press = _press(parts, depth, diameter)
+    if shape.places > 1:
+        press = _placed(shape, parts, press, place)
     return echo(
-        parts.constants, np.reshape(shape.number, (size, size)), _press(parts, depth, diameter),
-        place, reflector, shape.length, shape.face, shape.far,
+        parts.constants, np.reshape(shape.number, (size, size)), press, place, reflector,
+        shape.ends, shape.face,
     )  # fmt: skip
 
 
@@ -244,6 +262,17 @@ def _press(parts: Parts, depth: jax.Array, diameter: jax.Array) -> Press:
     share = jnp.clip((diameter - start) / (end - start), 0, 1)
     (row, weight), (other, others) = (_rows(parts, low + i, depth) for i in (0, 1))
     return Press(jnp.stack([row, other], 1), jnp.stack([weight, others, share], 1))
+
+
+def _placed(shape: Shape, parts: Parts, press: Press, place: jax.Array) -> Press:
+    """Return the rows and weights of contacts at two places of a wrapped tube."""
+    n_rows = parts.constants.presses.shape[0] // shape.places
+    x = (place - shape.ends[0]) * ((shape.places - 1) / (shape.ends[1] - shape.ends[0]))
+    low = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, shape.places - 2)
+    k = press.row.shape[1]
+    rows = [press.row + (n_rows * (low + i))[:, None] for i in (0, 1)]
+    weights = [press.weight[:, :k], press.weight[:, :k], press.weight[:, k:], (x - low)[:, None]]
+    return Press(jnp.concatenate(rows, axis=1), jnp.concatenate(weights, axis=1))
 
 
 def _rows(parts: Parts, tool: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:

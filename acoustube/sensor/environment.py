@@ -67,12 +67,14 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
             )
         if len(sensor.tables.diameters) > 1:
             raise ConfigError("the library has several tools; give the sensor that of the finger")
-        usual = min(0.3, sensor.length / 2), sensor.length - 2 * HALF_PRESS
+        nearest, farthest = sensor.span
+        middle = (nearest + farthest) / 2
+        usual = float(np.clip(0.3, nearest, middle)), max(farthest - HALF_PRESS, middle)
         low, high = (float(one) for one in (usual if reach is None else reach))
-        if not HALF_PRESS <= low < high <= sensor.length - HALF_PRESS:
+        if not nearest <= low < high <= farthest:
             raise ConfigError(
                 "is not on the tube", setting="reach", value=str((low, high)),
-                advice=f"use {HALF_PRESS:g} to {sensor.length - HALF_PRESS:g} m, rising",
+                advice=f"use {nearest:g} to {farthest:g} m, rising",
             )  # fmt: skip
         self.sensor, self.reach = sensor, (low, high)
         self.largest = float(sensor.tables.forces[0][np.isfinite(sensor.tables.forces[0])][-1])

@@ -1,4 +1,8 @@
-"""Echo of contacts joined by straight tube, in JAX: for one cycle at all frequencies at once.
+"""Echo of contacts along a tube, in JAX: for one cycle at all frequencies at once.
+
+A wrapped tube differs from a straight one in its modes, whose phase is an integral along it, in the
+contacts' matrices, which vary with the curvature, and in the joint where the wrap begins
+(:mod:`acoustube.sensor.wrapped`).
 
 The input reflection matrix is built up from the far end to the face, contact by contact, as in
 :mod:`acoustube.waves.network`; matrices are symmetric by reciprocity and of three modes at most, so
@@ -48,6 +52,9 @@ class Pair:
 
 Matrix = list[list[Pair]]
 
+UNHEARD = 1e-5
+"""Amplitude of multiple reflections at the face of a wrapped tube that is left out."""
+
 
 class Constants(NamedTuple):
     """Constant arrays of a sensor, in float32.
@@ -58,20 +65,32 @@ class Constants(NamedTuple):
         :attr:`acoustube.sensor.tables.PressTables.values`.
     decay, turn : jax.Array
         Real part of -j times the axial wavenumbers in 1/m, and its imaginary part in revolutions
-        per m, (m, n_f).
+        per m, (m, n_f); of a wrapped tube their integrals from its start, (n_z, m, n_f).
     clutter : jax.Array
         Echo of the clutter beyond each reflector, (n_reflectors + 1, 2, n_f); or of shape
         (1, 2, n_f) if there is none.
+    far : jax.Array
+        Reflection matrix of the far end, on and above its diagonal, (2, m (m + 1) / 2, n_f).
+    entry : jax.Array or None
+        Amplitudes of a wrapped tube's modes at its start for those of the straight tube at the
+        face, (2, m, m_s, n_f).
     """
 
     presses: jax.Array
     decay: jax.Array
     turn: jax.Array
     clutter: jax.Array
+    far: jax.Array
+    entry: jax.Array | None = None
 
 
 class Press(NamedTuple):
-    """Rows of the tables between which contacts lie, and their weights, (n_contacts, n_rows)."""
+    """Rows of the tables that contacts are interpolated from, and weights, (n_contacts, n).
+
+    A row, whose scattering counts 1 - weight, and the next, which counts weight, for each of one,
+    two or four parts: of two tools, at two places of a wrapped tube. The further weights are those
+    of the second tool and of the second place.
+    """
 
     row: jax.Array
     weight: jax.Array
@@ -83,9 +102,8 @@ def echo(
     press: Press,
     place: jax.Array,
     reflector: jax.Array,
-    length: float,
+    ends: tuple[float, float],
     face: complex,
-    far: float,
 ) -> Pair:
     """Return the echo of contacts, far end and clutter over the wave that the face launches.
 
@@ -95,17 +113,15 @@ def echo(
     number : ndarray of int
         :attr:`acoustube.sensor.tables.PressTables.number` as (2 m, 2 m); fixed when compiled.
     press : Press
-        For each contact a row, whose scattering counts 1 - weight, and the next, which counts
-        weight, for each of the tools (1 or 2) that it lies between; of two, the last weight is that
-        of the second tool.
     place : jax.Array
         Distances from the face in m, rising, (n_contacts,).
     reflector : jax.Array
         Number of the first reflector of the clutter behind each contact, (n_contacts,).
-    length : float
-        Of the tube in m.
-    face, far : complex, float
-        Reflection coefficients of both ends.
+    ends : tuple of float
+        Places in m where the modes of the sections begin, at the face or where the tube is wrapped,
+        and where they end; fixed when compiled.
+    face : complex
+        Reflection coefficient of the face.
 
     Returns
     -------
@@ -118,19 +134,18 @@ def echo(
     dimmed by the plane wave's transmission of the contacts before it, are neglected, as in
     :func:`acoustube.ranging.record`.
     """
-    m, n_f = constants.decay.shape
-    spans = jnp.append(place[1:], length) - place
+    m, n_f = constants.decay.shape[-2:]
+    following = jnp.append(place[1:], ends[1])
     zero = jnp.zeros(n_f, jnp.float32)
-    load = _symmetric(m, lambda i, j: Pair(zero + (far if i == j else 0.0), zero))
     behind = Pair(*constants.clutter[-1])
 
     def before(
         carry: tuple[list[Pair], Pair, Pair], contact: Any
     ) -> tuple[tuple[list[Pair], Pair, Pair], None]:
         triangle, seen, beyond = carry
-        row, weight, span, first = contact
+        row, weight, here, there, first = contact
         s = _matrix(constants.presses, number, row, weight)
-        load = _propagated(_full(m, triangle), constants, span)
+        load = _propagated(_full(m, triangle), constants, ends, here, there)
         reflected = _input_reflection(s, load, m)
         onwards = Pair(*constants.clutter[first])
         # Just behind this contact, then as dimmed by it.
@@ -138,14 +153,45 @@ def echo(
         seen = s[0][m] * s[0][m] * seen
         return (_triangle(m, reflected), seen, onwards), None
 
-    start = (_triangle(m, load), Pair(zero, zero), behind)
-    contacts = (press.row, press.weight, spans, reflector)
+    far = [Pair(*constants.far[:, i]) for i in range(constants.far.shape[1])]
+    start = (far, Pair(zero, zero), behind)
+    contacts = (press.row, press.weight, place, following, reflector)
     (triangle, seen, beyond), _ = jax.lax.scan(before, start, contacts, reverse=True)
-    load = _propagated(_full(m, triangle), constants, place[0])
-    ends = Pair(np.float32(np.real(face)), np.float32(np.imag(face)))
-    loop = [[_unit(i == j) - ends * load[i][j] for j in range(m)] for i in range(m)]
-    heard = _dot(_inverse(loop)[0], [load[i][0] for i in range(m)])
+    load = _propagated(_full(m, triangle), constants, ends, ends[0], place[0])
+    heard = _heard(load, constants.entry, face)
     return heard + (Pair(*constants.clutter[0]) - beyond) + seen
+
+
+def _heard(load: Matrix, entry: jax.Array | None, face: complex) -> Pair:
+    """Return the plane wave at the face, of a reflection matrix there or where the wrap begins."""
+    back = Pair(np.float32(np.real(face)), np.float32(np.imag(face)))
+    if entry is None:
+        m = len(load)
+        loop = [[_unit(i == j) - back * load[i][j] for j in range(m)] for i in range(m)]
+        return _dot(_inverse(loop)[0], [load[i][0] for i in range(m)])
+    way = [[Pair(entry[0, i, j], entry[1, i, j]) for j in range(entry.shape[2])]
+           for i in range(entry.shape[1])]  # fmt: skip
+    columns = list(zip(*way, strict=True))
+
+    def returned(wave: Sequence[Pair]) -> list[Pair]:
+        """Return what comes back to the face of straight modes that leave it."""
+        there = [_dot(row, wave) for row in way]
+        reflected = [_dot(row, there) for row in load]
+        return [_dot(column, reflected) for column in columns]
+
+    n_f = entry.shape[-1]
+    flat, none = jnp.ones(n_f, jnp.float32), jnp.zeros(n_f, jnp.float32)
+    wave = returned([Pair(flat if i == 0 else none, none) for i in range(len(columns))])
+    heard = wave[0]
+    for _ in range(_reflections(face)):
+        wave = returned([back * one for one in wave])
+        heard = heard + wave[0]
+    return heard
+
+
+def _reflections(face: complex) -> int:
+    """Return the number of reflections at the face after which nothing is left."""
+    return 0 if abs(face) == 0 else int(np.ceil(np.log(UNHEARD) / np.log(min(abs(face), 0.9))))
 
 
 def _matrix(
@@ -157,7 +203,9 @@ def _matrix(
         start = (row[i], *(jnp.zeros((), row.dtype),) * 3)
         low, high = jax.lax.dynamic_slice(table, start, (2, *table.shape[1:]))
         parts.append(low + weight[i] * (high - low))
-    s = parts[0] if len(parts) == 1 else parts[0] + weight[-1] * (parts[1] - parts[0])
+    for share in weight[len(parts) :]:
+        parts = [a + share * (b - a) for a, b in zip(parts[::2], parts[1::2], strict=True)]
+    (s,) = parts
     return [[Pair(s[0, n], s[1, n]) for n in line] for line in number]
 
 
@@ -173,12 +221,36 @@ def _input_reflection(s: Matrix, load: Matrix, m: int) -> Matrix:
     return _symmetric(m, lambda i, j: s[i][j] + _dot(passed[i], s[j][m:]))
 
 
-def _propagated(load: Matrix, constants: Constants, distance: jax.Array) -> Matrix:
-    """Return a reflection matrix as seen from a distance."""
+def _propagated(
+    load: Matrix,
+    constants: Constants,
+    ends: tuple[float, float],
+    here: jax.Array | float,
+    there: jax.Array,
+) -> Matrix:
+    """Return a reflection matrix at a place as seen from another."""
     m = len(load)
-    size, (cosine, sine) = jnp.exp(constants.decay * distance), _turned(constants.turn * distance)
+    decay, turn = (_between(one, ends, here, there) for one in (constants.decay, constants.turn))
+    size, (cosine, sine) = jnp.exp(decay), _turned(turn)
     path = [Pair(size[i] * cosine[i], size[i] * sine[i]) for i in range(m)]
     return _symmetric(m, lambda i, j: path[i] * load[i][j] * path[j])
+
+
+def _between(
+    table: jax.Array, ends: tuple[float, float], here: jax.Array | float, there: jax.Array
+) -> jax.Array:
+    """Return the integral of a wavenumber between two places, (m, n_f)."""
+    if table.ndim == 2:
+        return table * (there - here)
+    last = table.shape[0] - 1
+
+    def integral(place: jax.Array | float) -> jax.Array:
+        x = (place - ends[0]) * (last / (ends[1] - ends[0]))
+        i = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, last - 1)
+        low, high = table[i], table[i + 1]
+        return low + (x - i) * (high - low)
+
+    return integral(there) - integral(here)
 
 
 def _inverse(a: Matrix) -> Matrix:

@@ -28,11 +28,12 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.names import PATH
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion import Library
+from acoustube.inversion import Library, Wrap
 from acoustube.ranging import Rangefinder, digitise, response
 from acoustube.runs.libraries.files import open_library
 from acoustube.sensor.assembly import assembled
 from acoustube.sensor.contacts import (
+    HALF_PRESS,
     Contact,
     check_contacts,
     contact_arrays,
@@ -40,14 +41,20 @@ from acoustube.sensor.contacts import (
     diameter_of,
     force_at,
 )
-from acoustube.sensor.cycles import CycleModel, compiled_changes, compiled_counts
+from acoustube.sensor.cycles import (
+    CycleModel,
+    compiled_changes,
+    compiled_counts,
+    echo_voltage,
+)
+from acoustube.sensor.wrapped import check_wrap
 
 BATCH = 128
 """Cycles of a compiled batch, which one core computes in 15 MB."""
 
 
 class TubeSensor:
-    """Rangefinder on a straight tube, whose cycles take a fraction of a millisecond.
+    """Rangefinder on a straight or a wrapped tube, whose cycles take a fraction of a millisecond.
 
     Parameters
     ----------
@@ -65,11 +72,18 @@ class TubeSensor:
         Largest number of contacts of a cycle.
     tolerance : float
         Relative rms error of the reflection that the tables add to the library's interpolation.
+    wrap : Wrap, optional
+        Of the tube about an arm, as of a sleeve (:func:`acoustube.runs.wrap.wrap_of`) or the file
+        of a sensor (:func:`acoustube.runs.inversion.read_sensor`); a straight tube by default.
 
     Attributes
     ----------
-    tool_library, rangefinder, length, temperature, most_contacts, tolerance
+    tool_library, rangefinder, length, temperature, most_contacts, tolerance, wrap
         The parameters.
+    span : (float, float)
+        Nearest and farthest place of a contact in m: on a wrapped tube those on the wrap.
+    apart : float
+        Least distance of two contacts in m.
     tables : acoustube.sensor.tables.PressTables
         Scattering and forces over depth.
     model : acoustube.sensor.cycles.CycleModel
@@ -78,7 +92,8 @@ class TubeSensor:
     Raises
     ------
     ConfigError
-        If the library's band does not hold the received spectrum, or its tools do not go together.
+        If the library's band does not hold the received spectrum, its tools do not go together, or
+        the wrap is longer than the tube.
 
     Notes
     -----
@@ -94,6 +109,7 @@ class TubeSensor:
     @checked(
         library=Library, rangefinder=Optional(Rangefinder), length=LENGTH, temperature=TEMPERATURE,
         tube_seed=SEED, most_contacts=Number(1, 64, whole=True), tolerance=Number(1e-6, 0.1),
+        wrap=Optional(Wrap),
     )  # fmt: skip
     def __init__(
         self,
@@ -105,18 +121,26 @@ class TubeSensor:
         tube_seed: int = 0,
         most_contacts: int = 3,
         tolerance: float = 1e-3,
+        wrap: Wrap | None = None,
     ) -> None:
         self.tool_library, self.rangefinder = library, rangefinder or Rangefinder()
         self.length, self.temperature, self.tolerance = length, temperature, tolerance
-        self.most_contacts = most_contacts
+        self.most_contacts, self.wrap = most_contacts, wrap
+        self.span, self.apart = (HALF_PRESS, length - HALF_PRESS), 2 * HALF_PRESS
+        if wrap is not None:
+            check_wrap(wrap, length)
+            self.span = wrap.start + wrap.reach, wrap.stop - wrap.reach
+            self.apart = 2 * wrap.reach
         r = self.rangefinder
-        self._untouched = response(
+        _, self._untouched = response(
             [], r, radius=library.radius, length=length, temperature=temperature,
             tube_seed=tube_seed,
-        )[1]  # fmt: skip
-        self.tables, self._shape, self._parts = assembled(
-            library, r, length, temperature, tube_seed, tolerance
+        )  # fmt: skip
+        self.tables, self._shape, self._parts, bent = assembled(
+            library, r, length, temperature, tube_seed, tolerance, wrap
         )
+        if bent is not None:
+            self._untouched = self._untouched + echo_voltage(self._shape, self._parts, bent)
         untouched = jnp.asarray(self._untouched, jnp.float32)
         self.model = CycleModel(self._parts, untouched, self._shape, r)
 
@@ -194,7 +218,7 @@ class TubeSensor:
             another.
         """
         given = contact_arrays(self.tables, contacts, self.most_contacts)
-        check_contacts(self.tables, *given, self.length)
+        check_contacts(self.tables, *given, self.span, self.apart)
         changes = compiled_changes(self._shape, self._parts, *(a.astype(np.float32) for a in given))
         voltage = self._untouched + np.asarray(changes[0], float)
         r = self.rangefinder
@@ -271,6 +295,6 @@ class TubeSensor:
                 f"places, depths and diameters have shapes {place.shape}, {depth.shape} and "
                 f"{size.shape}; give equal ones of at most {self.most_contacts} contacts a cycle"
             )
-        check_contacts(self.tables, place, depth, size, self.length)
+        check_contacts(self.tables, place, depth, size, self.span, self.apart)
         missing = ((0, 0), (0, self.most_contacts - place.shape[1]))
         return [np.pad(a, missing).astype(np.float32) for a in (place, depth, size)]

@@ -346,7 +346,7 @@ def _bend_scattering(
 
 
 def bend_generator(
-    air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
+    air: Air, frequency: Array | Complex, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> tuple[Complex, Complex]:
     """Return the matrix of the coupled equations of a bend, and the straight modes' admittances.
 
@@ -371,7 +371,8 @@ def bend_generator(
     """
     k = (2 * pi * frequency / air.sound_speed)[:, None, None]
     waves = wavenumbers(bore.names, frequency, radius, air, lossy=lossy)
-    waves = np.where(np.abs(waves) < CUT_ON_MARGIN * k[:, 0], CUT_ON_MARGIN * k[:, 0], waves)
+    nearest = CUT_ON_MARGIN * k[:, 0]
+    waves = np.where(np.abs(waves) < np.abs(nearest), nearest, waves)
     m, kappa = len(bore.names), part.curvature * radius
     squares = waves**2 - part.ovality * bore.flattening / radius**2
     # Velocities over k, so that all blocks are of one size.

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from acoustube.air import Air
-from acoustube.base.checks import BORE, FREQUENCIES, Several, checked
+from acoustube.base.checks import BORE, WAVES, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.waves.bends import Bent, bend_generator, mode_places
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.bore_couplings import bore_modes
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 
 LARGEST_ZERO = 4.5
@@ -99,7 +99,7 @@ class BentModes:
 
 @checked(
     air=Air,
-    frequency=FREQUENCIES,
+    frequency=WAVES,
     part=Bent,
     radius=BORE,
     modes=Several(str, 1),
@@ -108,7 +108,7 @@ class BentModes:
 )
 def bent_modes(
     air: Air,
-    frequency: Array,
+    frequency: Array | Complex,
     part: Bent,
     *,
     radius: float,
@@ -123,7 +123,7 @@ def bent_modes(
     ----------
     air : Air
     frequency : ndarray
-        In Hz, (n_f,).
+        In Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
     part : Bent
         Its length does not matter.
     radius : float
@@ -171,9 +171,10 @@ def bent_modes(
     incident = np.concatenate([np.concatenate([-p, eye], 2), np.concatenate([-v, -y], 2)], 1)
     s = np.linalg.solve(outgoing, incident)
     cut_ons = [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in modes]
-    propagates = np.asarray(frequency)[:, None] > np.array(cut_ons)
-    root = np.where(propagates, np.sqrt(np.abs(admittance[:, place])), 0.0)
-    inverse = np.where(root > 0, 1 / np.where(root > 0, root, 1), 0.0)
+    propagates = np.real(frequency)[:, None] > np.array(cut_ons)
+    size_of = _magnitude(air, frequency, radius, modes, lossy)
+    root = np.where(propagates, np.sqrt(size_of), 0.0)
+    inverse = np.where(propagates, 1 / np.where(propagates, root, 1), 0.0)
     at = np.array(place) + size
     return BentModes(
         wavenumber=beta[:, :count],
@@ -184,3 +185,20 @@ def bent_modes(
         symmetry=own,
         signs=own[place],
     )
+
+
+def _magnitude(
+    air: Air, frequency: Array | Complex, radius: float, modes: Sequence[str], lossy: bool
+) -> Complex:
+    """Return the magnitude of straight modes' admittances, k_z over k, (n_f, m_s).
+
+    At complex frequencies its analytic continuation, by which scattering matrices of
+    power-normalised modes continue.
+    """
+    speed = 2 * np.pi / air.sound_speed
+    upper, lower = (
+        wavenumbers(modes, f, radius, air, lossy=lossy) / (speed * f[:, None])
+        for f in (np.asarray(frequency), np.conj(frequency))
+    )
+    product = upper * lower.conj()
+    return np.sqrt(product.real if np.isrealobj(frequency) else product)

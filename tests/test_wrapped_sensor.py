@@ -1,0 +1,169 @@
+"""The fast sensor on an arm: bent modes, presses between bends, cycles of the full chain."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_inversion import CUT_ONS, FREQUENCY, MODES, RADIUS, matrices, tool
+from test_wrapped_inversion import AIR, HELIX, NAMES, WRAP
+
+from acoustube.base.errors import ConfigError
+from acoustube.inversion import Library, Wrap
+from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.tables import Matrices
+from acoustube.ranging import Rangefinder, record
+from acoustube.sensor import Contact, TubeSensor
+from acoustube.sensor.cycles import echo_of
+from acoustube.sensor.tables import press_tables
+from acoustube.sensor.wrapped import wrapped_path
+from acoustube.sleeve import windings, wrapped
+from acoustube.waves import Bent, PlacedScatterer
+from acoustube.waves.bent_modes import bent_modes
+from acoustube.waves.scattering import ModalScattering
+
+QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
+LENGTH = HELIX.tube_length
+
+
+def masked(depth, frequency):
+    """Return scattering of modes above their cut-ons alone, (n, n_f, 2, 3, 2, 3)."""
+    above = frequency[:, None] > CUT_ONS
+    return matrices(depth, frequency) * (
+        above[:, None, :, None, None] * above[:, None, None, None, :]
+    )
+
+
+def press(depth, place):
+    frequency = np.arange(25e3, 60e3, 100.0)
+    scattering = ModalScattering(
+        frequency=frequency, modes=MODES, s=masked(depth, frequency)[0], cut_ons=CUT_ONS,
+        propagates=frequency[:, None] > CUT_ONS, sound_speed=AIR.sound_speed,
+        extent=(-WRAP.reach, WRAP.reach),
+    )  # fmt: skip
+    return PlacedScatterer(scattering, place)
+
+
+@pytest.fixture(scope="module")
+def library():
+    depth = np.arange(1e-3, 7.01e-3, 0.25e-3)
+    return Library((tool(0.25e-3, s=masked(depth, FREQUENCY)),))
+
+
+@pytest.fixture(scope="module")
+def sensor(library):
+    return TubeSensor(library, QUIET, length=LENGTH, tube_seed=7, wrap=WRAP)
+
+
+@pytest.fixture(scope="module")
+def free():
+    """The untouched tube by the bends in series."""
+    bends = windings(HELIX, AIR, np.arange(25e3, 60e3, 100.0), [], reach=WRAP.reach, radius=RADIUS,
+                     modes=MODES)  # fmt: skip
+    return record(bends, QUIET, length=LENGTH, tube_seed=7)["signal"].values[0]
+
+
+@pytest.mark.parametrize("torsion", [0.0, 3.4])
+def test_bent_modes_continue_to_complex_frequencies(torsion):
+    """By Taylor's series from real ones, to second order; its next term is 1e-6."""
+    frequency, below = np.arange(38e3, 41e3, 20.0), 57.0
+    part = Bent(length=1.0, curvature=20.0, torsion=torsion)
+    real, there = (
+        bent_modes(AIR, f, part, radius=RADIUS, modes=NAMES, count=3)
+        for f in (frequency, frequency - 1j * below)
+    )
+    for name in ("wavenumber", "returned"):
+        value = getattr(real, name)
+        slope = np.gradient(value, frequency, axis=0)
+        curve = np.gradient(slope, frequency, axis=0)
+        series = value - 1j * below * slope - 0.5 * below**2 * curve
+        off = np.abs(series - getattr(there, name))[3:-3].max()
+        assert off < 1e-5 * np.abs(value).max()
+        assert off < 0.05 * np.abs(value - getattr(there, name)).max()
+
+
+@pytest.mark.parametrize(
+    "contacts", [[(0.47, 4e-3)], [(1.3, 6e-3)], [(0.4, 3e-3), (0.9, 4e-3), (1.5, 5e-3)]]
+)
+def test_echo_is_that_of_the_inversions_network_at_complex_frequencies(library, contacts):
+    """In single precision, with matrices interpolated between nine places along the arm."""
+    device = dataclasses.replace(QUIET, far_reflection=0.0, clutter=0.0)
+    made = TubeSensor(library, device, length=LENGTH, wrap=WRAP)
+    place, depth = np.array(contacts).T
+    found = echo_of(made._shape, made._parts, *(
+        np.asarray(one, np.float32) for one in (place, depth, np.full_like(place, 25e-3))
+    ))  # fmt: skip
+    period, rate = made._shape.period, device.sampling_rate
+    n_f = made._parts.scale.re.shape[0]
+    real = (made._shape.first_bin + np.arange(n_f)) * rate / period
+    damped = real - 0.5j * np.log(300.0) * rate / period / np.pi
+    path = wrapped_path(WRAP, AIR, damped, library, 3)
+    tables, cold = press_tables(library, damped, 1.0, 1e-3), np.zeros(1)
+    joined = []
+    for z, d in contacts:
+        row = np.argmin(np.abs(tables.depths[0] - d))
+        different = tables.values[row, 0] + 1j * tables.values[row, 1]
+        s = np.moveaxis(different[tables.number], -1, 0)[None].astype(complex)
+        joined.append(path.joined(Matrices(s, s, s), np.array([z]), cold))
+    exact = coupled_echo(joined, path.sections(place[None], cold), 0.3, path.entry(cold)).value[0]
+    weight = np.hypot(made._parts.scale.re, made._parts.scale.im)
+    off = (np.asarray(found.re) + 1j * np.asarray(found.im) - exact) * weight
+    assert np.linalg.norm(off) < 0.003 * np.linalg.norm(exact * weight)
+
+
+@pytest.mark.parametrize("contacts", [[(1.3, 6e-3)], [(0.8, 6e-3), (1.4, 5e-3)]])
+def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, library, contacts):
+    """Which keep their curvature over half a turn each: by that they are 1 to 2 % off themselves.
+
+    A straight tube's echoes are far from it.
+    """
+    given = [Contact(place=z, depth=d) for z, d in contacts]
+    placed = wrapped(HELIX, [press(d, z) for z, d in contacts], AIR, radius=RADIUS,
+                     reach=WRAP.reach)  # fmt: skip
+    exact = record(placed, QUIET, length=LENGTH, tube_seed=7)["signal"].values[0] - free
+    found = sensor.read(given) - sensor.read([])
+    assert np.linalg.norm(found - exact) < 0.03 * np.linalg.norm(exact)
+    straight = TubeSensor(library, QUIET, length=LENGTH, tube_seed=7)
+    off = straight.read(given) - straight.read([]) - exact
+    assert np.linalg.norm(off) > 0.3 * np.linalg.norm(exact)
+
+
+def test_untouched_tube_is_that_of_the_bends_in_series(sensor, free):
+    """Clutter and far end, along half turns of constant curvature there; 4 % differ."""
+    late = slice(round(2 * 0.4 / 343 * QUIET.sampling_rate), None)
+    found, exact = (one[late] - np.median(one) for one in (sensor.read([]), free))
+    assert np.linalg.norm(found - exact) < 0.06 * np.linalg.norm(exact)
+
+
+def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
+    """At any place, although the tube is taken as straight under deeper ones."""
+    quiet = sensor.read([])
+    sizes = [
+        np.linalg.norm(sensor.read([Contact(place=0.61, depth=d)]) - quiet)
+        for d in (0.0, 2e-4, 6e-4, 1e-3)
+    ]
+    assert sizes[0] < 1e-3 * sizes[1]
+    assert sizes[1] < sizes[2] < sizes[3]
+
+
+def test_batch_is_its_cycles(sensor):
+    places, depths = np.array([[0.5, 1.2], [0.9, 0.0]]), np.array([[4e-3, 5e-3], [3e-3, 0.0]])
+    many = sensor.read_many(places, depths)
+    for row, z, d in zip(many, places, depths, strict=True):
+        one = sensor.read([Contact(place=a, depth=b) for a, b in zip(z, d, strict=True)])
+        assert np.abs(row - one)[800:].max() < 0.01  # as on a straight tube
+
+
+@pytest.mark.parametrize(
+    ("contacts", "word"), [([(0.1, 2e-3)], "place"), ([(0.5, 2e-3), (0.55, 2e-3)], "6 cm apart")]
+)
+def test_contact_off_the_wrap_or_too_near_is_one_sentence(sensor, contacts, word):
+    with pytest.raises(ConfigError, match=word):
+        sensor.read([Contact(place=z, depth=d) for z, d in contacts])
+
+
+def test_wrap_that_does_not_fit_its_tube_is_one_sentence(library):
+    with pytest.raises(ConfigError, match="give the tube's length"):
+        TubeSensor(library, QUIET, length=1.0, wrap=WRAP)
+    short = Wrap(place=np.array([0.2, 0.24]), curvature=np.full(2, 20.0), torsion=np.zeros(2))
+    with pytest.raises(ConfigError, match="no place for a press"):
+        TubeSensor(library, QUIET, length=1.0, wrap=short)
