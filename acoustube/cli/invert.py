@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -34,11 +35,41 @@ class Search(Checked):
     most: Annotated[int, WHOLE, Number(1, 8, "", "contacts", whole=True)] = 3
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class FarEnd(Checked):
+    """Recordings from a second rangefinder, like the first one, at the far end.
+
+    Attributes
+    ----------
+    far : Path
+        Recordings of the same cycles from a second rangefinder, like the first, at the far end: one
+        for each of the files, in their order.
+    far_untouched : Path
+        Recordings of the tube without contact from the far end.
+    """
+
+    far: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+    far_untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
+
+    def __post_init__(self) -> None:
+        """Check that there is something to go with the untouched tube."""
+        super().__post_init__()
+        if self.far_untouched and not self.far:
+            raise ConfigError("--far-untouched goes with --far; name the recordings from there")
+
+    def check_pair(self, other: object) -> None:
+        """Raise :class:`ConfigError` if a recording lacks the one from the far end."""
+        if self.far and other is None:
+            raise ConfigError("has no recording from the far end; give --far one more")
+
+
 def invert(
     *files: Path,
     library: Path,
     sensor: Path | None = None,
     untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    far_end: FarEnd = FarEnd(),
     search: Search = Search(),
     recording: Recording = Recording(),
     out: Path | None = None,
@@ -64,44 +95,44 @@ def invert(
         Picture to write (PNG, PDF or SVG): the posterior along the tube of the first group with a
         contact.
     """
-    if not files:
-        raise ConfigError("invert needs a file or a folder; name one or more")
-    check_files(out=out, figure=figure)
+    _check(files, out, figure)
     from acoustube import recordings
     from acoustube.runs import inversion
     from acoustube.runs.libraries.files import open_library
     from acoustube.runs.recordings import opened, read_cycles
+    from acoustube.runs.two_ends import EndsInverter
 
     options = dataclasses.asdict(recording)
     known = open_library(library)
     own = inversion.Sensor() if sensor is None else inversion.read_sensor(sensor)
-    free = list(read_cycles(untouched, **options)) if untouched else []
-    inverter = inversion.RecordingInverter(known, own, free, search.most)
-    report = output.reporter(stderr=out is None)
-    failures = n_groups = n_contacts = 0
+    named = untouched, far_end.far_untouched, far_end.far
+    free, far_free, far = (list(read_cycles(paths or [], **options)) for paths in named)
+    near = inversion.RecordingInverter(known, own, free, search.most)
+    inverter, others = EndsInverter(near, far_free), iter(far)
+    report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     pictures: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, pictures) as file:
         writer = csv.writer(file, lineterminator="\n")
-        header: list[object] = list(inversion.COLUMNS)
+        header: list[list[object]] = [list(inversion.COLUMNS)]
         for path, data in recordings.read_all(files, **options):
-            table, misfits, count = [], [], 0
+            table, misfits, count, other = [], [], 0, next(others, None)
             try:
                 if isinstance(data, ConfigError):
                     raise data
+                far_end.check_pair(other)
                 total = -(-data.sizes["cycle"] // search.group)
                 with report.progress(check) as show:
-                    for group, found in inverter.groups(path, data, search.group, check):
-                        table += inversion.rows_of(path, group, found, known)
+                    for group, found in inverter.groups(path, data, other, search.group, check):
+                        table += inversion.rows_of(path, group, found.contacts, known)
                         misfits += [] if found.fits else [found.misfit]
-                        count += 1
-                        show(path.name, count, total)
-                        if figure is not None and not pictures and found.contacts:
-                            pictures[figure] = _drawn(found, known, figure)
+                        show(path.name, count := count + 1, total)
+                        if figure is not None and not pictures and found.near.contacts:
+                            pictures[figure] = _drawn(found.near, known, figure)
             except (ConfigError, ValueError) as error:
                 failures += 1
                 failure(about(path, error), "not inverted")
                 continue
-            writer.writerows([header, *table] if header else table)
+            writer.writerows([*header, *table])
             header = []
             inversion.note_misfit(path, misfits, count, report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
@@ -112,6 +143,12 @@ def invert(
     failed = f"; {failures} files could not be inverted" if failures else ""
     report.line(f"{n_contacts} contacts in {n_groups} groups of cycles{failed}")
     return 1 if failures else 0
+
+
+def _check(files: Sequence[Path], out: Path | None, figure: Path | None) -> None:
+    if not files:
+        raise ConfigError("invert needs a file or a folder; name one or more")
+    check_files(out=out, figure=figure)
 
 
 def _drawn(found: object, library: object, figure: Path) -> bytes:

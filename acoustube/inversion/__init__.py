@@ -6,8 +6,9 @@ interpolation), `paths` and `wrap` (propagation along straight and wrapped tubes
 (rounded samples), `baseband` and `folded` (cycles of the rangefinder), `clutter`, `model` (the
 forward model), `fit` (its likelihood), `search` (candidates), `hypotheses` (sets of presses),
 `peeling` (presses in the order of time), `doubt` (whether one more is real), `other_depths`,
-`model_error`, `posterior` and `estimate`. For streams: `motion` (the filter), `proposals` and
-`births` (new contacts), `cycle` and `tracks` (one explanation of the cycles) and `tracking`.
+`model_error`, `posterior` and `estimate`; `two_ends` (a rangefinder at each end). For streams:
+`motion` (the filter), `proposals` and `births` (new contacts), `cycle` and `tracks` (one
+explanation of the cycles) and `tracking`.
 """
 
 from acoustube.inversion.baseband import Baseband
@@ -19,10 +20,11 @@ from acoustube.inversion.motion import Motion
 from acoustube.inversion.posterior import Estimate
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.tracking import ContactTracker, Tracked
+from acoustube.inversion.two_ends import joined_contacts
 from acoustube.inversion.wrap import Wrap
 
 __all__ = [
     "Baseband", "Clutter", "Contact", "ContactTracker", "Estimate", "ForwardModel", "Inversion",
     "Inverter", "Library", "Motion", "Priors", "Tool", "Tracked", "Wrap", "baseband_of",
-    "measured_clutter", "unknown_clutter",
+    "joined_contacts", "measured_clutter", "unknown_clutter",
 ]  # fmt: skip

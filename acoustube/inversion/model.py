@@ -52,11 +52,13 @@ class Priors:
     place, depth : float
         Of the offsets in m between a press and the library's press of the same echo: errors
         of mesh and solver that no recording shows; no parameters either. Defaults 0.03 mm and
-        0.015 mm, those of two meshes and solvers; 0 if there are none.
+        0.012 mm, those of two meshes and solvers; 0 if there are none.
     bore : float
         Of the bore's diameter, relative, from the library's. A press of a wider bore sounds like
         one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
         extruded tube, say.
+    length : float
+        Of the tube's length in m, where there is a rangefinder at each end. Default 2 mm.
     modulus : float
         Of the wall's Young's modulus, relative to its value, the library's or a twin's; forces are
         proportional to it. It adds to the deviation that a twin's file states. Default 0; 0.1 for
@@ -74,14 +76,17 @@ class Priors:
     place: float = 0.03e-3
     depth: float = 0.012e-3
     bore: float = 0.0
+    length: float = 2e-3
     modulus: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that all are positive."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
         offset, share = Number(0, 0.01, "m"), Number(0, 0.1)
-        check_fields(self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
-                     losses=share, bore=share, modulus=Number(0, 1))  # fmt: skip
+        check_fields(
+            self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
+            losses=share, bore=share, modulus=Number(0, 1), length=Number(0, 1, "m"),
+        )  # fmt: skip
 
     @property
     def deviations(self) -> Array:

@@ -78,6 +78,13 @@ class Wrap:
         if len(self.place) < 2 or not np.all(np.diff(self.place) > 0):
             raise ConfigError("place of a wrap must hold two or more rising distances; sort them")
 
+    def turned(self, length: float) -> Wrap:
+        """Return the wrap of the same tube, of a length in m, from its other end."""
+        return Wrap(
+            place=length - self.place[::-1], curvature=self.curvature[::-1],
+            torsion=self.torsion[::-1], ovality=self.ovality, reach=self.reach,
+        )  # fmt: skip
+
     @property
     def start(self) -> float:
         """Distance in m from which on the tube is bent."""

@@ -139,6 +139,22 @@ class RecordingInverter:
         self._known: dict[tuple[Any, ...], tuple[float, Inverter]] = {}
         self._reflectors: dict[tuple[Any, ...], Reflectors] = {}
 
+    def from_other_end(
+        self, length: float, untouched: Sequence[tuple[Path, xr.Dataset]]
+    ) -> RecordingInverter:
+        """Return the inversion of recordings of the same rangefinder at the tube's other end.
+
+        Parameters
+        ----------
+        length : float
+            Of the tube in m.
+        untouched : sequence of (Path, xarray.Dataset)
+            Recordings of the untouched tube from there.
+        """
+        wrap = None if self.sensor.wrap is None else self.sensor.wrap.turned(length)
+        sensor = dataclasses.replace(self.sensor, wrap=wrap, length=length)
+        return RecordingInverter(self.tool_library, sensor, untouched, self.most)
+
     def groups(
         self, path: Path, data: xr.Dataset, size: int, check: Callable[[], None]
     ) -> Iterator[tuple[int, Inversion]]:
@@ -191,7 +207,7 @@ class RecordingInverter:
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder, air: float
     ) -> Inverter:
         """Return the inverter for a recording at a temperature in degC."""
-        key = (data.sizes["time"], length := self._length(data), rangefinder)
+        key = (data.sizes["time"], length := self.length(data) or USUAL_LENGTH, rangefinder)
         known = self._known.get(key)
         if known is not None and abs(known[0] - air) < SAME_AIR:
             return known[1]
@@ -227,13 +243,13 @@ class RecordingInverter:
         known = self.sensor.rangefinder is not None or data.attrs.get("source") == "simulation"
         return rangefinder.temperature_bias if known else 0.0
 
-    def _length(self, data: xr.Dataset) -> float:
-        """Return the length of a recording's tube in m."""
+    def length(self, data: xr.Dataset) -> float | None:
+        """Return the length of a recording's tube in m, None if it is not stated."""
         if self.sensor.length is not None:
             return self.sensor.length
         if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
             return float(data["tube_length"].values.flat[0])
-        return float(data.attrs.get("tube_length", USUAL_LENGTH))
+        return float(data.attrs["tube_length"]) if "tube_length" in data.attrs else None
 
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
@@ -264,11 +280,13 @@ def check_band(library: Library, base: Baseband) -> None:
         )
 
 
-def rows_of(path: Path, group: int, found: Inversion, library: Library) -> list[list[object]]:
-    """Return a row of :data:`COLUMNS` for each contact of a group, with its number from 0."""
+def rows_of(
+    path: Path, group: int, contacts: Sequence[tuple[Contact, float]], library: Library
+) -> list[list[object]]:
+    """Return a row of :data:`COLUMNS` for each contact and misfit, with its number from 0."""
     return [
-        [str(path), group, number, *contact_cells(contact, found.misfit, library)]
-        for number, contact in enumerate(found.contacts)
+        [str(path), group, number, *contact_cells(contact, misfit, library)]
+        for number, (contact, misfit) in enumerate(contacts)
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,18 @@ class PlacedScatterer:
 
     scattering: ModalScattering
     position: float
+
+    def from_other_end(self, length: float) -> PlacedScatterer:
+        """Return the same as seen from the other end of a tube of a length in m: mirrored."""
+        s = self.scattering
+        inside = s.inside
+        if inside is not None:
+            inside = PlaneWave(inside.length[::-1], inside.wavenumber[::-1])
+        mirrored = replace(
+            s, s=s.s[:, ::-1, :, ::-1], inside=inside, extent=(-s.extent[1], -s.extent[0]),
+            planes=(-s.planes[1], -s.planes[0]),
+        )  # fmt: skip
+        return PlacedScatterer(mirrored, length - self.position)
 
 
 @checked(

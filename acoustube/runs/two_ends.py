@@ -1,0 +1,110 @@
+"""Inversion of recordings from one end of a tube, or from both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import xarray as xr
+
+from acoustube.base.errors import ConfigError
+from acoustube.inversion import Contact, Inversion, joined_contacts
+from acoustube.inversion.estimate import MISFIT
+from acoustube.runs.inversion import RecordingInverter
+
+Recorded = tuple[Path, xr.Dataset]
+"""A file and its recording."""
+
+
+class Told(NamedTuple):
+    """Contacts of a group of cycles, from one end or both.
+
+    Attributes
+    ----------
+    contacts : list of (Contact, float)
+        With the misfit of the end that explains its echo better.
+    misfit : float
+        The largest.
+    fits : bool
+        Whether all contacts are told by an end whose echo is explained.
+    near : Inversion
+        Of the near end alone.
+    """
+
+    contacts: list[tuple[Contact, float]]
+    misfit: float
+    fits: bool
+    near: Inversion
+
+
+class EndsInverter:
+    """Inversion of recordings from one end of a tube, or of pairs of them from both.
+
+    Parameters
+    ----------
+    near : RecordingInverter
+    untouched : sequence of (Path, xarray.Dataset), optional
+        Recordings of the untouched tube from the far end, whose rangefinder is like the near one.
+    """
+
+    def __init__(self, near: RecordingInverter, untouched: Sequence[Recorded] = ()) -> None:
+        self.near, self.untouched = near, untouched
+        self._far: dict[float, RecordingInverter] = {}
+
+    def groups(
+        self, path: Path, data: xr.Dataset, far: Recorded | None, size: int,
+        check: Callable[[], None],
+    ) -> Iterator[tuple[int, Told]]:  # fmt: skip
+        """Yield the number of each group of cycles of a recording, and its contacts.
+
+        Parameters
+        ----------
+        path, data, size, check
+            As of :meth:`acoustube.runs.inversion.RecordingInverter.groups`.
+        far : (Path, xarray.Dataset) or None
+            The recording of the same cycles from the far end, if there is one.
+
+        Raises
+        ------
+        ConfigError
+            If a recording is not one of such a sensor, or both differ in their number of cycles.
+        """
+        here = self.near.groups(path, data, size, check)
+        if far is None:
+            for number, one in here:
+                yield (
+                    number,
+                    Told([(c, one.misfit) for c in one.contacts], one.misfit, one.fits, one),
+                )
+            return
+        source, other = far
+        if other.sizes["cycle"] != data.sizes["cycle"]:
+            raise ConfigError(
+                f"{source} has {other.sizes['cycle']} cycles and {path} {data.sizes['cycle']}; "
+                "give recordings of the same cycles from both ends"
+            )
+        length = self.near.length(data)
+        if length is None:
+            raise ConfigError(
+                f"{path} does not state the tube's length, which joins both ends; state length_cm "
+                "in the file of the sensor"
+            )
+        if length not in self._far:
+            self._far[length] = self.near.from_other_end(length, self.untouched)
+        there = self._far[length].groups(source, other, size, check)
+        for (number, one), (_, two) in zip(here, there, strict=True):
+            yield number, self._joined(one, two, length)
+
+    def _joined(self, near: Inversion, far: Inversion, length: float) -> Told:
+        """Return the contacts that one or both ends tell."""
+        known = self.near.tool_library, self.near.sensor.priors
+        pairs = [
+            (
+                one,
+                min(end.misfit for end, i in zip((near, far), seen, strict=True) if i is not None),
+            )
+            for one, seen in joined_contacts(near.contacts, far.contacts, length, *known)
+        ]
+        misfit = max((value for _, value in pairs), default=float("nan"))
+        return Told(pairs, misfit, not misfit > MISFIT, near)

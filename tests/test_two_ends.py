@@ -1,0 +1,191 @@
+"""A rangefinder at each end: mirrored presses, products of posteriors, contacts of both."""
+
+import csv
+import dataclasses
+
+import numpy as np
+import pytest
+from commands import run_here
+from test_inversion import MODES, RADIUS, press, tool
+
+from acoustube.inversion import (
+    Baseband,
+    Contact,
+    ForwardModel,
+    Inverter,
+    Library,
+    Priors,
+    joined_contacts,
+    measured_clutter,
+)
+from acoustube.inversion.posterior import mixture
+from acoustube.inversion.wrap import Wrap
+from acoustube.ranging import Rangefinder, record
+from acoustube.recordings import write
+from acoustube.runs.libraries import files
+from acoustube.runs.libraries.plan import tool_plans
+
+LENGTH = 1.6
+
+
+def recorded(presses, end, n_cycles=20):
+    """Cycles of the rangefinder at an end, 0 or 1; clutter and noise are its own."""
+    turned = [one.from_other_end(LENGTH) for one in presses] if end else presses
+    return record(turned, n_cycles=n_cycles, length=LENGTH, tube_seed=7 + end, seed=3 + end)
+
+
+@pytest.fixture(scope="module")
+def ends():
+    """Inversions from both ends."""
+    base = Baseband(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
+    free = [recorded([], end, 200)["signal"].values for end in (0, 1)]
+    return [
+        Inverter(ForwardModel(Library((tool(),)), base, measured_clutter(base, one)))
+        for one in free
+    ]
+
+
+def both(ends, presses, priors):
+    near, far = (one(recorded(presses, i)["signal"].values) for i, one in enumerate(ends))
+    known = ends[0].model.tool_library, priors
+    return near, far, joined_contacts(near.contacts, far.contacts, LENGTH, *known)
+
+
+def test_mirrored_press_has_its_ports_exchanged():
+    one = press(4e-3, 0.7)
+    s = one.scattering.s * np.array([1.0, 2.0])[:, None, None, None]
+    changed = dataclasses.replace(one.scattering, s=s, extent=(-0.02, 0.01))
+    one = dataclasses.replace(one, scattering=changed)
+    turned = one.from_other_end(LENGTH)
+    assert turned.position == pytest.approx(0.9)
+    assert turned.scattering.extent == (-0.01, 0.02)
+    assert np.array_equal(turned.scattering.s[:, 0, 1, 1, 2], s[:, 1, 1, 0, 2])
+    assert np.array_equal(turned.from_other_end(LENGTH).scattering.s, s)
+
+
+def contact(places, depths, spread, weights=(0.7, 0.3), tool_number=0):
+    share = np.array(weights)
+    place, depth = (mixture(share, np.array(x), np.full(len(x), s))
+                    for x, s in zip((places, depths), spread, strict=True))  # fmt: skip
+    return Contact(probability=0.9, distance=place, depth=depth, force=depth, tool=tool_number)
+
+
+def test_contact_that_both_tell_has_the_product_of_their_distributions():
+    """Of place and depth, on a grid; the error of the model in depth is not halved."""
+    priors = Priors(depth=0.0, length=0.3e-3)
+    near = contact([0.7, 0.704], [3e-3, 3.05e-3], (1e-3, 0.04e-3))
+    far = contact([LENGTH - 0.7035, LENGTH - 0.6995], [3.02e-3, 2.9e-3], (2e-3, 0.05e-3))
+    ((found, seen),) = joined_contacts([near], [far], LENGTH, Library((tool(),)), priors)
+    assert seen == (0, 0)
+    assert found.probability == pytest.approx(0.99)
+    place, depth = np.linspace(0.69, 0.715, 401), np.linspace(2.7e-3, 3.3e-3, 401)
+
+    def density(one, at, spread):
+        each = [
+            w * np.outer(*(np.exp(-0.5 * ((x - m) / s) ** 2) / s
+                           for x, m, s in zip(at, (a, b), spread, strict=True)))
+            for w, a, b in zip(one.distance.weights, one.distance.means, one.depth.means,
+                               strict=True)
+        ]  # fmt: skip
+        return sum(each)
+
+    spread = np.hypot(2e-3, 0.3e-3), 0.05e-3
+    product = density(near, (place, depth), (1e-3, 0.04e-3))
+    product *= density(far, (LENGTH - place, depth), spread)
+    for told, axis, values in ((found.distance, 1, place), (found.depth, 0, depth)):
+        exact = product.sum(axis=axis)
+        exact /= exact.sum() * (values[1] - values[0])
+        assert np.abs(told.density(values) - exact).max() < 1e-3 * exact.max()
+    assert found.distance.deviation < near.distance.deviation
+    shared = Priors(depth=0.039e-3)
+    ((found, _),) = joined_contacts([near], [far], LENGTH, Library((tool(),)), shared)
+    assert found.depth.deviation > 0.039e-3
+
+
+def test_contacts_of_one_end_or_of_two_tools_are_kept():
+    near = [contact([0.7, 0.704], [3e-3, 3.1e-3], (1e-3, 1e-4))]
+    far = [contact([0.1, 0.104], [2e-3, 2.1e-3], (1e-3, 1e-4)),
+           contact([0.9, 0.904], [5e-3, 5.1e-3], (0.5e-3, 1e-4), tool_number=1)]  # fmt: skip
+    found = joined_contacts(
+        near, far, LENGTH, Library((tool(), tool(diameter=0.01))), Priors(length=0.0)
+    )
+    assert [seen for _, seen in found] == [(0, 1), (None, 0)]
+    assert found[0][0].tool == 1
+    assert found[1][0].distance.value == pytest.approx(1.5)
+
+
+def test_press_behind_a_hard_one_is_told_from_the_other_end(ends):
+    """Of 2.5 mm behind one of 6.8 mm, whose trapped sound is louder at the near end."""
+    near, far, found = both(ends, [press(6.8e-3, 0.45), press(2.5e-3, 0.95)], Priors())
+    assert len(near.contacts) == 1
+    assert len(far.contacts) == 2
+    assert [one.distance.value for one, _ in found] == pytest.approx([0.45, 0.95], abs=1e-3)
+    assert [one.depth.value for one, _ in found] == pytest.approx([6.8e-3, 2.5e-3], abs=1.5e-4)
+
+
+def test_places_told_from_both_ends_have_no_other_half_wavelengths(ends):
+    """If the tube's length is known to 0.3 mm."""
+    near, _, found = both(ends, [press(2e-3, 1.05)], Priors(length=0.3e-3))
+    ((one, seen),), (alone,) = found, near.contacts
+    assert seen == (0, 0)
+    assert alone.distance.deviation > 2e-3
+    assert one.distance.deviation < 0.5e-3
+    assert abs(one.distance.value - 1.05) < 3 * one.distance.deviation
+
+
+def test_wrap_from_the_other_end():
+    wrap = Wrap(place=np.array([0.2, 0.5, 1.0]), curvature=np.array([10.0, 20.0, 25.0]),
+                torsion=np.array([1.0, 2.0, 3.0]))  # fmt: skip
+    turned = wrap.turned(1.2)
+    assert turned.place == pytest.approx([0.2, 0.7, 1.0])
+    assert list(turned.curvature) == [25.0, 20.0, 10.0]
+    assert list(turned.turned(1.2).torsion) == [1.0, 2.0, 3.0]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A library, and recordings of two presses from both ends."""
+    where = tmp_path_factory.mktemp("ends")
+    (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    (where / "lib").mkdir()
+    files.write_tool(where / "lib" / plan.name, tool(), plan)
+    (where / "sensor.toml").write_text("length_cm = 160\ntemperature_bias = 0.0")
+    presses = [press(3e-3, 0.5), press(5e-3, 1.0)]
+    for end, name in enumerate(("near", "far")):
+        write(recorded(presses, end), where / f"{name}.nc")
+        write(recorded([], end, 100), where / f"{name}_free.nc")
+    return where
+
+
+def test_command_joins_recordings_of_both_ends(folder, tmp_path):
+    done = run_here(
+        "invert", folder / "near.nc", "--far", folder / "far.nc", "--library", folder / "lib",
+        "--untouched", folder / "near_free.nc", "--far-untouched", folder / "far_free.nc",
+        "--sensor", folder / "sensor.toml", "--group", 20, "--out", tmp_path / "c.csv",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "c.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row, (place, depth) in zip(rows, [(50, 3), (100, 5)], strict=True):
+        assert float(row["distance_cm"]) == pytest.approx(place, abs=0.05)
+        assert abs(float(row["depth_mm"]) - depth) < 3 * float(row["depth_sd_mm"]) < 0.2
+        assert float(row["misfit"]) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["near.nc", "--far", "far.nc"], "does not state the tube's length"),
+        (["near.nc", "--far-untouched", "far_free.nc"], "--far-untouched goes with --far"),
+        (["near.nc", "--far", "far_free.nc"], "recordings of the same cycles from both ends"),
+        (
+            ["near.nc", "near_free.nc", "--far", "far.nc", "--group", "20"],
+            "has no recording from the far",
+        ),
+    ],
+)
+def test_recordings_that_do_not_go_together_are_one_sentence(folder, words, reason):
+    given = [folder / one if one.endswith(".nc") else one for one in words]
+    done = run_here("invert", *given, "--library", folder / "lib")
+    assert done.returncode != 0
+    assert reason in " ".join(done.stderr.split())
