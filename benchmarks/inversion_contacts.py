@@ -35,6 +35,7 @@ from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.two_ends import EndsInverter
 from acoustube.runs.wrap import wrap_of
 from acoustube.sleeve import design, windings, wrapped
 from acoustube.waves import PlacedScatterer
@@ -59,6 +60,8 @@ TUBE = 7
 """Seed of the tube's clutter."""
 LENGTH = 2.5
 """Of the sleeve paper's tube, in m."""
+FAR_TUBE = TUBE + 1
+"""Random seed of the clutter that a rangefinder at the far end records."""
 SLEEVE = 0.26, (0.18, 0.266)
 """Length in m of a sleeve on a forearm, and girths at its ends."""
 PLACES, DEPTHS, FORMS = (0.3, 1.9), (1.1e-3, 7.9e-3), 24
@@ -173,14 +176,15 @@ def rows(case, how, cycles, found, seconds, peak):
     """Return a row for each true press of a case (number, places, depths, forces)."""
     number, *true = case
     places = true[0]
-    given = np.array([contact.distance.value for contact in found.contacts])
+    contacts = [contact for contact, _ in found.contacts]
+    given = np.array([contact.distance.value for contact in contacts])
     free, matched = list(range(len(given))), {}
     for i in np.argsort([np.abs(given - z).min(initial=np.inf) for z in places]):
         near = [j for j in free if abs(given[j] - places[i]) < NEAR]
         if near:
             matched[i] = min(near, key=lambda j: abs(given[j] - places[i]))
             free.remove(matched[i])
-    best = found.best
+    best = found.near.best
     for i in range(len(places)):
         row = {
             "truth": how, "number": number, "cycles": cycles, "presses": len(places),
@@ -192,7 +196,7 @@ def rows(case, how, cycles, found, seconds, peak):
         for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
             row[f"true_{name}"] = f"{scale * values[i]:.6f}"
         if i in matched:
-            one = found.contacts[matched[i]]
+            one = contacts[matched[i]]
             row["probability"] = f"{one.probability:.4f}"
             estimates = one.distance, one.depth, one.force
             for (name, _, scale), told in zip(QUANTITIES, estimates, strict=True):
@@ -331,14 +335,17 @@ def arguments():
         "--apart", type=float, nargs=2, default=APART, help="range of the presses' distance in m"
     )
     parser.add_argument("--length", type=float, help="of the tube in m, in place of the sensor's")
+    parser.add_argument(
+        "--ends", type=int, default=1, choices=(1, 2), help="a second rangefinder at the far end"
+    )
     parser.add_argument("--changed", default="", choices=CHANGES, help="not as told")
     parser.add_argument("--seconds", type=float, default=250.0, help="of processor time, at most")
     parser.add_argument("--summary", action="store_true", help="of what there is, alone")
     return parser.parse_args()
 
 
-def recorded(truth, case, device, cycles, tube, sleeve=None):
-    """Return the cycles of a case (number, places, depths)."""
+def recorded(truth, case, device, cycles, tube, sleeve=None, far=False):
+    """Return the cycles of a case (number, places, depths), from the near end or the far one."""
     number, places, depths = case
     air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
     speed = air_at(air).sound_speed
@@ -355,7 +362,11 @@ def recorded(truth, case, device, cycles, tube, sleeve=None):
             )
             for one in placed
         ]
-    return record(placed, device, n_cycles=cycles, seed=1000 + number, temperature=air, **tube)
+    if far:
+        placed = [one.from_other_end(tube["length"]) for one in placed]
+        tube = tube | {"tube_seed": FAR_TUBE}
+    seed = (5000 if far else 1000) + number
+    return record(placed, device, n_cycles=cycles, seed=seed, temperature=air, **tube)
 
 
 def untouched(sleeve, truth):
@@ -402,6 +413,10 @@ def main():
     free = record(bends, device, n_cycles=200, seed=11, temperature=20.0, **tube)
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
+    turned = [one.from_other_end(sensor.length) for one in bends]
+    other = tube | {"tube_seed": FAR_TUBE}
+    free = record(turned, device, n_cycles=200, seed=12, temperature=20.0, **other)
+    inverter = EndsInverter(inverter, [(Path("free"), free)])
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
     words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]
@@ -409,7 +424,7 @@ def main():
         words.append(given.config.stem)
     others = (
         ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 0.0, "% bore"),
-        ("loops", 9.0, "loops"),
+        ("loops", 9.0, "loops"), ("ends", 1, "ends"),
     )  # fmt: skip
     told = [(getattr(given, one), usual, unit) for one, usual, unit in others]
     words += [f"{value:g} {unit}" for value, usual, unit in told if value != usual]
@@ -423,12 +438,17 @@ def main():
         if key in there or time.process_time() - began > given.seconds:
             continue
         data = recorded(truth, case, device, given.cycles, tube, sleeve)
+        there_too = None
+        if given.ends == 2:
+            far = recorded(truth, case, device, given.cycles, tube, sleeve, far=True)
+            there_too = Path("far"), far
         air = data["temperature"].values.mean()
         peak = float("nan")
         if "thermometer" in given.changed:
             data["temperature"] = data["temperature"] + 1.0
         start = time.process_time()
-        ((_, found),) = inverter.groups(Path("cycles"), data, given.cycles, lambda: None)
+        groups = inverter.groups(Path("cycles"), data, there_too, given.cycles, lambda: None)
+        ((_, found),) = groups
         seconds = time.process_time() - start
         if given.sensor is None:
             mean = data["signal"].values.mean(axis=0)
