@@ -406,6 +406,9 @@ def main():
         length=given.length or sensor.length or LENGTH,
     )
     usual = sensor.rangefinder or Rangefinder()
+    if given.ends == 2:  # the other transducer's face
+        usual = dataclasses.replace(usual, far_reflection=usual.face_reflection)
+        sensor = dataclasses.replace(sensor, rangefinder=usual)
     device = dataclasses.replace(usual, **{n: x * getattr(usual, n) for n, x in factors.items()})
     tube = {"tube_seed": TUBE, "length": sensor.length, "radius": truth.bore / 2}
     # The clutter is learned from the sensor and the tube as they are.

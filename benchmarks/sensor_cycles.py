@@ -138,12 +138,13 @@ def speed(sensor):
             sensor.read(contacts, seed=seed)
             times.append(time.perf_counter() - start)
         print(f"read, {words} noise: {1e3 * np.quantile(times, 0.1):.2f} ms; {resident()}")
-    places = np.cumsum(rng.uniform(0.1, 0.7, (2048, sensor.most_contacts)), axis=1)
+    nearest = sensor.span[0]
+    places = nearest + np.cumsum(rng.uniform(0.1, 0.7, (2048, sensor.most_contacts)), axis=1)
     for words, seed in (("without", None), ("with", 1)):
         sensor.read_many(places, np.full_like(places, 3e-3), seed=seed)
         print(f"2048 cycles of read_many, {words} noise: {resident()}")
     for n in range(1, sensor.most_contacts + 1):
-        places = np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
+        places = nearest + np.cumsum(rng.uniform(0.1, 0.7, (2048, n)), axis=1)
         depths = rng.uniform(1e-3, 7e-3, (2048, n))
         own = TubeSensor(
             sensor.tool_library, length=sensor.length, most_contacts=n, wrap=sensor.wrap

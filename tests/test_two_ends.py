@@ -8,6 +8,7 @@ import pytest
 from commands import run_here
 from test_inversion import MODES, RADIUS, press, tool
 
+from acoustube.base.errors import ConfigError
 from acoustube.inversion import (
     Baseband,
     Contact,
@@ -60,6 +61,7 @@ def test_mirrored_press_has_its_ports_exchanged():
     assert turned.position == pytest.approx(0.9)
     assert turned.scattering.extent == (-0.01, 0.02)
     assert np.array_equal(turned.scattering.s[:, 0, 1, 1, 2], s[:, 1, 1, 0, 2])
+    assert turned.scattering.planes == (0.0, 0.0)
     assert np.array_equal(turned.from_other_end(LENGTH).scattering.s, s)
 
 
@@ -75,8 +77,9 @@ def test_contact_that_both_tell_has_the_product_of_their_distributions():
     priors = Priors(depth=0.0, length=0.3e-3)
     near = contact([0.7, 0.704], [3e-3, 3.05e-3], (1e-3, 0.04e-3))
     far = contact([LENGTH - 0.7035, LENGTH - 0.6995], [3.02e-3, 2.9e-3], (2e-3, 0.05e-3))
-    ((found, seen),) = joined_contacts([near], [far], LENGTH, Library((tool(),)), priors)
-    assert seen == (0, 0)
+    (joined,) = joined_contacts([near], [far], LENGTH, Library((tool(),)), priors)
+    found = joined.contact
+    assert (joined.near, joined.far, joined.agree) == (0, 0, True)
     assert found.probability == pytest.approx(0.99)
     place, depth = np.linspace(0.69, 0.715, 401), np.linspace(2.7e-3, 3.3e-3, 401)
 
@@ -98,7 +101,8 @@ def test_contact_that_both_tell_has_the_product_of_their_distributions():
         assert np.abs(told.density(values) - exact).max() < 1e-3 * exact.max()
     assert found.distance.deviation < near.distance.deviation
     shared = Priors(depth=0.039e-3)
-    ((found, _),) = joined_contacts([near], [far], LENGTH, Library((tool(),)), shared)
+    (joined,) = joined_contacts([near], [far], LENGTH, Library((tool(),)), shared)
+    found = joined.contact
     assert found.depth.deviation > 0.039e-3
 
 
@@ -109,9 +113,25 @@ def test_contacts_of_one_end_or_of_two_tools_are_kept():
     found = joined_contacts(
         near, far, LENGTH, Library((tool(), tool(diameter=0.01))), Priors(length=0.0)
     )
-    assert [seen for _, seen in found] == [(0, 1), (None, 0)]
-    assert found[0][0].tool == 1
-    assert found[1][0].distance.value == pytest.approx(1.5)
+    assert [(one.near, one.far) for one in found] == [(0, 1), (None, 0)]
+    assert found[0].contact.tool == 1
+    assert found[1].contact.distance.value == pytest.approx(1.5)
+
+
+def test_ends_that_contradict_each_other_are_not_averaged():
+    near = [contact([0.7, 0.704], [6.8e-3, 6.8e-3], (0.5e-3, 4e-5))]
+    far = [contact([0.885, 0.889], [2.5e-3, 2.5e-3], (1e-3, 4e-5))]
+    (found,) = joined_contacts(near, far, LENGTH, Library((tool(),)), Priors())
+    assert not found.agree
+    assert found.contact.depth.value == 6.8e-3
+
+
+def test_contacts_are_joined_with_their_nearest():
+    """The wider one is not joined with the neighbour's."""
+    near = [contact([at, at], [3e-3, 3e-3], (8e-3, 1e-4)) for at in (0.90, 0.96)]
+    far = [contact([LENGTH - 0.955] * 2, [3e-3, 3e-3], (1e-3, 1e-4))]
+    found = joined_contacts(near, far, LENGTH, Library((tool(),)), Priors())
+    assert [(one.near, one.far) for one in found] == [(0, None), (1, 0)]
 
 
 def test_press_behind_a_hard_one_is_told_from_the_other_end(ends):
@@ -119,15 +139,16 @@ def test_press_behind_a_hard_one_is_told_from_the_other_end(ends):
     near, far, found = both(ends, [press(6.8e-3, 0.45), press(2.5e-3, 0.95)], Priors())
     assert len(near.contacts) == 1
     assert len(far.contacts) == 2
-    assert [one.distance.value for one, _ in found] == pytest.approx([0.45, 0.95], abs=1e-3)
-    assert [one.depth.value for one, _ in found] == pytest.approx([6.8e-3, 2.5e-3], abs=1.5e-4)
+    assert [one.contact.distance.value for one in found] == pytest.approx([0.45, 0.95], abs=1e-3)
+    assert [one.contact.depth.value for one in found] == pytest.approx([6.8e-3, 2.5e-3], abs=1.5e-4)
 
 
 def test_places_told_from_both_ends_have_no_other_half_wavelengths(ends):
     """If the tube's length is known to 0.3 mm."""
     near, _, found = both(ends, [press(2e-3, 1.05)], Priors(length=0.3e-3))
-    ((one, seen),), (alone,) = found, near.contacts
-    assert seen == (0, 0)
+    (joined,), (alone,) = found, near.contacts
+    one = joined.contact
+    assert (joined.near, joined.far) == (0, 0)
     assert alone.distance.deviation > 2e-3
     assert one.distance.deviation < 0.5e-3
     assert abs(one.distance.value - 1.05) < 3 * one.distance.deviation
@@ -136,10 +157,13 @@ def test_places_told_from_both_ends_have_no_other_half_wavelengths(ends):
 def test_wrap_from_the_other_end():
     wrap = Wrap(place=np.array([0.2, 0.5, 1.0]), curvature=np.array([10.0, 20.0, 25.0]),
                 torsion=np.array([1.0, 2.0, 3.0]))  # fmt: skip
-    turned = wrap.turned(1.2)
+    turned = wrap.from_other_end(1.2)
     assert turned.place == pytest.approx([0.2, 0.7, 1.0])
     assert list(turned.curvature) == [25.0, 20.0, 10.0]
-    assert list(turned.turned(1.2).torsion) == [1.0, 2.0, 3.0]
+    assert list(turned.torsion) == [3.0, 2.0, 1.0]
+    assert list(turned.from_other_end(1.2).torsion) == [1.0, 2.0, 3.0]
+    with pytest.raises(ConfigError, match="make length_cm 100 or more"):
+        wrap.from_other_end(0.99)
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +174,7 @@ def folder(tmp_path_factory):
     (where / "lib").mkdir()
     files.write_tool(where / "lib" / plan.name, tool(), plan)
     (where / "sensor.toml").write_text("length_cm = 160\ntemperature_bias = 0.0")
-    presses = [press(3e-3, 0.5), press(5e-3, 1.0)]
+    presses = [press(6.8e-3, 0.45), press(2.5e-3, 0.95)]
     for end, name in enumerate(("near", "far")):
         write(recorded(presses, end), where / f"{name}.nc")
         write(recorded([], end, 100), where / f"{name}_free.nc")
@@ -166,7 +190,7 @@ def test_command_joins_recordings_of_both_ends(folder, tmp_path):
     assert done.returncode == 0, done.stderr
     with (tmp_path / "c.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    for row, (place, depth) in zip(rows, [(50, 3), (100, 5)], strict=True):
+    for row, (place, depth) in zip(rows, [(45, 6.8), (95, 2.5)], strict=True):
         assert float(row["distance_cm"]) == pytest.approx(place, abs=0.05)
         assert abs(float(row["depth_mm"]) - depth) < 3 * float(row["depth_sd_mm"]) < 0.2
         assert float(row["misfit"]) < 0.15
@@ -180,7 +204,7 @@ def test_command_joins_recordings_of_both_ends(folder, tmp_path):
         (["near.nc", "--far", "far_free.nc"], "recordings of the same cycles from both ends"),
         (
             ["near.nc", "near_free.nc", "--far", "far.nc", "--group", "20"],
-            "has no recording from the far",
+            "2 recordings from the near end and 1 of --far",
         ),
     ],
 )

@@ -110,6 +110,21 @@ def test_echo_is_that_of_the_inversions_network_at_complex_frequencies(library, 
     assert np.linalg.norm(off) < 0.003 * np.linalg.norm(exact * weight)
 
 
+@pytest.mark.parametrize("face", [0.0, 0.95])
+def test_wave_at_the_face_is_that_of_all_its_modes(library, face):
+    """By the modes at the joint, against the solution with all modes at the face."""
+    device = dataclasses.replace(QUIET, face_reflection=face, clutter=0.0, far_reflection=0.5)
+    made = TubeSensor(library, device, length=LENGTH, wrap=WRAP)
+    none = (
+        np.full(1, WRAP.start, np.float32),
+        np.zeros(1, np.float32),
+        np.full(1, 0.025, np.float32),
+    )
+    found, exact = echo_of(made._shape, made._parts, *none), made._parts.untouched
+    for one, other in ((found.re, exact.re), (found.im, exact.im)):
+        assert np.abs(np.asarray(one) - np.asarray(other)).max() < 1e-5
+
+
 @pytest.mark.parametrize("contacts", [[(1.3, 6e-3)], [(0.8, 6e-3), (1.4, 5e-3)]])
 def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, library, contacts):
     """Which keep their curvature over half a turn each: by that they are 1 to 2 % off themselves.
@@ -132,6 +147,8 @@ def test_untouched_tube_is_that_of_the_bends_in_series(sensor, free):
     late = slice(round(2 * 0.4 / 343 * QUIET.sampling_rate), None)
     found, exact = (one[late] - np.median(one) for one in (sensor.read([]), free))
     assert np.linalg.norm(found - exact) < 0.06 * np.linalg.norm(exact)
+    straight = record([], QUIET, length=LENGTH, tube_seed=7)["signal"].values[0][late]
+    assert np.linalg.norm(straight - np.median(straight) - exact) > 0.3 * np.linalg.norm(exact)
 
 
 def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
@@ -162,7 +179,7 @@ def test_contact_off_the_wrap_or_too_near_is_one_sentence(sensor, contacts, word
 
 
 def test_wrap_that_does_not_fit_its_tube_is_one_sentence(library):
-    with pytest.raises(ConfigError, match="give the tube's length"):
+    with pytest.raises(ConfigError, match=r"make length 2\.4855 m or more"):
         TubeSensor(library, QUIET, length=1.0, wrap=WRAP)
     short = Wrap(place=np.array([0.2, 0.24]), curvature=np.full(2, 20.0), torsion=np.zeros(2))
     with pytest.raises(ConfigError, match="no place for a press"):

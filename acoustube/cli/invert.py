@@ -58,10 +58,17 @@ class FarEnd(Checked):
         if self.far_untouched and not self.far:
             raise ConfigError("--far-untouched goes with --far; name the recordings from there")
 
-    def check_pair(self, other: object) -> None:
-        """Raise :class:`ConfigError` if a recording lacks the one from the far end."""
-        if self.far and other is None:
-            raise ConfigError("has no recording from the far end; give --far one more")
+    def check_pairs(self, files: Sequence[Path]) -> None:
+        """Raise :class:`ConfigError` unless there is one recording from each end."""
+        from acoustube.recordings import find
+
+        if self.far:
+            near, far = (sum(len(find(one)) for one in paths) for paths in (files, self.far))
+            if near != far:
+                raise ConfigError(
+                    f"{near} recordings from the near end and {far} of --far; give one for each, "
+                    "in the same order"
+                )
 
 
 def invert(
@@ -92,10 +99,11 @@ def invert(
     out : Path
         Table to write (CSV), one row a contact; standard output if not given.
     figure : Path
-        Picture to write (PNG, PDF or SVG): the posterior along the tube of the first group with a
-        contact.
+        Picture to write (PNG, PDF or SVG): the posterior along the tube, from the near end, of the
+        first group with a contact.
     """
     _check(files, out, figure)
+    far_end.check_pairs(files)
     from acoustube import recordings
     from acoustube.runs import inversion
     from acoustube.runs.libraries.files import open_library
@@ -119,7 +127,6 @@ def invert(
             try:
                 if isinstance(data, ConfigError):
                     raise data
-                far_end.check_pair(other)
                 total = -(-data.sizes["cycle"] // search.group)
                 with report.progress(check) as show:
                     for group, found in inverter.groups(path, data, other, search.group, check):
@@ -139,7 +146,7 @@ def invert(
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
     if figure is not None and not pictures:
-        report.note("no contact is found, so no picture is drawn")
+        report.note("no contact is told from the near end, so no picture is drawn")
     failed = f"; {failures} files could not be inverted" if failures else ""
     report.line(f"{n_contacts} contacts in {n_groups} groups of cycles{failed}")
     return 1 if failures else 0

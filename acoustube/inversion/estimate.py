@@ -75,10 +75,10 @@ class Inversion:
     contacts : list of Contact
         By distance.
     misfit : float
-        Relative error of the forward model: the larger one of the likeliest
-        (:attr:`.Hypothesis.error`), by which the end of an echo may differ more than the whole, and
-        of the root of the energy of the residual above the noise's and two standard deviations of
-        that, relative to the energy of the echo; nan without an echo.
+        Relative error of the forward model, nan without an echo: the larger of the error with the
+        highest evidence (:attr:`.Hypothesis.error`) and the unexplained share of the echo, the root
+        of the energy of the residual above the noise's and two standard deviations of that,
+        relative to the energy of the echo.
     fits : bool
         Whether the misfit is less than :data:`MISFIT`.
     temperature, gain, stretch : Estimate
@@ -222,8 +222,9 @@ class Inverter:
             for name in ("temperature", "gain", "stretch")
         }
         measured, explained = self._echoes(best, builder)
-        unexplained = _unexplained(measured, explained, builder) if contacts else float("nan")
-        misfit = max(unexplained, best.error)
+        misfit = float("nan")
+        if contacts:
+            misfit = max(_unexplained(measured, explained, builder), best.error)
         base = self.model.base
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,

@@ -48,7 +48,8 @@ class Tracked:
     numbers : list of int
         Of the contacts, from 0 in the order of their appearance.
     misfit : float
-        As of :class:`acoustube.inversion.Inversion`.
+        Unexplained share of the echo, as of :class:`acoustube.inversion.Inversion`, without the
+        error of the model with the highest evidence; nan without contacts.
     temperature, gain : Estimate
         Deviations of the air's temperature in K and of the gain's logarithm.
     place : ndarray

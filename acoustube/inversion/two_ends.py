@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,14 +20,37 @@ from acoustube.inversion.model import Priors
 from acoustube.inversion.posterior import Estimate, mixture
 from acoustube.inversion.tools import Library
 
-SAME_PLACE = 0.03
-"""Distance in m within which contacts told from both ends are one."""
+SAME_PLACE, FARTHEST = 0.03, 0.06
+"""Distance in m within which contacts told from both ends are one, and the largest distance of two
+whose places are known worse."""
 DEVIATIONS = 3.0
-"""Standard deviations of their distance within which they are one, too."""
+"""Standard deviations of their distance within which they are one, up to the latter."""
+CONTRADICTION = 16.0
+"""Squared deviation of place and depth together, of the maxima that agree best, beyond which both
+ends contradict each other."""
 LEAST = 0.1
 """Part of a deviation that is each end's own at least, beside the error that both share."""
 NEGLIGIBLE = 1e-9
 """Weight of a maximum, relative to the largest, that is left out."""
+
+
+class Joined(NamedTuple):
+    """A contact, and which contacts of the two ends it is.
+
+    Attributes
+    ----------
+    contact : Contact
+        With its distance from the near end.
+    near, far : int or None
+        Numbers among those of each end; None where that end does not tell it.
+    agree : bool
+        Whether both ends tell the same place and depth within their deviations.
+    """
+
+    contact: Contact
+    near: int | None
+    far: int | None
+    agree: bool = True
 
 
 def joined_contacts(
@@ -35,7 +59,7 @@ def joined_contacts(
     length: float,
     library: Library,
     priors: Priors,
-) -> list[tuple[Contact, tuple[int | None, int | None]]]:
+) -> list[Joined]:
     """Return contacts told from one end or both, by distance from the near one.
 
     Parameters
@@ -48,27 +72,28 @@ def joined_contacts(
     priors : Priors
         Errors of the model in depth, ``depth`` and ``bore``, are the same from both ends.
 
-    Returns
-    -------
-    list of (Contact, (int or None, int or None))
-        With its number among the near and among the far ones, None where one does not tell it.
-        Where both tell it by different tools, it is the one whose place is told better.
+    Notes
+    -----
+    Where both ends tell a contact by different tools, or contradict each other, it is the one whose
+    place is told better.
     """
-    turned = [_turned(one, length, priors.length) for one in far]
-    free = list(range(len(turned)))
-    found: list[tuple[Contact, tuple[int | None, int | None]]] = []
-    for i, one in enumerate(near):
-        j = min(free, key=lambda n: _apart(one, turned[n]), default=None)
-        if j is None or not _one(one, turned[j]):
-            found.append((one, (i, None)))
-            continue
-        free.remove(j)
-        found.append((_product(one, turned[j], library, priors), (i, j)))
-    found += [(turned[j], (None, j)) for j in free]
-    return sorted(found, key=lambda pair: pair[0].distance.value)
+    turned = [_from_other_end(one, length, priors.length) for one in far]
+    pairs = [(i, j) for i, a in enumerate(near) for j, b in enumerate(turned) if _same(a, b)]
+    pairs.sort(key=lambda pair: _apart(near[pair[0]], turned[pair[1]]))
+    seen: tuple[set[int], set[int]] = set(), set()
+    found = []
+    for i, j in pairs:
+        if i not in seen[0] and j not in seen[1]:
+            contact, agree = _product(near[i], turned[j], library, priors)
+            found.append(Joined(contact, i, j, agree))
+            seen[0].add(i)
+            seen[1].add(j)
+    found += [Joined(one, i, None) for i, one in enumerate(near) if i not in seen[0]]
+    found += [Joined(one, None, j) for j, one in enumerate(turned) if j not in seen[1]]
+    return sorted(found, key=lambda one: one.contact.distance.value)
 
 
-def _turned(contact: Contact, length: float, deviation: float) -> Contact:
+def _from_other_end(contact: Contact, length: float, deviation: float) -> Contact:
     """Return a contact with its distance from the other end."""
     told = contact.distance
     spread = np.hypot(told.deviations, deviation)
@@ -79,37 +104,45 @@ def _apart(one: Contact, other: Contact) -> float:
     return abs(one.distance.value - other.distance.value)
 
 
-def _one(one: Contact, other: Contact) -> bool:
+def _same(one: Contact, other: Contact) -> bool:
     spread = float(np.hypot(one.distance.deviation, other.distance.deviation))
-    return _apart(one, other) < max(SAME_PLACE, DEVIATIONS * spread)
+    return _apart(one, other) < min(max(SAME_PLACE, DEVIATIONS * spread), FARTHEST)
 
 
-def _product(one: Contact, other: Contact, library: Library, priors: Priors) -> Contact:
-    """Return a contact that both ends tell, with the product of its distributions."""
+def _product(
+    one: Contact, other: Contact, library: Library, priors: Priors
+) -> tuple[Contact, bool]:
+    """Return a contact that both ends tell, with the product of its distributions.
+
+    And whether they agree; else it is the one whose place is told better.
+    """
     probability = 1 - (1 - one.probability) * (1 - other.probability)
+    best = replace(min(one, other, key=lambda it: it.distance.deviation), probability=probability)
     if one.tool != other.tool:
-        best = min(one, other, key=lambda it: it.distance.deviation)
-        return replace(best, probability=probability)
+        return best, True
     # What the model errs by in depth, it errs by from both ends.
     shared = float(priors.offsets(np.array([[one.depth.value]]))[0, 1])
-    place, place_spread, place_off = _combined(one.distance, other.distance, 0.0)
-    depth, depth_spread, depth_off = _combined(one.depth, other.depth, shared)
+    place, place_spread, place_off, place_weight = _combined(one.distance, other.distance, 0.0)
+    depth, depth_spread, depth_off, depth_weight = _combined(one.depth, other.depth, shared)
+    if np.min(place_off + depth_off) > CONTRADICTION:
+        return best, False
     prior = np.outer(one.distance.weights, other.distance.weights).ravel()
     off = place_off + depth_off
-    weight = prior * np.exp(-0.5 * (off - off.min()))
+    weight = prior * place_weight * depth_weight * np.exp(-0.5 * (off - off.min()))
     order = np.argsort(-weight, kind="stable")
     order = order[weight[order] > NEGLIGIBLE * weight[order[0]]]
     share, d = weight[order] / weight[order].sum(), depth[order]
     tool = library.tools[one.tool]
     error = np.hypot(tool.force_at(d, 1) * depth_spread[order], priors.force_deviation(tool, d))
-    return Contact(
+    contact = Contact(
         probability=probability, distance=mixture(share, place[order], place_spread[order]),
         depth=mixture(share, d, depth_spread[order]),
         force=mixture(share, tool.force_at(d), error), tool=one.tool,
     )  # fmt: skip
+    return contact, True
 
 
-def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Array, Array]:
+def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Array, Array, Array]:
     """Return the products of the normal distributions of two mixtures, each with each.
 
     Parameters
@@ -121,8 +154,9 @@ def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Arr
 
     Returns
     -------
-    mean, deviation, off : ndarray
-        (n m,); the last is minus twice the logarithm of the products' weights.
+    mean, deviation, off, weight : ndarray
+        (n m,); the weight of a product is ``weight * exp(-off / 2)``, with the squared deviation
+        ``off`` of both means from each other.
     """
     a, b = (
         np.maximum(it.deviations**2 - shared**2, (LEAST * it.deviations) ** 2)
@@ -132,5 +166,5 @@ def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Arr
     difference = one.means[:, None] - other.means
     mean = other.means + difference * (b / both)
     deviation = np.sqrt(a[:, None] * b / both + shared**2)
-    off = difference**2 / both + np.log(both)
-    return mean.ravel(), deviation.ravel(), off.ravel()
+    off, weight = difference**2 / both, 1 / np.sqrt(both)
+    return mean.ravel(), deviation.ravel(), off.ravel(), weight.ravel()

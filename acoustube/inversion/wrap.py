@@ -25,6 +25,7 @@ from acoustube.air import Air
 from acoustube.base.checks import DISTANCE, Reals, check_alike, check_fields
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.base.units import CM
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.paths import Entry, Section
 from acoustube.inversion.tables import Matrices, padded
@@ -39,6 +40,8 @@ MODES = 3
 REACH = 0.03
 """Half length in m of the straight part about a press: 29 mm from a 25 mm rod the lumen has 99 % of
 its area."""
+NEARLY = 1e-3
+"""Length in m by which a wrap may end beyond its tube, as lengths are rounded."""
 STRETCH = 0.3
 """Length in m over which templates take the joints as constant."""
 CURVES = Reals(0, 1e6, "1/m", ndim=1)
@@ -78,10 +81,21 @@ class Wrap:
         if len(self.place) < 2 or not np.all(np.diff(self.place) > 0):
             raise ConfigError("place of a wrap must hold two or more rising distances; sort them")
 
-    def turned(self, length: float) -> Wrap:
-        """Return the wrap of the same tube, of a length in m, from its other end."""
+    def from_other_end(self, length: float) -> Wrap:
+        """Return the wrap of the same tube, of a length in m, from its other end.
+
+        Raises
+        ------
+        ConfigError
+            If the wrap is longer than the tube.
+        """
+        if self.stop > length + NEARLY:
+            raise ConfigError(
+                f"the wrap ends at {CM * self.stop:.5g} cm, beyond the tube's length of "
+                f"{CM * length:.5g} cm; make length_cm {CM * self.stop:.5g} or more"
+            )
         return Wrap(
-            place=length - self.place[::-1], curvature=self.curvature[::-1],
+            place=np.maximum(length - self.place[::-1], 0.0), curvature=self.curvature[::-1],
             torsion=self.torsion[::-1], ovality=self.ovality, reach=self.reach,
         )  # fmt: skip
 

@@ -151,7 +151,7 @@ class RecordingInverter:
         untouched : sequence of (Path, xarray.Dataset)
             Recordings of the untouched tube from there.
         """
-        wrap = None if self.sensor.wrap is None else self.sensor.wrap.turned(length)
+        wrap = None if self.sensor.wrap is None else self.sensor.wrap.from_other_end(length)
         sensor = dataclasses.replace(self.sensor, wrap=wrap, length=length)
         return RecordingInverter(self.tool_library, sensor, untouched, self.most)
 

@@ -23,7 +23,8 @@ class Told(NamedTuple):
     Attributes
     ----------
     contacts : list of (Contact, float)
-        With the misfit of the end that explains its echo better.
+        With the misfit of the end that explains its echo better; 1 where both ends tell a contact
+        but contradict each other in place or depth.
     misfit : float
         The largest.
     fits : bool
@@ -68,7 +69,8 @@ class EndsInverter:
         Raises
         ------
         ConfigError
-            If a recording is not one of such a sensor, or both differ in their number of cycles.
+            If a recording is not one of such a sensor, the length of the tube is not stated, or
+            both recordings differ in their number of cycles.
         """
         here = self.near.groups(path, data, size, check)
         if far is None:
@@ -99,12 +101,15 @@ class EndsInverter:
     def _joined(self, near: Inversion, far: Inversion, length: float) -> Told:
         """Return the contacts that one or both ends tell."""
         known = self.near.tool_library, self.near.sensor.priors
-        pairs = [
-            (
-                one,
-                min(end.misfit for end, i in zip((near, far), seen, strict=True) if i is not None),
+        pairs = []
+        for one in joined_contacts(near.contacts, far.contacts, length, *known):
+            ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
+            # Ends that contradict each other explain nothing.
+            misfit = (
+                min(end.misfit for end in ends)
+                if one.agree
+                else max(1.0, *(end.misfit for end in ends))
             )
-            for one, seen in joined_contacts(near.contacts, far.contacts, length, *known)
-        ]
+            pairs.append((one.contact, misfit))
         misfit = max((value for _, value in pairs), default=float("nan"))
         return Told(pairs, misfit, not misfit > MISFIT, near)

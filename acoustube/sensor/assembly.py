@@ -21,7 +21,7 @@ from acoustube.inversion import Library, Wrap
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, sent_spectrum
 from acoustube.sensor.cycles import Parts, Shape
-from acoustube.sensor.network import Constants, Pair
+from acoustube.sensor.network import Constants, Entry, Pair
 from acoustube.sensor.tables import PressTables, press_tables
 from acoustube.sensor.wrapped import (
     PLACES,
@@ -56,7 +56,8 @@ def assembled(
 ) -> tuple[PressTables, Shape, Parts, Pair | None]:
     """Return the tables of a sensor, what its compiled functions need, and the change by a wrap.
 
-    The last is that of the untouched tube's echo, from the straight tube's.
+    The last is the echo of the untouched wrapped tube less that of the straight one; None without a
+    wrap.
 
     Parameters
     ----------
@@ -95,10 +96,15 @@ def assembled(
         _float32(tube.tables.values), _float32(tube.decay), _float32(tube.turn), _float32(clutter),
         _float32(_triangle(tube.far)),
     )  # fmt: skip
-    if tube.entry is not None:
-        constants = constants._replace(entry=_float32(np.stack([tube.entry.real, tube.entry.imag])))
-    # Of one memory, if on the CPU.
+    # Of one memory, if on the CPU; those of a wrapped tube take 200 MB.
     tables = replace(tube.tables, values=np.asarray(constants.presses))
+    tube = tube._replace(tables=tables)
+    if tube.entry is not None:
+        both_ways = tube.entry @ tube.entry.swapaxes(1, 2)
+        plane = tube.entry[:, :, 0].T
+        constants = constants._replace(entry=Entry(
+            _float32(np.stack([plane.real, plane.imag])), _float32(_triangle(both_ways))
+        ))  # fmt: skip
     parts = Parts(
         constants, _float32(tables.depths), _float32(tables.diameters),
         jnp.asarray(tables.first, jnp.int32), _pair(tube.untouched + whole), _pair(scale),
@@ -123,7 +129,7 @@ class _Tube(NamedTuple):
     phase : callable
         Of the plane wave, complex, up to places in m (n,), (n, n_f).
     far, entry : ndarray
-        (n_f, m, m), and (m, m_s, n_f) or None.
+        (n_f, m, m), and that of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s), or None.
     untouched : ndarray
         Echo of the tube without contact or clutter, (n_f,).
     """
@@ -166,7 +172,7 @@ def _wrapped(
     return _Tube(
         joined_tables(tables, library, path), *phases(path), far,
         untouched_echo(path, far, entry, r.face_reflection), (wrap.start, wrap.stop),
-        lambda place: path.plane(place)[0].T, np.moveaxis(entry, 0, -1), PLACES,
+        lambda place: path.plane(place)[0].T, entry, PLACES,
     )  # fmt: skip
 
 

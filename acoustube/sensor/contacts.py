@@ -195,7 +195,7 @@ def check_contacts(
                 diameter_of(tables, float(diameter[i]))
             if words == "depth":
                 Number(0, float(most[i]), "m", "of the library").check("depth", depth[i])
-            Number(*span, "m", "on the tube").check("place", place[i])
+            Number(*span, "m", "where the tube can be pressed").check("place", place[i])
     ordered = np.sort(np.where(there, place, np.inf), axis=1)
     between = np.diff(np.where(np.isfinite(ordered), ordered, 1e9), axis=1)
     near = (between < apart) & np.isfinite(ordered[:, 1:])

@@ -34,7 +34,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     sensor : TubeSensor
         Of a library with one tool, which is the finger.
     reach : tuple of float, optional
-        Nearest and farthest place in m; by default 0.3 m from the source to the tube's end.
+        Nearest and farthest place in m; by default from 0.3 m on, within the sensor's ``span``.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         low, high = (float(one) for one in (usual if reach is None else reach))
         if not nearest <= low < high <= farthest:
             raise ConfigError(
-                "is not on the tube", setting="reach", value=str((low, high)),
+                "is not within the sensor's span", setting="reach", value=str((low, high)),
                 advice=f"use {nearest:g} to {farthest:g} m, rising",
             )  # fmt: skip
         self.sensor, self.reach = sensor, (low, high)

@@ -52,8 +52,22 @@ class Pair:
 
 Matrix = list[list[Pair]]
 
-UNHEARD = 1e-5
-"""Amplitude of multiple reflections at the face of a wrapped tube that is left out."""
+
+class Entry(NamedTuple):
+    """Joint of a wrapped tube with the straight tube before it.
+
+    Attributes
+    ----------
+    plane : jax.Array
+        Amplitudes of the wrapped tube's modes at its start for the plane wave at the face,
+        (2, m, n_f).
+    both_ways : jax.Array
+        Of its modes for its modes, over all modes at the face, on and above the diagonal,
+        (2, m (m + 1) / 2, n_f).
+    """
+
+    plane: jax.Array
+    both_ways: jax.Array
 
 
 class Constants(NamedTuple):
@@ -71,9 +85,8 @@ class Constants(NamedTuple):
         (1, 2, n_f) if there is none.
     far : jax.Array
         Reflection matrix of the far end, on and above its diagonal, (2, m (m + 1) / 2, n_f).
-    entry : jax.Array or None
-        Amplitudes of a wrapped tube's modes at its start for those of the straight tube at the
-        face, (2, m, m_s, n_f).
+    entry : Entry or None
+        Of a wrapped tube.
     """
 
     presses: jax.Array
@@ -81,7 +94,7 @@ class Constants(NamedTuple):
     turn: jax.Array
     clutter: jax.Array
     far: jax.Array
-    entry: jax.Array | None = None
+    entry: Entry | None = None
 
 
 class Press(NamedTuple):
@@ -130,9 +143,9 @@ def echo(
 
     Notes
     -----
-    Multiple reflections between contacts and both ends are complete; those with clutter, which is
-    dimmed by the plane wave's transmission of the contacts before it, are neglected, as in
-    :func:`acoustube.ranging.record`.
+    Multiple reflections between contacts and both ends are complete, but for those at the joint
+    where a wrap begins; those with clutter, which is dimmed by the plane wave's transmission of the
+    contacts before it, are neglected, as in :func:`acoustube.ranging.record`.
     """
     m, n_f = constants.decay.shape[-2:]
     following = jnp.append(place[1:], ends[1])
@@ -162,36 +175,24 @@ def echo(
     return heard + (Pair(*constants.clutter[0]) - beyond) + seen
 
 
-def _heard(load: Matrix, entry: jax.Array | None, face: complex) -> Pair:
-    """Return the plane wave at the face, of a reflection matrix there or where the wrap begins."""
+def _heard(load: Matrix, entry: Entry | None, face: complex) -> Pair:
+    """Return the plane wave at the face, of a reflection matrix there or where the wrap begins.
+
+    With the wrap's reflection L at its start, the amplitudes T there of the modes at the face and
+    its reflection coefficient f: the plane wave's element of (1 - f A)^-1 A, of A = T^T L T, is
+    t^T (1 - f L T T^T)^-1 L t, with the column t of T that belongs to it.
+    """
+    m = len(load)
     back = Pair(np.float32(np.real(face)), np.float32(np.imag(face)))
     if entry is None:
-        m = len(load)
         loop = [[_unit(i == j) - back * load[i][j] for j in range(m)] for i in range(m)]
         return _dot(_inverse(loop)[0], [load[i][0] for i in range(m)])
-    way = [[Pair(entry[0, i, j], entry[1, i, j]) for j in range(entry.shape[2])]
-           for i in range(entry.shape[1])]  # fmt: skip
-    columns = list(zip(*way, strict=True))
-
-    def returned(wave: Sequence[Pair]) -> list[Pair]:
-        """Return what comes back to the face of straight modes that leave it."""
-        there = [_dot(row, wave) for row in way]
-        reflected = [_dot(row, there) for row in load]
-        return [_dot(column, reflected) for column in columns]
-
-    n_f = entry.shape[-1]
-    flat, none = jnp.ones(n_f, jnp.float32), jnp.zeros(n_f, jnp.float32)
-    wave = returned([Pair(flat if i == 0 else none, none) for i in range(len(columns))])
-    heard = wave[0]
-    for _ in range(_reflections(face)):
-        wave = returned([back * one for one in wave])
-        heard = heard + wave[0]
-    return heard
-
-
-def _reflections(face: complex) -> int:
-    """Return the number of reflections at the face after which nothing is left."""
-    return 0 if abs(face) == 0 else int(np.ceil(np.log(UNHEARD) / np.log(min(abs(face), 0.9))))
+    plane = [Pair(*entry.plane[:, i]) for i in range(m)]
+    both = _full(m, [Pair(*entry.both_ways[:, i]) for i in range(entry.both_ways.shape[1])])
+    loop = [[_unit(i == j) - back * _dot(load[i], both[j]) for j in range(m)] for i in range(m)]
+    arriving = [_dot(row, plane) for row in load]
+    inverse = _inverse(loop)
+    return _dot(plane, [_dot(row, arriving) for row in inverse])
 
 
 def _matrix(

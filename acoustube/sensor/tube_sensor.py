@@ -74,7 +74,8 @@ class TubeSensor:
         Relative rms error of the reflection that the tables add to the library's interpolation.
     wrap : Wrap, optional
         Of the tube about an arm, as of a sleeve (:func:`acoustube.runs.wrap.wrap_of`) or the file
-        of a sensor (:func:`acoustube.runs.inversion.read_sensor`); a straight tube by default.
+        of a sensor (``read_sensor(path).wrap``, :func:`acoustube.runs.inversion.read_sensor`); a
+        straight tube by default.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class TubeSensor:
     ------
     ConfigError
         If the library's band does not hold the received spectrum, its tools do not go together, or
-        the wrap is longer than the tube.
+        the wrap is longer than the tube or too short for a press.
 
     Notes
     -----

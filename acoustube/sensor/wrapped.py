@@ -20,7 +20,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.inversion import Library, Wrap
-from acoustube.inversion.wrap import MODES, WrappedPath
+from acoustube.inversion.wrap import MODES, NEARLY, WrappedPath
 from acoustube.sensor.tables import PressTables
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
@@ -66,10 +66,10 @@ def straight_wavenumbers(
 
 def check_wrap(wrap: Wrap, length: float) -> None:
     """Raise :class:`ConfigError` if a wrap has no place for a press, or ends beyond its tube."""
-    if wrap.stop > length * (1 + 1e-6):
+    if wrap.stop > length + NEARLY:
         raise ConfigError(
-            f"the wrap ends at {CM * wrap.stop:.4g} cm and the tube at {CM * length:.4g} cm; give "
-            "the tube's length"
+            f"the wrap ends at {CM * wrap.stop:.5g} cm, beyond the tube's length of "
+            f"{CM * length:.5g} cm; make length {wrap.stop:.5g} m or more"
         )
     if wrap.stop - wrap.start <= 2 * wrap.reach:
         raise ConfigError(

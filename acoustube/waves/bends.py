@@ -354,7 +354,7 @@ def bend_generator(
     ----------
     air : Air
     frequency : ndarray
-        In Hz, (n,).
+        In Hz, real or complex, (n,).
     bore : BoreModes
         The m modes of the sums.
     radius : float
