@@ -13,9 +13,6 @@ from acoustube.inversion import Contact, Inversion, joined_contacts
 from acoustube.inversion.estimate import MISFIT
 from acoustube.runs.inversion import RecordingInverter
 
-Recorded = tuple[Path, xr.Dataset]
-"""A file and its recording."""
-
 
 class Told(NamedTuple):
     """Contacts of a group of cycles, from one end or both.
@@ -49,12 +46,14 @@ class EndsInverter:
         Recordings of the untouched tube from the far end, whose rangefinder is like the near one.
     """
 
-    def __init__(self, near: RecordingInverter, untouched: Sequence[Recorded] = ()) -> None:
+    def __init__(
+        self, near: RecordingInverter, untouched: Sequence[tuple[Path, xr.Dataset]] = ()
+    ) -> None:
         self.near, self.untouched = near, untouched
         self._far: dict[float, RecordingInverter] = {}
 
     def groups(
-        self, path: Path, data: xr.Dataset, far: Recorded | None, size: int,
+        self, path: Path, data: xr.Dataset, far: tuple[Path, xr.Dataset] | None, size: int,
         check: Callable[[], None],
     ) -> Iterator[tuple[int, Told]]:  # fmt: skip
         """Yield the number of each group of cycles of a recording, and its contacts.
