@@ -441,6 +441,11 @@ def test_command_writes_front_sensors_maps_and_page(tmp_path):
     sensors = [read_sensor(path) for path in sorted(out.glob("*.sensor.toml"))]
     assert len(sensors) == 4
     assert all(one.length == pytest.approx(2.0) for one in sensors)
+    two_ends = [path for path in out.glob("*.sensor.toml") if "invert --far" in path.read_text()]
+    assert two_ends
+    for path in two_ends:  # the far end is the other transducer's face
+        rangefinder = read_sensor(path).rangefinder
+        assert rangefinder.far_reflection == rangefinder.face_reflection
     paper = read_sensor(out / "paper.sensor.toml").rangefinder
     assert (paper.resonance, paper.drive.cycles, paper.bits) == (42e3, 13.0, 12)
     configs = [load_config(path) for path in out.glob("*.config.toml")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import tomlkit
@@ -35,13 +36,16 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
     """Return a candidate's rangefinder as a file for ``--sensor``."""
     document = tomlkit.document()
     document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
+    rangefinder = candidate.rangefinder
     if candidate.ends == 2:
-        document.add(tomlkit.comment("The sensor has a second one of its kind at the far end."))
+        words = "The sensor has a second one of its kind at the far end: acoustube invert --far"
+        document.add(tomlkit.comment(words))
+        rangefinder = replace(rangefinder, far_reflection=abs(rangefinder.face_reflection))
     if isinstance(candidate.rangefinder.drive, Chirp):
         low, high = library_band(candidate.rangefinder.drive)
         document.add(tomlkit.comment(f"Its library: acoustube library --band {low:g} {high:g}"))
     document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
-    add_rangefinder(document, candidate.rangefinder)
+    add_rangefinder(document, rangefinder)
     return tomlkit.dumps(document)
 
 
