@@ -73,7 +73,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         low, high = (float(one) for one in (usual if reach is None else reach))
         if not nearest <= low < high <= farthest:
             raise ConfigError(
-                "is not within the sensor's span", setting="reach", value=str((low, high)),
+                "is not on the tube", setting="reach", value=str((low, high)),
                 advice=f"use {nearest:g} to {farthest:g} m, rising",
             )  # fmt: skip
         self.sensor, self.reach = sensor, (low, high)
