@@ -416,10 +416,13 @@ def main():
     free = record(bends, device, n_cycles=200, seed=11, temperature=20.0, **tube)
     library = open_library(given.folder)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
-    turned = [one.from_other_end(sensor.length) for one in bends]
-    other = tube | {"tube_seed": FAR_TUBE}
-    free = record(turned, device, n_cycles=200, seed=12, temperature=20.0, **other)
-    inverter = EndsInverter(inverter, [(Path("free"), free)])
+    far_free = []
+    if given.ends == 2:
+        turned = [one.from_other_end(sensor.length) for one in bends]
+        other = tube | {"tube_seed": FAR_TUBE}
+        free = record(turned, device, n_cycles=200, seed=12, temperature=20.0, **other)
+        far_free = [(Path("free"), free)]
+    inverter = EndsInverter(inverter, far_free)
     calibration, _ = calibrated(TUBE)
     there, seed = finished(given.out), 100 + given.presses
     words = [Path(given.truth).name, given.changed, "sleeve" * given.sleeve]

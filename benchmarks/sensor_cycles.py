@@ -178,7 +178,7 @@ def main():
     helix, tube = None, {}
     if given.loops:
         helix = design(*FOREARM, loops=given.loops, n_tubes=2)[0]
-        tube = {"wrap": wrap_of(helix), "length": max(helix.tube_length, 2.4)}
+        tube = {"wrap": wrap_of(helix), "length": helix.tube_length}
     if given.only != "speed":
         accuracy(TubeSensor.from_library(given.folder, QUIET, **tube), given.count, helix)
     start = time.process_time()

@@ -106,7 +106,7 @@ def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
     path.write_text(SENSOR.replace("200\n", "250\n") + WRAPPED)
     follower = Follower(Contacts(folder=folder / "lib", sensor=path, rest=0.5), 80e3, 2000, 20.0)
     found = None
-    for first, placed, count in ((0, untouched(), 12), (12, wrapped_presses(5e-3, 0.5), 5)):
+    for first, placed, count in ((0, untouched(), 12), (12, wrapped_presses((5e-3, 0.5)), 5)):
         for i in range(first, first + count):
             found = follower.update(sampled(placed, i, length=2.5), i / 20)
     (contact,) = found.contacts

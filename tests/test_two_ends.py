@@ -196,6 +196,19 @@ def test_command_joins_recordings_of_both_ends(folder, tmp_path):
         assert float(row["misfit"]) < 0.15
 
 
+def test_far_recording_that_cannot_be_read_loses_its_pair_alone(folder, tmp_path):
+    (tmp_path / "broken.nc").write_text("nothing")
+    done = run_here(
+        "invert", folder / "near_free.nc", folder / "near.nc", "--far", tmp_path / "broken.nc",
+        folder / "far.nc", "--library", folder / "lib", "--sensor", folder / "sensor.toml",
+        "--group", 20, "--out", tmp_path / "c.csv",
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "broken.nc" in done.stderr
+    with (tmp_path / "c.csv").open(newline="") as file:
+        assert {row["recording"] for row in csv.DictReader(file)} == {str(folder / "near.nc")}
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [

@@ -121,11 +121,9 @@ def test_echo_of_a_wrapped_tube_is_that_of_its_bends_in_series(places, tolerance
     frequency = np.linspace(36.5e3, 47.5e3, 12)
     k, cold = wavenumbers(MODES, frequency), np.zeros(1)
     path = WrappedPath(WRAP, AIR, frequency, RADIUS, MODES, k, 0 * k, 1.7e-3)
-    propagates = frequency[:, None] > CUT_ONS
     found, expected = [], []
     for depth in (2e-3, 5e-3):
-        s = scattering(depth, frequency)
-        s *= propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
+        s = masked(depth, frequency)
         joined = [path.joined(Matrices(s, s, s), np.array([z]), cold) for z in places]
         sections = path.sections(np.array([places]), cold)
         found.append(coupled_echo(joined, sections, 0.3, path.entry(cold)).value[0])
@@ -160,17 +158,29 @@ def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
         assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
 
 
-def wrapped_presses(depth, place):
-    """A press on the arm, between bends."""
+def masked(depth, frequency):
+    """Return scattering of modes above their cut-ons alone, (n, n_f, 2, 3, 2, 3)."""
+    above = frequency[:, None] > CUT_ONS
+    return scattering(depth, frequency) * (
+        above[:, None, :, None, None] * above[:, None, None, None, :]
+    )
+
+
+def wrapped_presses(*contacts):
+    """Presses of depths at places on the arm, between bends."""
     frequency = np.arange(20e3, 62e3, 100.0)
-    propagates = frequency[:, None] > CUT_ONS
-    s = scattering(depth, frequency)[0]
-    s *= propagates[:, None, :, None, None] * propagates[:, None, None, None, :]
-    pressed = ModalScattering(
-        frequency=frequency, modes=MODES, s=s, propagates=propagates, cut_ons=CUT_ONS,
-        sound_speed=AIR.sound_speed, extent=(-WRAP.reach, WRAP.reach),
-    )  # fmt: skip
-    return wrapped(HELIX, [PlacedScatterer(pressed, place)], AIR, radius=RADIUS, reach=WRAP.reach)
+    placed = [
+        PlacedScatterer(
+            ModalScattering(
+                frequency=frequency, modes=MODES, s=masked(depth, frequency)[0], cut_ons=CUT_ONS,
+                propagates=frequency[:, None] > CUT_ONS, sound_speed=AIR.sound_speed,
+                extent=(-WRAP.reach, WRAP.reach),
+            ),
+            place,
+        )
+        for depth, place in contacts
+    ]  # fmt: skip
+    return wrapped(HELIX, placed, AIR, radius=RADIUS, reach=WRAP.reach)
 
 
 def untouched():
@@ -182,7 +192,7 @@ def untouched():
 
 def wrapped_cycles(depth, place, seed, n_cycles=20):
     """Cycles of a press on the arm."""
-    presses = wrapped_presses(depth, place)
+    presses = wrapped_presses((depth, place))
     return record(presses, radius=RADIUS, n_cycles=n_cycles, seed=seed, temperature=20.0)
 
 
@@ -194,7 +204,7 @@ def test_far_end_behind_a_press_on_an_arm_sounds_as_it_is_recorded():
     base = Baseband(rangefinder, RADIUS, 2.5, 20.0, MODES, wrap=WRAP)
     alone, pressed = (
         base.of_cycles(record(presses, rangefinder, **tube)["signal"].values)[0]
-        for presses in (bends, wrapped_presses(5e-3, 0.9))
+        for presses in (bends, wrapped_presses((5e-3, 0.9)))
     )
     free = record(bends, rangefinder, **tube)["signal"].values
     model = ForwardModel(Library((tool(),)), base, measured_clutter(base, free))

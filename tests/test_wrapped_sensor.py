@@ -5,8 +5,8 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
-from test_inversion import CUT_ONS, FREQUENCY, MODES, RADIUS, matrices, tool
-from test_wrapped_inversion import AIR, HELIX, NAMES, WRAP
+from test_inversion import FREQUENCY, RADIUS, tool
+from test_wrapped_inversion import AIR, HELIX, NAMES, WRAP, masked, untouched, wrapped_presses
 
 from acoustube.base.errors import ConfigError
 from acoustube.inversion import Library, Wrap
@@ -17,33 +17,13 @@ from acoustube.sensor import Contact, TubeSensor
 from acoustube.sensor.cycles import OPTIONS, echo_of
 from acoustube.sensor.tables import press_tables
 from acoustube.sensor.wrapped import wrapped_path
-from acoustube.sleeve import windings, wrapped
-from acoustube.waves import Bent, PlacedScatterer
+from acoustube.waves import Bent
 from acoustube.waves.bent_modes import bent_modes
-from acoustube.waves.scattering import ModalScattering
 
 QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
 LENGTH = HELIX.tube_length
 COARSE = 5e-3
 """Tolerance of tables between depths; at the library's depths they are exact."""
-
-
-def masked(depth, frequency):
-    """Return scattering of modes above their cut-ons alone, (n, n_f, 2, 3, 2, 3)."""
-    above = frequency[:, None] > CUT_ONS
-    return matrices(depth, frequency) * (
-        above[:, None, :, None, None] * above[:, None, None, None, :]
-    )
-
-
-def press(depth, place):
-    frequency = np.arange(25e3, 60e3, 100.0)
-    scattering = ModalScattering(
-        frequency=frequency, modes=MODES, s=masked(depth, frequency)[0], cut_ons=CUT_ONS,
-        propagates=frequency[:, None] > CUT_ONS, sound_speed=AIR.sound_speed,
-        extent=(-WRAP.reach, WRAP.reach),
-    )  # fmt: skip
-    return PlacedScatterer(scattering, place)
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +63,7 @@ def echo(sensor, place, depth):
 @pytest.fixture(scope="module")
 def free():
     """The untouched tube by the bends in series."""
-    bends = windings(HELIX, AIR, np.arange(25e3, 60e3, 100.0), [], reach=WRAP.reach, radius=RADIUS,
-                     modes=MODES)  # fmt: skip
-    return record(bends, QUIET, length=LENGTH, tube_seed=7)["signal"].values[0]
+    return record(untouched(), QUIET, length=LENGTH, tube_seed=7)["signal"].values[0]
 
 
 @pytest.mark.parametrize("torsion", [0.0, 3.4])
@@ -149,8 +127,7 @@ def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, straight, 
     A straight tube's echoes are far from it.
     """
     given = [Contact(place=z, depth=d) for z, d in contacts]
-    placed = wrapped(HELIX, [press(d, z) for z, d in contacts], AIR, radius=RADIUS,
-                     reach=WRAP.reach)  # fmt: skip
+    placed = wrapped_presses(*((d, z) for z, d in contacts))
     exact = record(placed, QUIET, length=LENGTH, tube_seed=7)["signal"].values[0] - free
     found = sensor.read(given) - sensor.read([])
     assert np.linalg.norm(found - exact) < 0.03 * np.linalg.norm(exact)

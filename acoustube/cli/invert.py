@@ -63,7 +63,7 @@ class FarEnd(Checked):
         from acoustube.recordings import find
 
         if self.far:
-            near, far = (sum(len(find(one)) for one in paths) for paths in (files, self.far))
+            near, far = len(find(files)), len(find(self.far))
             if near != far:
                 raise ConfigError(
                     f"{near} recordings from the near end and {far} of --far; give one for each, "
@@ -104,7 +104,7 @@ def invert(
     """
     _check(files, out, figure)
     far_end.check_pairs(files)
-    from acoustube import recordings
+    from acoustube.recordings import read_all
     from acoustube.runs import inversion
     from acoustube.runs.libraries.files import open_library
     from acoustube.runs.recordings import opened, read_cycles
@@ -113,16 +113,16 @@ def invert(
     options = dataclasses.asdict(recording)
     known = open_library(library)
     own = inversion.Sensor() if sensor is None else inversion.read_sensor(sensor)
-    named = untouched, far_end.far_untouched, far_end.far
-    free, far_free, far = (list(read_cycles(paths or [], **options)) for paths in named)
+    named = untouched, far_end.far_untouched
+    free, far_free = (list(read_cycles(paths or [], **options)) for paths in named)
     near = inversion.RecordingInverter(known, own, free, search.most)
-    inverter, others = EndsInverter(near, far_free), iter(far)
+    inverter, others = EndsInverter(near, far_free), read_all(far_end.far or [], **options)
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     pictures: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, pictures) as file:
         writer = csv.writer(file, lineterminator="\n")
         header: list[list[object]] = [list(inversion.COLUMNS)]
-        for path, data in recordings.read_all(files, **options):
+        for path, data in read_all(files, **options):
             table, misfits, count, other = [], [], 0, next(others, None)
             try:
                 if isinstance(data, ConfigError):

@@ -34,7 +34,7 @@ NEGLIGIBLE = 1e-9
 """Weight of a maximum, relative to the largest, that is left out."""
 
 
-class Joined(NamedTuple):
+class MatchedContact(NamedTuple):
     """A contact, and which contacts of the two ends it is.
 
     Attributes
@@ -59,7 +59,7 @@ def joined_contacts(
     length: float,
     library: Library,
     priors: Priors,
-) -> list[Joined]:
+) -> list[MatchedContact]:
     """Return contacts told from one end or both, by distance from the near one.
 
     Parameters
@@ -85,11 +85,11 @@ def joined_contacts(
     for i, j in pairs:
         if i not in seen[0] and j not in seen[1]:
             contact, agree = _product(near[i], turned[j], library, priors)
-            found.append(Joined(contact, i, j, agree))
+            found.append(MatchedContact(contact, i, j, agree))
             seen[0].add(i)
             seen[1].add(j)
-    found += [Joined(one, i, None) for i, one in enumerate(near) if i not in seen[0]]
-    found += [Joined(one, None, j) for j, one in enumerate(turned) if j not in seen[1]]
+    found += [MatchedContact(one, i, None) for i, one in enumerate(near) if i not in seen[0]]
+    found += [MatchedContact(one, None, j) for j, one in enumerate(turned) if j not in seen[1]]
     return sorted(found, key=lambda one: one.contact.distance.value)
 
 

@@ -31,8 +31,7 @@ from acoustube.inversion.paths import Entry, Section
 from acoustube.inversion.tables import Matrices, padded
 from acoustube.waves import Bent
 from acoustube.waves.bent_modes import BentModes, bent_modes
-from acoustube.waves.modes import axial_wavenumber
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.scattering import Complex
 
 MODES = 3
@@ -161,7 +160,11 @@ class WrappedPath:
         joints = np.stack([_joint(one, len(modes)) for one in nodes])
         self.joints = CubicSpline(wrap.place, joints)
         # The antisymmetric modes pass a press unscattered, over twice the reach.
-        self.own_k = _wavenumbers(own, frequency, radius, air)
+        self.own_k = (
+            wavenumbers(own, frequency, radius, air, lossy=True)
+            if own
+            else np.zeros((len(frequency), 0), complex)
+        )
         self.own_heat = (
             -heat * frequency[:, None] * np.gradient(self.own_k, frequency, axis=0, edge_order=2)
         )
@@ -184,10 +187,23 @@ class WrappedPath:
         k = np.concatenate([self.k, self.own_k], axis=1)
         by_temperature = np.concatenate([self.by_temperature, self.own_heat], axis=1)
         path = np.exp(-1j * (k + temperature[:, None, None] * by_temperature) * self.wrap.start)
-        joint = self.joints(self.wrap.start).reshape(len(k), -1, MODES)
-        passed = np.concatenate([joint[:, :MODES], joint[:, 3 * MODES :]], axis=1)
+        passed, _ = self.joint(self.wrap.start)
         matrix = passed.swapaxes(-1, -2) * path[..., None, :]
         return Entry(np.asarray(matrix), np.asarray(self.wrap.start * by_temperature, complex))
+
+    def joint(self, place: float) -> tuple[Complex, Complex]:
+        """Return what a joint at a place passes and reflects of the bent modes.
+
+        Returns
+        -------
+        passed : ndarray
+            Amplitudes of the straight modes, the antisymmetric ones last, (n_f, m_s, m).
+        reflected : ndarray
+            (n_f, m, m).
+        """
+        parts = self.joints(place).reshape(len(self.k), -1, MODES)
+        passed = np.concatenate([parts[:, :MODES], parts[:, 3 * MODES :]], axis=1)
+        return passed, parts[:, 2 * MODES : 3 * MODES]
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
         """Return the propagation before each press, at places (n, n_presses) in m."""
@@ -263,16 +279,6 @@ def _bent(
         one = bent_modes(air, frequency, part, radius=radius, modes=modes, count=MODES)
         found.append(one.aligned(found[-1]) if found else one)
     return found
-
-
-def _wavenumbers(
-    names: tuple[str, ...], frequency: Array | Complex, radius: float, air: Air
-) -> Complex:
-    """Return wavenumbers of modes in the straight tube, (n_f, m)."""
-    if not names:
-        return np.zeros((len(frequency), 0), complex)
-    numbers = [mode_numbers(name) for name in names]
-    return np.stack([axial_wavenumber(*one, frequency, radius, air) for one in numbers], -1)
 
 
 def _joint(bent: BentModes, m: int) -> Complex:

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, about
 from acoustube.inversion import Contact, Inversion, joined_contacts
 from acoustube.inversion.estimate import MISFIT
 from acoustube.runs.inversion import RecordingInverter
 
 
-class Told(NamedTuple):
+class EndsContacts(NamedTuple):
     """Contacts of a group of cycles, from one end or both.
 
     Attributes
@@ -53,17 +53,18 @@ class EndsInverter:
         self._far: dict[float, RecordingInverter] = {}
 
     def groups(
-        self, path: Path, data: xr.Dataset, far: tuple[Path, xr.Dataset] | None, size: int,
-        check: Callable[[], None],
-    ) -> Iterator[tuple[int, Told]]:  # fmt: skip
+        self, path: Path, data: xr.Dataset, far: tuple[Path, xr.Dataset | ConfigError] | None,
+        size: int, check: Callable[[], None],
+    ) -> Iterator[tuple[int, EndsContacts]]:  # fmt: skip
         """Yield the number of each group of cycles of a recording, and its contacts.
 
         Parameters
         ----------
         path, data, size, check
             As of :meth:`acoustube.runs.inversion.RecordingInverter.groups`.
-        far : (Path, xarray.Dataset) or None
-            The recording of the same cycles from the far end, if there is one.
+        far : (Path, xarray.Dataset or ConfigError) or None
+            The recording of the same cycles from the far end, or why it cannot be read; None if
+            there is only one end.
 
         Raises
         ------
@@ -74,12 +75,12 @@ class EndsInverter:
         here = self.near.groups(path, data, size, check)
         if far is None:
             for number, one in here:
-                yield (
-                    number,
-                    Told([(c, one.misfit) for c in one.contacts], one.misfit, one.fits, one),
-                )
+                contacts = [(contact, one.misfit) for contact in one.contacts]
+                yield number, EndsContacts(contacts, one.misfit, one.fits, one)
             return
         source, other = far
+        if isinstance(other, ConfigError):
+            raise ConfigError(about(source, other)) from other
         if other.sizes["cycle"] != data.sizes["cycle"]:
             raise ConfigError(
                 f"{source} has {other.sizes['cycle']} cycles and {path} {data.sizes['cycle']}; "
@@ -97,18 +98,14 @@ class EndsInverter:
         for (number, one), (_, two) in zip(here, there, strict=True):
             yield number, self._joined(one, two, length)
 
-    def _joined(self, near: Inversion, far: Inversion, length: float) -> Told:
+    def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
         """Return the contacts that one or both ends tell."""
         known = self.near.tool_library, self.near.sensor.priors
         pairs = []
         for one in joined_contacts(near.contacts, far.contacts, length, *known):
             ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
+            misfits = [end.misfit for end in ends]
             # Ends that contradict each other explain nothing.
-            misfit = (
-                min(end.misfit for end in ends)
-                if one.agree
-                else max(1.0, *(end.misfit for end in ends))
-            )
-            pairs.append((one.contact, misfit))
+            pairs.append((one.contact, min(misfits) if one.agree else max(1.0, *misfits)))
         misfit = max((value for _, value in pairs), default=float("nan"))
-        return Told(pairs, misfit, not misfit > MISFIT, near)
+        return EndsContacts(pairs, misfit, not misfit > MISFIT, near)

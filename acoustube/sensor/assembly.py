@@ -28,10 +28,10 @@ from acoustube.sensor.wrapped import (
     far_end,
     joined_tables,
     phases,
-    straight_wavenumbers,
     untouched_echo,
     wrapped_path,
 )
+from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.scattering import Complex
 
 WRAPAROUND_ATTENUATION = 300.0
@@ -122,7 +122,9 @@ def assembled(
 
 
 class _Tube(NamedTuple):
-    """What differs between a straight and a wrapped tube; see :class:`.Constants`, :class:`.Shape`.
+    """Tables, wavenumbers and ends of a straight or a wrapped tube.
+
+    As of :class:`.Constants` and :class:`.Shape`, and besides:
 
     Attributes
     ----------
@@ -150,7 +152,7 @@ def _straight(
     length: float,
 ) -> _Tube:  # fmt: skip
     names = library.modes[: tables.modes]
-    waves = straight_wavenumbers(names, frequency, library.radius, air).T
+    waves = wavenumbers(names, frequency, library.radius, air, lossy=True).T
     end = r.far_reflection * np.exp(-2j * waves[0] * length)
     far = np.broadcast_to(
         r.far_reflection * np.eye(len(waves)), (len(frequency), *2 * waves.shape[:1])

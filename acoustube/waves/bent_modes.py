@@ -172,8 +172,13 @@ def bent_modes(
     s = np.linalg.solve(outgoing, incident)
     cut_ons = [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in modes]
     propagates = np.real(frequency)[:, None] > np.array(cut_ons)
-    size_of = _magnitude(air, frequency, radius, modes, lossy)
-    root = np.where(propagates, np.sqrt(size_of), 0.0)
+    magnitude = np.abs(admittance[:, place])
+    if np.iscomplexobj(frequency):
+        # Its analytic continuation, as scattering of power-normalised modes is continued.
+        f = np.conj(frequency)
+        mirrored = wavenumbers(modes, f, radius, air, lossy=lossy) * air.sound_speed
+        magnitude = np.sqrt(admittance[:, place] * np.conj(mirrored / (2 * np.pi * f[:, None])))
+    root = np.where(propagates, np.sqrt(magnitude), 0.0)
     inverse = np.where(propagates, 1 / np.where(propagates, root, 1), 0.0)
     at = np.array(place) + size
     return BentModes(
@@ -185,20 +190,3 @@ def bent_modes(
         symmetry=own,
         signs=own[place],
     )
-
-
-def _magnitude(
-    air: Air, frequency: Array | Complex, radius: float, modes: Sequence[str], lossy: bool
-) -> Complex:
-    """Return the magnitude of straight modes' admittances, k_z over k, (n_f, m_s).
-
-    At complex frequencies its analytic continuation, by which scattering matrices of
-    power-normalised modes continue.
-    """
-    speed = 2 * np.pi / air.sound_speed
-    upper, lower = (
-        wavenumbers(modes, f, radius, air, lossy=lossy) / (speed * f[:, None])
-        for f in (np.asarray(frequency), np.conj(frequency))
-    )
-    product = upper * lower.conj()
-    return np.sqrt(product.real if np.isrealobj(frequency) else product)
