@@ -27,27 +27,19 @@ from pathlib import Path
 
 import numpy as np
 
-from acoustube.air import air_at
-from acoustube.inversion import Priors
 from acoustube.inversion.estimate import MISFIT
-from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies import human
 from acoustube.reports.studies.arm import (
     PLACES,
-    REACH,
-    TUBE_SEEDS,
     bent_around,
     by_depth,
     cycles_of,
     estimates_of,
     sleeve,
+    sleeve_inverter,
 )
-from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
 from acoustube.reports.studies.ranged import found_distance
-from acoustube.runs import inversion
 from acoustube.runs.libraries.files import open_library
-from acoustube.runs.wrap import wrap_of
-from acoustube.sleeve import windings
 
 CYCLES = 50
 NEAR = 0.05
@@ -56,20 +48,6 @@ COLUMNS = (
     "tube", "level", "true_cm", "true_mm", "true_n", "found", "cm", "cm_low", "cm_high", "mm", "n",
     "n_low", "n_high", "n_contacts", "misfit", "seconds", "peak_cm",
 )  # fmt: skip
-
-
-def inverter(library, tube, like):
-    """Return the inverter of a tube of the sleeve, whose clutter it learns from 200 free cycles."""
-    helix = sleeve()[tube]
-    bends = windings(
-        helix, air_at(TEMPERATURE), like.frequency, [], reach=REACH, radius=RADIUS, modes=like.modes
-    )
-    free = record(
-        bends, Rangefinder(), radius=RADIUS, length=LENGTH, temperature=TEMPERATURE, n_cycles=200,
-        seed=11, session_seed=tube, tube_seed=TUBE_SEEDS[tube],
-    )  # fmt: skip
-    sensor = inversion.Sensor(priors=Priors(thermometer=0.0), wrap=wrap_of(helix), length=LENGTH)
-    return inversion.RecordingInverter(library, sensor, [(Path("free"), free)])
 
 
 def mannequin(presses):
@@ -146,7 +124,7 @@ def main():
         if i % given.every or key in there:
             continue
         if tube not in inverters:
-            inverters[tube] = inverter(library, tube, like)
+            inverters[tube] = sleeve_inverter(library, tube, like)
         if (tube, place) not in bends:
             bends = {(tube, place): bent_around(sleeve()[tube], place, like)}
         cycles = cycles_of(matrix, place, bends[tube, place], tube=tube, n_cycles=n_cycles,

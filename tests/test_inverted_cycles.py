@@ -2,14 +2,17 @@
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from commands import run_here
 from test_inversion import press, tool
 
+from acoustube.inversion import Contact, Estimate
 from acoustube.ranging import record
 from acoustube.recordings import write
+from acoustube.runs.inverted_cycles import inverted
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 
@@ -55,6 +58,35 @@ def test_errors_of_the_inversion_are_written(folder, tmp_path):
     by_depth = [row for row in rows if (row["target"], row["by"]) == ("depth", "depth")]
     assert sum(int(row["cycles"]) for row in by_depth) == 2
     assert (tmp_path / "f.png").read_bytes()[1:4] == b"PNG"
+
+
+def contact(probability, distance, force):
+    """Return a contact whose intervals are a hundredth of its values wide."""
+    around = {
+        name: Estimate(value, 0.01, {0.68: (value, 1.01 * value), 0.9: (value, 1.02 * value)},
+                       *np.ones((3, 1)))
+        for name, value in (("distance", distance), ("depth", 1e-3), ("force", force))
+    }  # fmt: skip
+    return Contact(probability=probability, tool=0, **around)
+
+
+@pytest.mark.parametrize(
+    ("contacts", "distance"),
+    [
+        ([(1.0, 0.3, 1.0), (0.65, 2.3, 8.0)], 0.3),  # a false contact is less sure, and hard
+        ([(1.0, 0.3, 1.0), (1.0, 0.9, 2.0)], 0.9),
+        ([(0.4, 0.3, 1.0)], np.nan),
+        ([], np.nan),
+    ],
+)
+def test_estimate_is_the_most_probable_contact(contacts, distance):
+    data = record([], n_cycles=3).assign(true_distance=("cycle", np.full(3, 0.3)))
+    found = SimpleNamespace(contacts=[contact(*one) for one in contacts])
+    inverter = SimpleNamespace(groups=lambda *_: [(0, found)])
+    table, estimates = inverted([(Path("a.nc"), data)], inverter, 3, lambda *_: None)
+    assert table["true_distance"].values == pytest.approx([0.3])
+    assert estimates["distance"].values == pytest.approx([distance], nan_ok=True)
+    assert estimates["distance_half_width"].values == pytest.approx([0.01 * distance], nan_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -12,20 +12,25 @@ import xarray as xr
 from matplotlib.figure import Figure
 from refusals import refused
 from rich.console import Console
+from test_inversion import press, tool
 
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
+from acoustube.base.report import SILENT
 from acoustube.cli._app import app, main
 from acoustube.cli.reproduce import STUDIES, run_reproduce
+from acoustube.inversion import Library
+from acoustube.ranging import record
 from acoustube.reports.studies import (
     calibration,
     echotube,
     flat_figures,
+    inverted,
     ranged,
     simulation,
     simulation_cases,
 )
-from acoustube.reports.studies.report import COLUMNS, Row, Scale, Study, page, write
+from acoustube.reports.studies.report import COLUMNS, Row, Scale, Study, Tables, page, write
 from acoustube.signals import Echoes, Ranging
 
 
@@ -58,7 +63,15 @@ def test_row_tells_difference_and_change():
 
 def test_report_holds_all_numbers_and_marks_what_is_far_off(tmp_path):
     rows = [
-        Row(quantity="near", unit="cm", ours=4.0, published=5.0, coarser=4.2, why="<why>"),
+        Row(
+            quantity="near",
+            unit="cm",
+            ours=4.0,
+            published=5.0,
+            coarser=4.2,
+            inversion=0.0125,
+            why="<why>",
+        ),
         Row(quantity="far", unit="N", ours=2.0, published=5.0),
         Row(quantity="missing", unit="N", ours=float("nan"), published=5.0),
     ]
@@ -71,14 +84,60 @@ def test_report_holds_all_numbers_and_marks_what_is_far_off(tmp_path):
     assert [line["quantity"] for line in written] == ["near", "far", "missing"]
     assert float(written[0]["difference_percent"]) == pytest.approx(-20)
     assert float(written[0]["change_percent"]) == pytest.approx(-5)
-    assert written[2]["ours"] == ""
+    assert float(written[0]["inversion"]) == 0.0125
+    assert written[1]["inversion"] == written[2]["ours"] == ""
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert text.count("<tr class=far>") == 1
     assert text.count("<p>") == 3
     assert "A &amp; B" in text
+    assert "<td>0.0125</td>" in text
     assert "&lt;why&gt;" in text
     assert "http" not in text
     assert (tmp_path / "figure-1.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_measures_are_those_of_each_table_that_there_is():
+    """4 cm off on the usual level, 1 cm on the coarser one, a millimetre by inversion."""
+    given = [table([(0.5, 1e-3, 0.5 + off)]) for off in (0.04, 0.01, 1e-3)]
+    (row, *_) = ranged.distance_rows(Tables(*given), (5.0, None, None), "")
+    assert (row.ours, row.coarser, row.inversion) == pytest.approx((4.0, 1.0, 0.1))
+    (row, *_) = ranged.distance_rows(Tables(given[0]), (5.0, None, None), "")
+    assert (row.coarser, row.inversion) == (None, None)
+
+
+@pytest.mark.slow
+def test_recordings_of_a_study_are_inverted():
+    """Places within 0.3 mm and forces within 5 %, as of the inversion itself; none without press.
+
+    The force is that of the made tool, 2 N/mm^2.
+    """
+    inverter = inverted.inverter_of(Library([tool()]), [], session_seed=3, tube_seed=7)
+    cycles = []
+    for number, (place, depth) in enumerate([(0.53, 3e-3), (0.91, 5e-3), (1.2, 0.0)]):
+        one = record(
+            [press(depth, place)] if depth else [], n_cycles=inverted.GROUP, tube_seed=7,
+            session_seed=3, seed=number,
+        )  # fmt: skip
+        labels = {"true_distance": place, "depth": depth, "force": 2e6 * depth**2}
+        cycles.append(
+            one.assign({n: ("cycle", np.full(inverted.GROUP, v)) for n, v in labels.items()})
+        )
+    found = inverted.inverted_table(cycles, inverter, SILENT)
+    np.testing.assert_allclose(ranged.found_distance(found), [0.53, 0.91, np.nan], atol=3e-4)
+    np.testing.assert_allclose(found["estimated_force"], [18, 50, np.nan], rtol=0.05)
+    assert ranged.force_errors(found).n == 2
+    np.testing.assert_array_equal(ranged.located(found), [True, True, False])
+
+
+def test_share_of_small_errors_counts_what_is_not_found_as_large():
+    """Errors of 1 and 10 cm of four recordings, two of them without an echo: up to a half."""
+    sheet = inverted.errors_figure(
+        {"peak": ([0.5, 0.5, 0.5, 0.5], [0.51, 0.6, np.nan, np.nan])}, {}
+    )
+    (axes,) = sheet.axes
+    (line,) = axes.lines
+    np.testing.assert_allclose(line.get_xdata(), [1, 10])
+    np.testing.assert_allclose(line.get_ydata(), [25, 50])
 
 
 def test_page_without_figures_is_a_page():

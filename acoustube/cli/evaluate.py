@@ -144,7 +144,7 @@ def _evaluate_library(
     free = list(read_cycles(inverted.untouched)) if inverted.untouched else []
     inverter = inversion.RecordingInverter(library, sensor, free)
     with watched_interrupts() as check, report.progress(check) as show:
-        table, estimates = estimated(data, inverter, inverted.group, show)
+        table, estimates = estimated(read_cycles(data), inverter, inverted.group, show)
     rows = list(error_rows(tuple(TARGETS), table, estimates))
     found = int(np.isfinite(estimates["distance"].values).sum())
     tools = ", ".join(tool.name for tool in library.tools)

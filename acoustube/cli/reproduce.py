@@ -51,7 +51,8 @@ def reproduce(
     out : Path
         Folder to write, or to resume.
     quick : bool
-        Few presses on a coarse grid, as a test of the installation; the numbers are not accurate.
+        Few presses on a coarse grid and no waveform inversion, as a test of the installation; the
+        numbers are not accurate.
     """
     if not study:
         raise ConfigError("reproduce needs the name of a study, or all")
@@ -153,9 +154,11 @@ def _print(study: Study, report: ConsoleReporter) -> None:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for column in (study.title, "unit", "published", "acoustube"):
+    for column in (study.title, "unit", "published", "acoustube", "by inversion"):
         table.add_column(column, justify="left" if column == study.title else "right")
     for row in study.rows:
         if row.published is not None:
-            table.add_row(row.quantity, row.unit, f"{row.published:.3g}", f"{row.ours:.3g}")
+            inversion = "" if row.inversion is None else f"{row.inversion:.3g}"
+            numbers = f"{row.published:.3g}", f"{row.ours:.3g}", inversion
+            table.add_row(row.quantity, row.unit, *numbers)
     report.console.print(table)

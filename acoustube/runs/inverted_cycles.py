@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,13 @@ from acoustube.base.errors import ConfigError
 from acoustube.estimation.model import TARGETS
 from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
-from acoustube.runs.recordings import read_cycles
 
 LEVELS = 0.68, 0.9
 """Probabilities of the intervals, as of the trained estimators."""
 
 
 def inverted(
-    paths: Sequence[Path],
+    recordings: Iterable[tuple[Path, xr.Dataset]],
     inverter: RecordingInverter,
     size: int,
     report: Callable[[str, float], None],
@@ -30,8 +29,9 @@ def inverted(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files with cycles and labels, or folders of these.
+    recordings : iterable of (Path, xarray.Dataset)
+        Cycles with labels, and their files for messages, as of
+        :func:`acoustube.runs.recordings.read_cycles`.
     inverter : RecordingInverter
     size : int
         Cycles of a group, at most.
@@ -43,17 +43,18 @@ def inverted(
     table : xarray.Dataset
         Labels of the groups, by ``cycle``.
     estimates : xarray.Dataset
-        As of :func:`acoustube.estimation.estimate`, of the contact of the largest force among the
-        likely ones; nan where none is found. Half widths are those of the central intervals.
+        As of :func:`acoustube.estimation.estimate`, of the most probable contact, and of the
+        largest force among equally probable ones; nan where none is likely. Half widths are those
+        of the central intervals.
 
     Raises
     ------
     ConfigError
-        If a file cannot be read, or is not one of the sensor; or if none has a label.
+        If a recording is not one of the sensor, or has no label.
     """
     labels: dict[str, list[float]] = {name: [] for name in TARGETS}
     columns: dict[str, list[float]] = {}
-    for path, data in read_cycles(paths):
+    for path, data in recordings:
         known = [name for name in TARGETS if name in data]
         if not known:
             raise ConfigError(
@@ -88,7 +89,7 @@ def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[
 def _estimated(found: Inversion) -> dict[str, float]:
     """Return the estimates of a group, with the half widths of their intervals."""
     likely = [one for one in found.contacts if one.probability > 0.5]
-    best: Contact | None = max(likely, key=lambda one: one.force.value, default=None)
+    best: Contact | None = max(likely, key=_rank, default=None)
     row: dict[str, Any] = {}
     for name in TARGETS.values():
         known: Estimate | None = None if best is None else getattr(best, name)
@@ -97,3 +98,8 @@ def _estimated(found: Inversion) -> dict[str, float]:
             ends = (np.nan, np.nan) if known is None else known.intervals[level]
             row[name + suffix] = (ends[1] - ends[0]) / 2
     return row
+
+
+def _rank(contact: Contact) -> tuple[float, float]:
+    """Return what orders the contacts of a recording with one press: a false one is seldom sure."""
+    return round(contact.probability, 2), contact.force.value

@@ -15,10 +15,14 @@ from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import MM
 from acoustube.estimation import FeatureSettings
+from acoustube.inversion import Library
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE, calibrated
+from acoustube.reports.studies.inverted import inverter_of
 from acoustube.reports.studies.presses import matrices
+from acoustube.runs.inversion import RecordingInverter
 from acoustube.runs.sweep.cycles import seed_of
+from acoustube.runs.wrap import wrap_of
 from acoustube.signals import Processing
 from acoustube.sleeve import Helix, between_bends, design, windings
 from acoustube.tube import Tube
@@ -188,6 +192,26 @@ def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
 def _half_chord(turn: Array, sine: float) -> Array:
     """Return sin(turn sine / 2) / sine, also for a cylinder, whose sine is zero."""
     return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
+
+
+def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> RecordingInverter:
+    """Return the inversion of the recordings of a tube of the sleeve.
+
+    Parameters
+    ----------
+    library : Library
+    tube : int
+    like : ModalScattering
+        Of a press, for its band and modes.
+    """
+    helix = sleeve()[tube]
+    bends = windings(
+        helix, air_at(TEMPERATURE), like.frequency, [], reach=REACH, radius=RADIUS,
+        modes=like.modes,
+    )  # fmt: skip
+    return inverter_of(
+        library, bends, session_seed=tube, tube_seed=TUBE_SEEDS[tube], wrap=wrap_of(helix)
+    )
 
 
 def announce(report: Reporter, words: str) -> None:

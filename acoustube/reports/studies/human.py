@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from matplotlib.figure import Figure
-from matplotlib.image import imread
-from numpy.typing import NDArray
 
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
-from acoustube.base.units import CM, MM
-from acoustube.reports.figures.run import PRESS
-from acoustube.reports.scenes import sleeve as sleeve_scene
-from acoustube.reports.studies import ranged
+from acoustube.base.units import CM, MM, PERCENT
+from acoustube.reports.studies import human_figures, inverted, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
     announce,
@@ -26,19 +21,18 @@ from acoustube.reports.studies.arm import (
     estimates_of,
     over_skin,
     sleeve,
+    sleeve_inverter,
     tool,
 )
+from acoustube.reports.studies.human_figures import LEVELS
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
+from acoustube.reports.studies.report import Level, Row, Scale, Study, Tables, compared_row
 from acoustube.reports.studies.swipe import resolved_pairs, swipe_figure, swipe_rows, swiped
 from acoustube.runs import presses as press_runs
 from acoustube.runs.by_force import ByForce, by_force
 from acoustube.runs.config import Config, configured
-from acoustube.sleeve import layout
 from acoustube.waves.scattering import ModalScattering
 
-LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
-"""Ranges of force in N."""
 STATES = np.array([1, 3, 5]) / 6
 """Fractions of a level's width at which a drifting force is taken."""
 CYCLES = (14, 13, 13)
@@ -48,19 +42,24 @@ SHIFT = -0.10
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
 """Layer of soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
+LIBRARY = "0.5:12:0.5"
+"""Depths in mm of the library of the inversion."""
 GRID = tuple(np.arange(0.5, 13.01, 0.5) / MM)
 """Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
-COLOURS = ("#7fb3d5", "#e59866", "#943126")
-"""Colours of the levels."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press a sleeve on a soft arm by three levels of force, and find the presses on it."""
-    table, presses = recorded(scale.level, scale, work / "arm", report)
+    table, presses, cycles = recorded(scale.level, scale, work / "arm", report)
     coarser = None
     if scale.coarser is not None:
-        coarser, _ = recorded(scale.coarser, scale, work / "coarser", report)
+        coarser = recorded(scale.coarser, scale, work / "coarser", report)[0]
+    like = next(iter(presses.values()))[1]
+    inversion = None
+    if not scale.quick:
+        inversion = _inverted(table, cycles, like, scale, work / "library", report)
+    tables = Tables(table, coarser, inversion)
     announce(report, "a swipe, and two presses at once")
     tracks = swiped(presses, quick=scale.quick)
     pairs = resolved_pairs(presses, quick=scale.quick)
@@ -68,20 +67,21 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     figures = {
         "True against estimated distance of averaged cycles on the first (discs) and second "
         "(squares) tube, by force; circled: errors over 25 cm (left). Located presses by "
-        "force and distance; grey: errors over 25 cm (right).": _distances(table),
+        "force and distance; grey: errors over 25 cm (right).": human_figures.distances(table),
         "Presses by force on several grounds: travel of the indenter (left), and loss of lumen "
         "height "
-        "(right).": _grounds(paths),
+        "(right).": human_figures.grounds(paths),
         "A press that swipes along the tube at 5 cm/s (left), and two presses 20 cm apart (right): "
         "all echoes, and the tracked contacts.": swipe_figure(tracks),
+        **inverted.compared_figures(table, inversion),
     }
-    drawn = _arm(table)
+    drawn = human_figures.arm(table)
     if drawn is not None:
         figures["True and estimated places of the hardest presses on one tube."] = drawn
     return Study(
         title="Human arm (Fig. 7, Table I)",
         text=TEXT,
-        rows=[*distance_rows(table, coarser), *ground_rows(paths), *swipe_rows(tracks, pairs)],
+        rows=[*distance_rows(tables), *ground_rows(paths), *swipe_rows(tracks, pairs)],
         figures=figures,
     )
 
@@ -90,7 +90,8 @@ TEXT = """\
 A 25 mm rod presses both tubes of the sleeve at seven places each, by 2-4, 4-6 and 6-8 N, on an arm
 of soft tissue: a layer of 20 mm and 60 kPa on bone. Depth follows from force and ground. The force
 of a hand drifts through its level in the 2 s of a press, 40 cycles, which are averaged before they
-are processed, as published. Calibration: that of each tube when it is straight.
+are processed, as published. Calibration: that of each tube when it is straight. Waveform inversion
+is given five cycles of the middle of each press.
 
 The sleeve, the bends between the presses and the curved tube under the rod are those of the
 mannequin.
@@ -143,8 +144,8 @@ def forces_of(level: tuple[float, float]) -> Array:
 
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter
-) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, ModalScattering]]]:
-    """Return the estimates for presses by hand, and the presses by their force.
+) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, ModalScattering]], list[xr.Dataset]]:
+    """Return the estimates for presses by hand, the presses by their force, and their cycles.
 
     Returns
     -------
@@ -153,6 +154,8 @@ def recorded(
         ``number`` of the tube.
     presses : dict
         See :func:`acoustube.reports.studies.arm.by_depth`.
+    cycles : list of xarray.Dataset
+        Some of the middle of each press, in the order of the table.
 
     Notes
     -----
@@ -171,7 +174,7 @@ def recorded(
     swept(work, over, level, scale, report)
     presses = dict(sorted(by_depth(work).items()))
     states = list(presses.values())
-    rows = []
+    rows, kept = [], []
     for tube, helix in enumerate(sleeve()):
         places = (PLACES[::3] if scale.quick else PLACES) + tube * SHIFT
         announce(report, f"cycles at {len(places)} places of tube {tube + 1}")
@@ -190,7 +193,33 @@ def recorded(
                 row = estimates_of(averaged(parts), tube)
                 row = row.assign(level=("cycle", [each[0]]), number=("cycle", [tube]))
                 rows.append(row)
-    return xr.concat(rows, "cycle", combine_attrs="drop_conflicts"), presses
+                kept.append(parts[len(parts) // 2].isel(cycle=slice(inverted.GROUP)))
+    return xr.concat(rows, "cycle", combine_attrs="drop_conflicts"), presses, kept
+
+
+def _inverted(
+    table: xr.Dataset,
+    cycles: Sequence[xr.Dataset],
+    like: ModalScattering,
+    scale: Scale,
+    folder: Path,
+    report: Reporter,
+) -> xr.Dataset:
+    """Invert cycles of each press of a table, and return them with its levels and tubes."""
+    over = {
+        "indenter_mm": [tool(sleeve()[0])], "support": ["free"],
+        "depth_mm": [LIBRARY],
+    } | {name: [f"{value:g}"] for name, value in ARM.items()}  # fmt: skip
+    library = inverted.library_of(folder, over, scale.level, scale, report)
+    parts = []
+    for tube in range(len(sleeve())):
+        some = table["number"].values == tube
+        found = inverted.inverted_table(
+            [one for one, is_there in zip(cycles, some, strict=True) if is_there],
+            sleeve_inverter(library, tube, like), report,
+        )  # fmt: skip
+        parts.append(found.assign({n: table[n].isel(cycle=some) for n in ("level", "number")}))
+    return xr.concat(parts, "cycle", combine_attrs="drop_conflicts")
 
 
 def averaged(parts: list[xr.Dataset]) -> xr.Dataset:
@@ -215,49 +244,58 @@ def substrates(*, quick: bool = False) -> dict[str, ByForce]:
 # Numbers
 
 
-def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
+def distance_rows(tables: Tables) -> list[Row]:
     """Return the human arm's row of Table I, counts, and errors over the skin."""
     why = (
         "A wrapped tube delays echoes in proportion to their distance, and a press is located with "
         "that delay or missed; the sleeve paper adds a hand, whose place is itself known to some "
         "centimetres, and a sleeve that shifts on the skin."
     )
-    rows = ranged.distance_rows(table, coarser, (3.8, 14.5, 11.7), why)
-    rows += [_counted(table, coarser, low, f"{low:g}-{high:g} N") for low, high in LEVELS]
-    skin = np.concatenate([_skin(table, tube) for tube in (0, 1)])
+    rows = ranged.distance_rows(tables, (3.8, 14.5, 11.7), why)
+    rows += [_counted(tables, low, f"{low:g}-{high:g} N") for low, high in LEVELS]
     return [
         *rows,
         compared_row(
-            lambda cycles: float(_wrong(cycles).sum()), table, coarser,
+            lambda cycles: float(ranged.false_positives(cycles).sum()), tables,
             quantity="errors over 25 cm (false positives)", unit="1", published=3.0,
             why="Ours are due to the clutter, drawn by the seeds of the tubes.",
         ),
         compared_row(
-            _reach, table, coarser,
+            _reach, tables,
             quantity="farthest located press", unit="cm", published=150.0,
             why="The sleeve paper assumes that the tube's narrowing on the stretched sleeve "
             "shortens the reach; ours is not narrowed.",
         ),
-        Row(
+        compared_row(
+            lambda cycles: CM * float(np.nanmedian([*_skin(cycles, 0), *_skin(cycles, 1)])), tables,
             quantity="place on the skin: median absolute error", unit="cm",
-            ours=CM * float(np.nanmedian(skin)),
             why=f"Over the skin two loops are {CM * sleeve()[0].pitch:.2g} cm apart.",
         ),
+        *([] if tables.inversion is None else _force_rows(tables.inversion)),
     ]  # fmt: skip
 
 
-def _counted(table: xr.Dataset, coarser: xr.Dataset | None, low: float, words: str) -> Row:
+def _force_rows(inversion: xr.Dataset) -> list[Row]:
+    """Return the errors of the inversion's forces, which the sleeve paper does not publish."""
+    found = ranged.force_errors(inversion)
+    return [
+        Row(quantity=f"force: {words}", unit=unit, ours=float("nan"), inversion=value,
+            why="Not published. The inversion knows ground and wall.")
+        for words, unit, value in (
+            ("median absolute error", "N", found.median),
+            ("median relative error", "%", PERCENT * found.relative),
+        )
+    ]  # fmt: skip
+
+
+def _counted(tables: Tables, low: float, words: str) -> Row:
     """Return the number of located presses of a level."""
     return compared_row(
         lambda cycles: float((ranged.located(cycles) & (cycles["level"].values == low)).sum()),
-        table, coarser, quantity=f"located presses, {words}",
-        unit=f"of {int((table['level'].values == low).sum())}",
+        tables, quantity=f"located presses, {words}",
+        unit=f"of {int((tables.ours['level'].values == low).sum())}",
         why="Published as a figure: fewer of the lower two levels, and fewer with distance.",
     )  # fmt: skip
-
-
-def _wrong(table: xr.Dataset) -> NDArray[np.bool_]:
-    return np.asarray(np.isfinite(ranged.found_distance(table)) & ~ranged.located(table))
 
 
 def _reach(table: xr.Dataset) -> float:
@@ -283,86 +321,3 @@ def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
                 why="The shape of the lumen follows from the force, almost whatever the ground."),
         ]  # fmt: skip
     return rows
-
-
-# ---------------------------------------------------------------------------------------------
-# Figures
-
-
-def _distances(table: xr.Dataset) -> Figure:
-    sheet = Figure(figsize=(12, 5), layout="constrained")
-    left, right = sheet.subplots(1, 2)
-    true, found = CM * table["true_distance"].values, CM * ranged.found_distance(table)
-    level, number = table["level"].values, table["number"].values
-    for (low, high), colour in zip(LEVELS, COLOURS, strict=True):
-        for tube, marker in enumerate("os"):
-            some = (level == low) & (number == tube)
-            label = f"{low:g}-{high:g} N" if tube == 0 else None
-            left.plot(true[some], found[some], marker, ms=5, color=colour, label=label)
-    false = _wrong(table)
-    left.plot(true[false], found[false], "o", ms=12, mfc="none", mec="0.5")
-    left.plot([15, 215], [15, 215], "k", lw=0.8)
-    left.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
-    left.legend()
-    edges = np.arange(0, 241, 30.0)
-    width = 8.0
-    for i, ((low, high), colour) in enumerate(zip(LEVELS, COLOURS, strict=True)):
-        at = edges[:-1] + 15 + (i - 1) * width
-        good, bad = (
-            np.histogram(true[(level == low) & which], edges)[0]
-            for which in (ranged.located(table), false)
-        )
-        right.bar(at, good, width, color=colour, label=f"{low:g}-{high:g} N")
-        right.bar(at, bad, width, bottom=good, color="0.6")
-    right.set(
-        xlabel="true distance (cm)", ylabel="located presses", xticks=edges,
-        yticks=[0, 1, 2], ylim=(0, 2.6),
-    )  # fmt: skip
-    right.legend(ncols=3)
-    return sheet
-
-
-def _grounds(paths: dict[str, ByForce]) -> Figure:
-    sheet = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = sheet.subplots(1, 2, sharey=True)
-    for name, path in paths.items():
-        left.plot(path.force, MM * path.depth, label=name)
-        right.plot(path.force, MM * path.closing, label=name)
-    for axes, words in (
-        (left, "travel of the indenter (mm)"),
-        (right, "loss of lumen height (mm)"),
-    ):
-        axes.set(xlabel="force (N)", ylabel=words)
-        for low, _ in LEVELS:
-            axes.axvline(low, color=PRESS, lw=0.5)
-    left.legend()
-    return sheet
-
-
-def _arm(table: xr.Dataset) -> Figure | None:
-    """Return the sleeve with true and estimated places on its first tube; None without VTK."""
-    tube = sleeve()[0]
-    hard = (table["number"].values == 0) & (table["level"].values == LEVELS[-1][0])
-    part = table.isel(cycle=hard)
-    found = ranged.found_distance(part)
-    picture = sleeve_scene.Picture(
-        tubes=(tube,),
-        detection_range=layout([tube]).detection_range,
-        outer_diameter=11.1e-3,
-        contacts=tuple((0, float(z)) for z in part["true_distance"].values),
-        deviation=0.0,
-        markers=np.empty((0, 3)),
-        estimates=tuple(
-            (0, float(z)) for z in found if np.isfinite(tube.height(z))
-        ),
-    )  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "arm.png"
-        if not sleeve_scene.draw(picture, path):
-            return None
-        image = imread(path)
-    sheet = Figure(figsize=(11, 6.2))
-    axes = sheet.add_axes((0, 0, 1, 1))
-    axes.imshow(image)
-    axes.set_axis_off()
-    return sheet

@@ -15,7 +15,7 @@ from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.estimation import Model
-from acoustube.reports.studies import flat, flat_figures, ranged
+from acoustube.reports.studies import flat, flat_figures, inverted, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
     announce,
@@ -25,11 +25,13 @@ from acoustube.reports.studies.arm import (
     estimates_of,
     over_skin,
     sleeve,
+    sleeve_inverter,
     tool,
 )
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
+from acoustube.reports.studies.report import Level, Row, Scale, Study, Tables, compared_row
 from acoustube.sleeve import Helix
+from acoustube.waves.scattering import ModalScattering
 
 DEPTHS, FEW_DEPTHS = "1:8:0.5", "2:8:3"
 CYCLES, FEWER_CYCLES = 50, 5
@@ -41,19 +43,22 @@ SHAPES = ("straight", "wrapped", "flattened")
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
     """Press a sleeve on a rigid arm, locate the presses, and estimate their forces."""
-    tables = recorded(scale.level, scale, work / "arm", SHAPES, report)
+    by_shape, cycles, like = recorded(scale.level, scale, work / "arm", SHAPES, report)
     coarser = None
     if scale.coarser is not None:
-        coarser = recorded(scale.coarser, scale, work / "coarser", SHAPES[1:2], report)["wrapped"]
+        others, _, _ = recorded(scale.coarser, scale, work / "coarser", SHAPES[1:2], report)
+        coarser = others["wrapped"]
     network = flat_network(scale, work / "flat", report)
-    table = tables["wrapped"]
+    table = by_shape["wrapped"]
     helix = sleeve()[TUBE]
     forces = estimation.estimate(network, table)
-    rows = [
-        *distance_rows(table, coarser, helix),
-        *force_rows(table, coarser, network),
-        *shape_rows(tables),
-    ]
+    inversion = None
+    if not scale.quick:
+        over = {"indenter_mm": [tool(helix)]}
+        library = inverted.library_of(work / "library", over, scale.level, scale, report)
+        inversion = inverted.inverted_table(cycles, sleeve_inverter(library, TUBE, like), report)
+    tables = Tables(table, coarser, inversion)
+    rows = [*distance_rows(tables, helix), *force_rows(tables, network), *shape_rows(by_shape)]
     return Study(
         title="Mannequin's arm (Fig. 6, Tables I and II)",
         text=TEXT,
@@ -65,7 +70,8 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
             "Force against depth: truth and the network's estimates, by distance (left); mean "
             "absolute relative error of each press (right).": flat_figures.forces(table, forces),
             "Highest peak of presses 5 mm (left) and 8 mm deep at each place: straight tube, "
-            "wrapped, and wrapped and flattened.": _heights(tables),
+            "wrapped, and wrapped and flattened.": _heights(by_shape),
+            **inverted.compared_figures(table, inversion, (table["force"], forces["force"])),
         },
     )
 
@@ -81,6 +87,10 @@ on the place of the press on the arm.
 As published, calibration and force network are those of a straight tube: the calibration of this
 specimen before it was wrapped, the network of the 25 mm rod on the flat table, from every fifth of
 its places and five cycles of each press.
+
+Waveform inversion is given five cycles of each press, 200 cycles of the wrapped tube without
+contact, the shape of its helix, and a library of the rod at depths of its own. Its model has the
+modes of the bent tube, the recordings the bends in series, joined by all their modes.
 
 Unknown to the simulation: how the fabric stretches and narrows the tube, how much of a free tube's
 flattening it allows (the last rows state the effect of all of it), how the tubes differ, where the
@@ -100,8 +110,8 @@ def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
 
 def recorded(
     level: Level, scale: Scale, work: Path, shapes: tuple[str, ...], report: Reporter
-) -> dict[str, xr.Dataset]:
-    """Return the estimates for presses on the sleeve.
+) -> tuple[dict[str, xr.Dataset], list[xr.Dataset], ModalScattering]:
+    """Return the estimates for presses on the sleeve, and cycles of each on the wrapped tube.
 
     Parameters
     ----------
@@ -114,8 +124,12 @@ def recorded(
 
     Returns
     -------
-    dict of xarray.Dataset
+    estimates : dict of xarray.Dataset
         By shape; as of :func:`acoustube.estimation.feature_table`.
+    cycles : list of xarray.Dataset
+        The first cycles of each press.
+    matrix : ModalScattering
+        Of the shallowest press.
     """
     helix = sleeve()[TUBE]
     over = {
@@ -128,6 +142,7 @@ def recorded(
     announce(report, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
     found: dict[str, list[xr.Dataset]] = {shape: [] for shape in shapes}
     like = next(iter(presses.values()))[1]
+    kept = []
     for place in places:
         for shape in shapes:
             bends = [] if shape == "straight" else bent_around(
@@ -141,47 +156,51 @@ def recorded(
                     labels={"depth": depth, "force": float(case["force"])},
                 )  # fmt: skip
                 found[shape].append(estimates_of(cycles, TUBE))
-    return {
+                if shape == "wrapped":
+                    kept.append(cycles.isel(cycle=slice(inverted.GROUP)))
+    estimates = {
         shape: xr.concat(parts, "cycle", combine_attrs="drop_conflicts")
         for shape, parts in found.items()
     }
+    return estimates, kept, like
 
 
 # ---------------------------------------------------------------------------------------------
 # Numbers
 
 
-def distance_rows(table: xr.Dataset, coarser: xr.Dataset | None, helix: Helix) -> list[Row]:
+def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
     """Return the mannequin's row of Table I, and errors over the skin."""
     why = (
         "A wrapped tube delays echoes in proportion to their distance, and more so those of "
         "shallow presses, which arrive by the slow mode (1,1); echoes below the clutter are "
         "missed, not misplaced. The sleeve paper's arm adds the effect of its fabric on the tube."
     )
-    rows = ranged.distance_rows(table, coarser, (8.48, 14.0, 12.9), why)
-    skin = over_skin(helix, ranged.found_distance(table), table["true_distance"].values)
-    deep = np.abs(ranged.found_distance(table) - table["true_distance"].values)[
-        table["depth"].values > 6.5e-3
-    ]
+    rows = ranged.distance_rows(tables, (8.48, 14.0, 12.9), why)
+
+    def skin(cycles: xr.Dataset) -> Array:
+        return over_skin(helix, ranged.found_distance(cycles), cycles["true_distance"].values)
+
     return [
         *rows,
-        Row(
+        compared_row(
+            ranged.error_of_deep, tables,
             quantity="distance: mean absolute error, deeper than 6.5 mm", unit="cm",
-            ours=CM * float(np.nanmean(deep)), why="Published as below 10 cm on average.",
+            why="Published as below 10 cm on average.",
         ),
-        Row(
+        compared_row(
+            lambda cycles: CM * float(np.nanmedian(skin(cycles))), tables,
             quantity="place on the skin: median absolute error", unit="cm",
-            ours=CM * float(np.nanmedian(skin)),
             why=f"Over the skin two loops are {CM * helix.pitch:.2g} cm apart: an error of a loop "
             "is small there.",
         ),
-        Row(
-            quantity="place on the skin: RMSE", unit="cm",
-            ours=CM * float(np.sqrt(np.nanmean(skin**2))), why="Not published.",
-        ),
-        ranged.detection_row(table, coarser),
         compared_row(
-            lambda cycles: CM * farthest(cycles), table, coarser,
+            lambda cycles: CM * float(np.sqrt(np.nanmean(skin(cycles) ** 2))), tables,
+            quantity="place on the skin: RMSE", unit="cm", why="Not published.",
+        ),
+        ranged.detection_row(tables),
+        compared_row(
+            lambda cycles: CM * farthest(cycles), tables,
             quantity="farthest located press", unit="cm", published=210.0,
             why=f"Presses are {CM * (PLACES[1] - PLACES[0]):g} cm apart; as published, only the "
             "deepest are located so far away.",
@@ -201,17 +220,16 @@ def farthest(table: xr.Dataset) -> float:
     return max(good, default=float("nan"))
 
 
-def force_rows(table: xr.Dataset, coarser: xr.Dataset | None, network: Model) -> list[Row]:
+def force_rows(tables: Tables, network: Model) -> list[Row]:
     """Return the mannequin's row of Table II."""
-    errors = [
-        None if part is None else estimation.errors(
-            part["force"].values, estimation.estimate(network, part)["force"].values
-        )
-        for part in (table, coarser)
-    ]  # fmt: skip
-    found, other = errors
-    assert found is not None
-    largest = float(table["force"].max())
+
+    def learned(table: xr.Dataset) -> estimation.Errors:
+        estimates = estimation.estimate(network, table)
+        return estimation.errors(table["force"].values, estimates["force"].values)
+
+    found, coarser, _ = Tables(tables.ours, tables.coarser).measured(learned)
+    inversion = None if tables.inversion is None else ranged.force_errors(tables.inversion)
+    largest = float(tables.ours["force"].max())
     why = (
         f"Simulated forces end at {largest:.3g} N; the sleeve paper's are larger where its rod met "
         "the arm. As published, the network trained on the flat table estimates them poorly."
@@ -220,7 +238,8 @@ def force_rows(table: xr.Dataset, coarser: xr.Dataset | None, network: Model) ->
         Row(
             quantity=f"force: {words} absolute error", unit=unit, published=published,
             ours=scale * getattr(found, name),
-            coarser=None if other is None else scale * getattr(other, name), why=why,
+            coarser=None if coarser is None else scale * getattr(coarser, name),
+            inversion=None if inversion is None else scale * getattr(inversion, name), why=why,
         )
         for name, words, unit, published, scale in (
             ("median", "median", "N", 2.19, 1.0), ("rmse", "RMSE of the", "N", 5.61, 1.0),

@@ -12,12 +12,14 @@ from acoustube import estimation
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.estimation import Errors
-from acoustube.reports.studies.report import Row, compared_row
+from acoustube.reports.studies.report import Row, Tables, compared_row
 
 FALSE_POSITIVE_ERROR = 0.25
 """Error of the distance in m from which a detection is a false positive."""
 FIRST_DATASET_DEPTH = 0.9e-3
 """Smallest depth in m of the flat table's first dataset."""
+DEEP = 6.5e-3
+"""Depth in m from which the sleeve paper states the errors of deep presses apart."""
 RELIABLE_FRACTION = 0.5
 """Fraction of located cycles above which a contact is reliable."""
 
@@ -25,6 +27,17 @@ RELIABLE_FRACTION = 0.5
 def distance_errors(table: xr.Dataset) -> Errors:
     """Return the errors of the distance of cycles with an echo, in m."""
     return estimation.errors(table["true_distance"].values, found_distance(table))
+
+
+def force_errors(table: xr.Dataset) -> Errors:
+    """Return the errors of the forces of an inversion in N, where it finds a contact."""
+    return estimation.errors(table["force"].values, table["estimated_force"].values)
+
+
+def error_of_deep(table: xr.Dataset) -> float:
+    """Return the mean absolute error in cm of the distance of presses deeper than 6.5 mm."""
+    off = np.abs(found_distance(table) - table["true_distance"].values)
+    return CM * float(np.nanmean(off[table["depth"].values > DEEP]))
 
 
 def found_distance(table: xr.Dataset) -> Array:
@@ -37,6 +50,11 @@ def located(table: xr.Dataset) -> NDArray[np.bool_]:
     return np.asarray(
         np.abs(found_distance(table) - table["true_distance"].values) < FALSE_POSITIVE_ERROR
     )
+
+
+def false_positives(table: xr.Dataset) -> NDArray[np.bool_]:
+    """Return the mask of the cycles with an echo whose distance is wrong by 25 cm or more."""
+    return np.asarray(np.isfinite(found_distance(table)) & ~located(table))
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
@@ -63,6 +81,7 @@ def measure_rows(
     scale: float = 1.0,
     published: Sequence[float | None] = (None, None, None),
     coarser: Errors | None = None,
+    inversion: Errors | None = None,
 ) -> list[Row]:
     """Return median, RMSE and IQR of absolute errors: the columns of the sleeve paper's tables.
 
@@ -76,14 +95,15 @@ def measure_rows(
         Of that unit to the errors' own.
     published : sequence of float or None
         In the unit of the report.
-    coarser : Errors, optional
-        On the coarser level.
+    coarser, inversion : Errors, optional
+        On the coarser level, and by waveform inversion.
     """
     return [
         Row(
             quantity=f"{what}: {words} absolute error", unit=unit, published=number,
             ours=scale * getattr(ours, name),
-            coarser=None if coarser is None else scale * getattr(coarser, name), why=why,
+            coarser=None if coarser is None else scale * getattr(coarser, name),
+            inversion=None if inversion is None else scale * getattr(inversion, name), why=why,
         )
         for name, words, number in zip(
             ("median", "rmse", "iqr"), ("median", "RMSE of the", "IQR of the"), published,
@@ -92,20 +112,19 @@ def measure_rows(
     ]  # fmt: skip
 
 
-def distance_rows(
-    table: xr.Dataset, coarser: xr.Dataset | None, published: Sequence[float], why: str
-) -> list[Row]:
+def distance_rows(tables: Tables, published: Sequence[float], why: str) -> list[Row]:
     """Return a row of the sleeve paper's Table I."""
-    ours, other = (None if t is None else distance_errors(t) for t in (table, coarser))
-    assert ours is not None
+    ours, coarser, inversion = tables.measured(distance_errors)
     return measure_rows(
-        "distance", "cm", ours, why=why, scale=CM, published=published, coarser=other
-    )
+        "distance", "cm", ours, why=why, scale=CM, published=published, coarser=coarser,
+        inversion=inversion,
+    )  # fmt: skip
 
 
-def detection_row(table: xr.Dataset, coarser: xr.Dataset | None) -> Row:
+def detection_row(tables: Tables) -> Row:
     """Return the fraction of cycles with an echo."""
     return compared_row(
-        lambda cycles: 100 * float(np.mean(np.isfinite(found_distance(cycles)))), table, coarser,
-        quantity="cycles with an echo", unit="%", why="Not published.",
+        lambda cycles: 100 * float(np.mean(np.isfinite(found_distance(cycles)))), tables,
+        quantity="cycles with an echo", unit="%",
+        why="Not published. By inversion: recordings in which it finds a contact.",
     )  # fmt: skip

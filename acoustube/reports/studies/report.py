@@ -11,7 +11,7 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -25,9 +25,10 @@ MARKED_DIFFERENCE = 1 / 3
 """Relative difference from a published number from which a row is marked."""
 COLUMNS = (
     "study", "quantity", "unit", "published", "ours", "difference_percent", "coarser",
-    "change_percent", "why",
+    "change_percent", "inversion", "why",
 )  # fmt: skip
 DPI = 110
+T = TypeVar("T")
 
 
 class Level(NamedTuple):
@@ -55,7 +56,8 @@ class Scale:
     Attributes
     ----------
     quick : bool
-        A few presses on the coarse level alone, as a test; its numbers are not accurate.
+        A few presses on the coarse level alone, without waveform inversion, as a test; its numbers
+        are not accurate.
     workers : int, Workers or None
         Processes; as many as there are cores with None. Or those of the study before.
     """
@@ -87,6 +89,9 @@ class Row:
         None where nothing is published.
     coarser : float or None
         Ours on a coarser mesh and grid; None where neither matters, or it was not computed.
+    inversion : float or None
+        By waveform inversion in place of the sleeve paper's processing; None where it has no such
+        number.
     why : str
         Why the two differ, or how the computed number is defined.
     """
@@ -96,6 +101,7 @@ class Row:
     ours: float
     published: float | None = None
     coarser: float | None = None
+    inversion: float | None = None
     why: str = ""
 
     @property
@@ -109,15 +115,36 @@ class Row:
         return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
 
 
-def compared_row(
-    measure: Callable[[xr.Dataset], float],
-    table: xr.Dataset,
-    coarser: xr.Dataset | None,
-    **words: Any,
-) -> Row:
-    """Return the row of a measure of a table, with that of the coarser level if given."""
-    other = None if coarser is None else measure(coarser)
-    return Row(ours=measure(table), coarser=other, **words)
+class Tables(NamedTuple):
+    """Estimates for the cycles of a study.
+
+    Attributes
+    ----------
+    ours : xarray.Dataset
+        By the sleeve paper's processing.
+    coarser : xarray.Dataset or None
+        The same on the coarser level.
+    inversion : xarray.Dataset or None
+        By waveform inversion, of the presses of `ours` or some of them.
+    """
+
+    ours: xr.Dataset
+    coarser: xr.Dataset | None = None
+    inversion: xr.Dataset | None = None
+
+    def measured(self, measure: Callable[[xr.Dataset], T]) -> tuple[T, T | None, T | None]:
+        """Return a measure of each table; None where there is none."""
+        return (
+            measure(self.ours),
+            None if self.coarser is None else measure(self.coarser),
+            None if self.inversion is None else measure(self.inversion),
+        )
+
+
+def compared_row(measure: Callable[[xr.Dataset], float], tables: Tables, **words: Any) -> Row:
+    """Return the row of a measure of the tables that there are."""
+    ours, coarser, inversion = tables.measured(measure)
+    return Row(ours=ours, coarser=coarser, inversion=inversion, **words)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +203,7 @@ def write_table(studies: Mapping[str, Study], path: Path) -> None:
     for name, study in studies.items():
         for row in study.rows:
             numbers = (row.published, row.ours, 100 * row.difference, row.coarser,
-                       100 * row.change)  # fmt: skip
+                       100 * row.change, row.inversion)  # fmt: skip
             words = [_plain(number, 6, "") for number in numbers]
             writer.writerow([name, row.quantity, row.unit, *words, row.why])
     write_file(path, table.getvalue(), overwrite=True)
@@ -211,7 +238,7 @@ def _html_row(row: Row) -> str:
     far = bool(abs(row.difference) > MARKED_DIFFERENCE)
     cells = (
         _plain(row.published), _plain(row.ours), _percent(row.difference), _plain(row.coarser),
-        _percent(row.change),
+        _percent(row.change), _plain(row.inversion),
     )  # fmt: skip
     numbers = "".join(f"<td>{cell}</td>" for cell in cells)
     return (

@@ -16,7 +16,7 @@ from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import CM, KHZ, MS
 from acoustube.reports.studies.presses import swept
-from acoustube.reports.studies.report import Level, Row, Scale, Study, compared_row
+from acoustube.reports.studies.report import Level, Row, Scale, Study, Tables, compared_row
 from acoustube.reports.studies.simulation_cases import (
     CARRIER,
     CUT_ON,
@@ -124,7 +124,7 @@ def _error_rows(lossless: xr.Dataset, lossy: xr.Dataset, coarser: xr.Dataset | N
 def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     rows = [
         compared_row(
-            _smallest_wins, lossless, coarser,
+            _smallest_wins, Tables(lossless, coarser),
             quantity="depths at which the 10 mm rod echoes most", unit="%", published=100.0,
             why="Published in words: the largest amplitudes occur for the 10 mm indenter.",
         )
@@ -166,7 +166,7 @@ def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     )
     return [
         compared_row(
-            partial(direct_range, rod=rod), lossless, coarser,
+            partial(direct_range, rod=rod), Tables(lossless, coarser),
             quantity=f"{rod} mm rod: range over depth of the direct echo's distance",
             unit="cm", why=why,
         )

@@ -19,13 +19,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from acoustube.base import cache
-from acoustube.base.checks import Optional, Several, checked
+from acoustube.base.checks import Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
 from acoustube.base.netcdf import Seal, seal_of
 from acoustube.base.report import SILENT, Reporter, time_in_words
-from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MM
 from acoustube.indentation import DepthPath, PressError, restored
@@ -40,7 +39,7 @@ from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.tasks import Done, one_thread
-from acoustube.runs.sweep.workers import Task, Workers, count_of
+from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
 from acoustube.waves.scattering import Complex
 from acoustube.waves.spectral import SpectralScattering
 
@@ -194,7 +193,7 @@ def deviation(found: Complex, exact: Complex) -> float:
 @checked(
     plans=Several(ToolPlan, 1),
     out=PATH,
-    workers=Optional(Number(1, 1024, "processes", whole=True)),
+    workers=WORKERS,
 )
 def build_library(
     plans: Sequence[ToolPlan],

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from acoustube.base.checks import Either, Optional, Several, checked
+from acoustube.base.checks import Several, checked
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
 from acoustube.base.report import SILENT, Reporter, time_in_words
-from acoustube.base.rules import Number, nearest
+from acoustube.base.rules import nearest
 from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
@@ -31,7 +31,7 @@ from acoustube.runs.sweep.cycles import Recipe, record_cases, record_one
 from acoustube.runs.sweep.plan import digest
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
-from acoustube.runs.sweep.workers import Task, Workers, count_of
+from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
 DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
@@ -87,7 +87,7 @@ Simulated: no fabric, no bends, no scatter between specimens but that of `clutte
     sweep=Several(PATH),
     out=PATH,
     recipe=Recipe,
-    workers=Optional(Either((Workers,), Number(1, 1024, "processes", whole=True))),
+    workers=WORKERS,
 )
 def run_dataset(
     sweep: Sequence[Path],

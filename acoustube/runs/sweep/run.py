@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.base.checks import FLAG, Either, Optional, Several, checked
+from acoustube.base.checks import FLAG, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
@@ -32,7 +32,7 @@ from acoustube.runs.sweep.graph import Case, LoadPath, load_paths, only_cases, s
 from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.runs.sweep.progress import Board, totals_of
 from acoustube.runs.sweep.runner import Runner
-from acoustube.runs.sweep.workers import Task, Workers, count_of, run_tasks, worker_pool
+from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of, run_tasks, worker_pool
 
 LISTED = 10
 """Failed cases that are printed."""
@@ -62,7 +62,7 @@ class Work(NamedTuple):
 @checked(
     plan=Plan,
     out=PATH,
-    workers=Optional(Either((Workers,), Number(1, 1024, "processes", whole=True))),
+    workers=WORKERS,
     width=Optional(Number(1, 1e6, "tasks", whole=True)),
     share=Several(Number(1, 1e9, whole=True), 2),
     retry=FLAG,

@@ -22,7 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 
+from acoustube.base.checks import Either, Optional
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.rules import Number
 
 
 def dask_executor(address: str) -> tuple[Executor, int]:
@@ -165,6 +167,10 @@ class Workers:
         for process in processes:
             process.join(timeout=5)
         self._pool = None
+
+
+WORKERS = Optional(Either((Workers,), Number(1, 1024, "processes", whole=True)))
+"""What an argument `workers` can be: a number of processes, a pool, or None for the cores."""
 
 
 @contextmanager
