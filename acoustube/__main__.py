@@ -53,8 +53,10 @@ def _run() -> int:
 
         warnings.simplefilter("ignore")
     from acoustube.base.cache import keep_compiled_code
+    from acoustube.base.compilation import compile_quickly
 
     keep_compiled_code()
+    compile_quickly()
     from acoustube.cli._app import main
 
     try:

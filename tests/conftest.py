@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from acoustube.base import cache
+from acoustube.base.compilation import compile_quickly
 
 # Read by jax when it is first imported: an accidental broadcast between ranks fails instead of
 # passing with the wrong shape. Set here and not through jax.config, so that tests which need no jax
@@ -23,6 +24,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # test that must compute sets a folder of its own. Removed by pytest --cache-clear.
 os.environ["ACOUSTUBE_CACHE"] = str(Path(__file__).parents[1] / ".pytest_cache/d/acoustube")
 cache.keep_compiled_code()
+compile_quickly()  # as the command line does
 
 
 def pytest_report_header():

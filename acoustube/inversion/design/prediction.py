@@ -14,7 +14,6 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -243,10 +242,17 @@ def _score(numbers, found, goal):  # type: ignore[no-untyped-def]
 
 
 @jax.jit
-@partial(jax.value_and_grad, argnums=0)
 def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
-    found = Prediction(*_prediction(jnp.concatenate([jnp.exp(logs), given[2:]]), tensors))
-    return _score(jnp, found, goal)
+    """Return the score and its gradient: forward derivatives along each of the few logarithms."""
+
+    def scored(logs):  # type: ignore[no-untyped-def]
+        found = Prediction(*_prediction(jnp.concatenate([jnp.exp(logs), given[2:]]), tensors))
+        return _score(jnp, found, goal)
+
+    def along(direction):  # type: ignore[no-untyped-def]
+        return jax.jvp(scored, (logs,), (direction,))
+
+    return jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(logs)))
 
 
 def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
