@@ -388,6 +388,17 @@ def test_two_presses_are_told_apart(inverter, apart, depths):
 
 
 @pytest.mark.slow
+def test_three_presses_are_told_where_two_of_them_are_misplaced_alone(inverter):
+    """Echoes 1 % off. Two presses alone explain little, and are doubted; with the third all fit."""
+    places, depths = [0.506, 0.889, 1.223], [2e-3, 5e-3, 6e-3]
+    presses = [press(d, z, error=0.01, phase=1.0) for d, z in zip(depths, places, strict=True)]
+    found = inverter(record(presses, n_cycles=20, tube_seed=7, seed=1)["signal"].values)
+    assert [one.distance.value for one in found.contacts] == pytest.approx(places, abs=1e-3)
+    assert [one.depth.value for one in found.contacts] == pytest.approx(depths, abs=0.1e-3)
+    assert found.fits
+
+
+@pytest.mark.slow
 def test_error_of_the_model_is_no_further_contact(inverter):
     """A press whose trapped mode is narrower and higher than the library's.
 

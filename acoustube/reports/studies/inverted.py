@@ -196,7 +196,6 @@ def errors_figure(
             share = PERCENT * np.arange(1, len(known) + 1) / max(len(values), 1)
             axes.step(np.clip(known, *bounds), share, where="post", color=colour, label=name)
         axes.set(xscale="log", xlim=bounds, ylim=(0, 100), xlabel=words)
-    first = sheet.axes[0]
-    first.set_ylabel("share of the recordings (%)")
-    first.legend(loc="upper left")
+        axes.legend(loc="upper left")
+    sheet.axes[0].set_ylabel("share of the recordings (%)")
     return sheet
