@@ -73,15 +73,16 @@ def main():
             continue
         off = np.abs(found["distance"].values - place)[some]
         words = [f"{some.sum()} presses, within 5 cm {np.mean(off < NEAR):.0%}"]
-        some &= np.isfinite(found["distance"].values)  # with an echo
+        some &= np.isfinite(found["distance"].values)
+        words.append(f"with an echo {some.sum()}, of which")
         for target, unit, scale in (("true_distance", "mm", 1e3), ("depth", "mm", 1e3)):
             size = scale * np.abs(found[TARGETS[target]].values - tried[target].values)[some]
             a, b, c = np.quantile(size, [0.5, 0.9, 0.99])
-            words.append(f"{TARGETS[target]} {a:.3g} / {b:.3g} / {c:.3g} {unit}")
+            words.append(f"{TARGETS[target]} {a:.3g} / {b:.3g} / {c:.3g} {unit} (50, 90, 99 %)")
             held = size <= scale * found[TARGETS[target] + "_half_width"].values[some]
             words.append(f"90 % intervals hold {np.mean(held):.0%}")
         force = np.abs(found["force"].values / tried["force"].values - 1)[some]
-        words.append("force {:.1%} / {:.1%}".format(*np.quantile(force, [0.5, 0.9])))
+        words.append("force {:.1%} / {:.1%} (50, 90 %)".format(*np.quantile(force, [0.5, 0.9])))
         print(f"{name}: {'; '.join(words)}")
 
 

@@ -21,9 +21,11 @@ from acoustube.cli._app import app, main
 from acoustube.cli.reproduce import STUDIES, run_reproduce
 from acoustube.inversion import Library
 from acoustube.ranging import record
+from acoustube.recordings import write as write_cycles
 from acoustube.reports.studies import (
     calibration,
     echotube,
+    flat,
     flat_figures,
     inverted,
     ranged,
@@ -138,6 +140,32 @@ def test_share_of_small_errors_counts_what_is_not_found_as_large():
     (line,) = axes.lines
     np.testing.assert_allclose(line.get_xdata(), [1, 10])
     np.testing.assert_allclose(line.get_ydata(), [25, 50])
+
+
+def test_presses_of_the_study_are_chosen_by_their_places(tmp_path):
+    """Every second place, without the presses of 0.5 mm, and the first cycles of each."""
+    for i, (place, depth) in enumerate([(z, d) for z in (0.3, 0.4, 0.5) for d in (0.5e-3, 2e-3)]):
+        cycles = record([], n_cycles=7, seed=i)
+        known = {"true_distance": place, "depth": depth, "force": 1.0}
+        cycles = cycles.assign({n: ("cycle", np.full(7, v)) for n, v in known.items()})
+        write_cycles(cycles, tmp_path / f"cycles-{i}.nc")
+    found = flat.every_nth(tmp_path, "true_distance", 2)
+    assert [float(one["true_distance"][0]) for one in found] == pytest.approx([0.3, 0.5])
+    assert {one.sizes["cycle"] for one in found} == {inverted.GROUP}
+    assert all(one["depth"].values == pytest.approx(2e-3) for one in found)
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_figure_compares_the_inversion_with_what_there_is(network):
+    cycles = table([(0.5, 1e-3, 0.51), (0.5, 1e-3, np.nan)]).assign(force=("cycle", [1.0, 2.0]))
+    by_inversion = cycles.assign(estimated_force=("cycle", [1.1, 2.0]))
+    assert inverted.compared_figures(cycles, None) == {}
+    forces = (cycles["force"], np.array([2.0, 2.0])) if network else None
+    ((caption, sheet),) = inverted.compared_figures(cycles, by_inversion, forces).items()
+    assert ("network" in caption) is network
+    names = [line.get_label() for axes in sheet.axes for line in axes.lines]
+    places, pressed = ["highest peak", "waveform inversion"], ["waveform inversion"]
+    assert names == places + ["force network"] * network + pressed
 
 
 def test_page_without_figures_is_a_page():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from acoustube.reports.studies.report import Scale, Study
 
 STUDIES = {
-    "simulation": 25.0, "calibration": 0.5, "flat": 25.0, "mannequin": 8.0, "human": 6.0,
+    "simulation": 25.0, "calibration": 0.5, "flat": 16.0, "mannequin": 10.0, "human": 11.0,
     "echotube": 1.5,
 }  # fmt: skip
 """Studies in their order, and minutes that each takes on two cores with an empty cache."""
@@ -40,7 +40,7 @@ def reproduce(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> None:
-    """Repeat published studies: a page and a table of published and simulated numbers for each.
+    """Repeat published studies: a page and a table of published, simulated and inverted numbers.
 
     Parameters
     ----------
@@ -153,12 +153,13 @@ def _print(study: Study, report: ConsoleReporter) -> None:
     """Print the numbers of a study that have a published one."""
     from rich.table import Table
 
+    from acoustube.reports.studies.report import plain
+
     table = Table(box=None, pad_edge=False)
-    for column in (study.title, "unit", "published", "acoustube", "by inversion"):
+    for column in (study.title, "unit", "published", "acoustube", "by waveform inversion"):
         table.add_column(column, justify="left" if column == study.title else "right")
     for row in study.rows:
         if row.published is not None:
-            inversion = "" if row.inversion is None else f"{row.inversion:.3g}"
-            numbers = f"{row.published:.3g}", f"{row.ours:.3g}", inversion
+            numbers = (plain(number) for number in (row.published, row.ours, row.inversion))
             table.add_row(row.quantity, row.unit, *numbers)
     report.console.print(table)

@@ -39,8 +39,8 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     Returns
     -------
     Hypothesis
-        `more`, whose deviance is the larger one of that of its fits and that of `fewer` less the
-        gain of evidence with the weights stated above.
+        `more` with the larger one of two deviances: that of its own fits, and that of `fewer` plus
+        the change of deviance with the weights stated above.
     """
     model = builder.model
     least = BENT_LEAST if model.path.converts else LEAST
@@ -52,5 +52,6 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         start = one.fits.parameters[:1]
         fit = maximise(model, one.tools, start, builder.samples, whiten, ITERATIONS)
         deviance.append(float(evidence(model, one.tools, fit, whiten)[0]))
+    # That of `more` may be the result of an earlier call.
     own = float(evidence(model, more.tools, more.fits, more.whiten)[0])
     return replace(more, deviance=max(own, fewer.deviance + deviance[1] - deviance[0]))

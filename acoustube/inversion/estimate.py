@@ -278,8 +278,8 @@ def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
 def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
     """Return a chain in which no number of presses is worse than part of the next one's.
 
-    A press may have stood for the error of others, which were mended with it. What is found in more
-    presses then is credited with what it explains beyond the better one of fewer.
+    A press may have stood for the error of others, which were mended with it. Hypotheses of more
+    presses are then credited anew, with what they explain beyond the better one.
     """
     given = list(chain)
     for number in range(len(chain) - 1, 1, -1):
@@ -288,7 +288,7 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
             if fewer.deviance < chain[number - 1].deviance:
                 chain[number - 1] = builder.shifted(fewer)
     for number in range(2, len(chain)):
-        if chain[number - 1] is not given[number - 1]:
+        if chain[number - 1] is not given[number - 1]:  # replaced, or credited anew itself
             chain[number] = doubted(builder, chain[number - 1], chain[number])
     return chain
 

@@ -44,8 +44,8 @@ def inverted(
         Labels of the groups, by ``cycle``.
     estimates : xarray.Dataset
         As of :func:`acoustube.estimation.estimate`, of the most probable contact, and of the
-        largest force among equally probable ones; nan where none is likely. Half widths are those
-        of the central intervals.
+        largest force among those equally probable within 0.01; nan where none is likely. Half
+        widths are half the central intervals.
 
     Raises
     ------
@@ -101,5 +101,5 @@ def _estimated(found: Inversion) -> dict[str, float]:
 
 
 def _rank(contact: Contact) -> tuple[float, float]:
-    """Return what orders the contacts of a recording with one press: a false one is seldom sure."""
+    """Return rounded probability and force: a false contact is seldom as certain as a true one."""
     return round(contact.probability, 2), contact.force.value

@@ -15,6 +15,7 @@ from acoustube.base.report import Reporter
 from acoustube.base.units import MM
 from acoustube.estimation import FeatureSettings, Model
 from acoustube.estimation.model import TARGETS
+from acoustube.ranging import Rangefinder
 from acoustube.reports.studies import flat_figures, inverted, ranged, whole_echo
 from acoustube.reports.studies.calibration import calibrated
 from acoustube.reports.studies.presses import swept
@@ -24,7 +25,7 @@ from acoustube.runs.config import configured
 from acoustube.runs.inverted_cycles import alike
 from acoustube.runs.opening import open_dataset
 from acoustube.runs.recordings import read_cycles
-from acoustube.runs.sweep.cycles import Recipe, seed_of
+from acoustube.runs.sweep.cycles import Recipe, in_session, seed_of
 from acoustube.runs.sweep.dataset import run_dataset
 from acoustube.runs.sweep.plan import tube_name
 from acoustube.runs.training import table_of
@@ -99,7 +100,8 @@ networks whose input is the whole echo, from a tenth of the cycles.
 
 By waveform inversion are the presses at every tenth position of the first dataset, and every third
 depth of the second, from five cycles of each. Its library is of the same tool, tube and mesh, at
-depths of its own; it learns the clutter from 200 cycles without contact.
+depths of its own; it learns the clutter from 200 cycles without contact. The rangefinder's
+parameters are known to it, and the mean error of the thermometer.
 
 Unknown to the simulation: friction and play of the test machine, the tube's own irregularities at
 the places that were pressed, and the yielding of the floor."""
@@ -161,29 +163,31 @@ def recordings_inverted(
     library = inverted.library_of(work / "library", over, scale.level, scale, report)
     cases, recipe = open_dataset(work / "first" / "sweep"), Recipe()
     tube = f"{_tube_of(cases)}-0"
+    session = seed_of(tube, 0, recipe.seed)
     inverter = inverted.inverter_of(
-        library, [], session_seed=seed_of(tube, 0, recipe.seed),
-        tube_seed=seed_of(tube, recipe.seed),
+        library, [], session_seed=session, tube_seed=seed_of(tube, recipe.seed),
+        rangefinder=in_session(Rangefinder(), session, recipe),
     )  # fmt: skip
     tables = []
     for name, label, stride in (
         ("first", "true_distance", PLACE_STRIDE),
         ("second", "depth", DEPTH_STRIDE),
     ):
-        some = _every(work / name / "cycles", label, stride)
+        some = every_nth(work / name / "cycles", label, stride)
         tables.append(inverted.inverted_table(some, inverter, report))
     first, second = tables
-    return first.isel(cycle=first["depth"].values > FIRST_DATASET_DEPTH), second
+    return first, second
 
 
-def _every(folder: Path, label: str, stride: int) -> list[xr.Dataset]:
-    """Return the first cycles of the presses at every n-th value of a label."""
+def every_nth(folder: Path, label: str, stride: int) -> list[xr.Dataset]:
+    """Return the first cycles of presses at every n-th value of a label, of the study's depths."""
     presses = [
-        part.isel(cycle=slice(inverted.GROUP))
+        part.isel(cycle=slice(inverted.GROUP)).copy(deep=True)  # not a view of the whole file
         for _, data in read_cycles([folder])
         for part, _ in alike(data, list(TARGETS), CYCLES)
+        if part["depth"].values[0] > FIRST_DATASET_DEPTH
     ]
-    values = np.array([round(float(part[label].values[0]), 9) for part in presses])
+    values = np.array([float(part[label].values[0]) for part in presses]).round(9)
     chosen = np.isin(values, np.unique(values)[::stride])
     return [part for part, is_chosen in zip(presses, chosen, strict=True) if is_chosen]
 
@@ -250,7 +254,7 @@ def localisation_rows(tables: Tables) -> list[Row]:
     )
     rows = ranged.distance_rows(tables, (5.23, 13.1, 9.31), why)
     rows += [
-        ranged.detection_row(tables),
+        *ranged.detection_rows(tables),
         compared_row(
             lambda cycles: MM * shallowest(cycles, 0.0, NEAR), tables,
             quantity="depth from which contacts up to 0.6 m are reliable", unit="mm", published=2.5,

@@ -15,7 +15,7 @@ from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import CM, PERCENT
-from acoustube.inversion import Library, Wrap
+from acoustube.inversion import Library, Priors, Wrap
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.figures.run import RETURN, SEND
 from acoustube.reports.studies.calibration import LENGTH, RADIUS, TEMPERATURE
@@ -32,8 +32,10 @@ GROUP = 5
 """Cycles of a press that are inverted together."""
 UNTOUCHED = 200
 """Cycles without contact, from which the inversion learns the clutter of the tube."""
+SEED = 11
+"""Random seed of these cycles."""
 TOLERANCE = 0.005
-"""Of the library, as by default."""
+"""Relative error of the scattering that a library interpolates, the default of its command."""
 DEPTHS = "0.25:8:0.31"
 """Depths in mm of the libraries, which are none of the presses' but the last."""
 PLACE_AXIS, FORCE_AXIS = (1e-3, 100.0), (1e-2, 1000.0)
@@ -49,7 +51,7 @@ def library_of(
     ----------
     folder : Path
     over : mapping of str to sequence of str
-        Settings of the tool, without depths as far as :data:`DEPTHS`.
+        Settings of the tool; depths are :data:`DEPTHS` by default.
     level : Level
     scale : Scale
     report : Reporter
@@ -73,9 +75,10 @@ def inverter_of(
     *,
     session_seed: int,
     tube_seed: int,
+    rangefinder: Rangefinder | None = None,
     wrap: Wrap | None = None,
 ) -> RecordingInverter:
-    """Return the inversion of the recordings of one tube.
+    """Return the inversion of the recordings of one tube, by a rangefinder that is known.
 
     Parameters
     ----------
@@ -84,14 +87,18 @@ def inverter_of(
         Of the tube without presses: its bends.
     session_seed, tube_seed : int
         See :func:`acoustube.ranging.record`.
+    rangefinder : Rangefinder, optional
+        Of the recordings, the default one if not given. The mean error of its thermometer is
+        known too, as from a calibration with closures.
     wrap : Wrap, optional
         Of a wrapped tube.
     """
+    known = rangefinder or Rangefinder()
     free = record(
-        untouched, Rangefinder(), radius=RADIUS, length=LENGTH, temperature=TEMPERATURE,
-        n_cycles=UNTOUCHED, seed=11, session_seed=session_seed, tube_seed=tube_seed,
+        untouched, known, radius=RADIUS, length=LENGTH, temperature=TEMPERATURE,
+        n_cycles=UNTOUCHED, seed=SEED, session_seed=session_seed, tube_seed=tube_seed,
     )  # fmt: skip
-    sensor = Sensor(wrap=wrap, length=LENGTH)
+    sensor = Sensor(rangefinder=known, priors=Priors(thermometer=0.0), wrap=wrap, length=LENGTH)
     return RecordingInverter(library, sensor, [(Path("untouched"), free)])
 
 
@@ -161,8 +168,10 @@ def compared_figures(
         by_inversion = {"force network": forces, **by_inversion}
         words = "of the force by the network and by inversion (right)."
     caption = (
-        "Share of the recordings with at most an error: of the distance by the highest peak and by "
-        f"waveform inversion (left), {words}"
+        "Share of recordings whose error is at most the value on the axis; those without an "
+        "estimate never count. Single cycles by the sleeve paper's processing, means of a few by "
+        "inversion. Errors of the distance by the highest peak and by waveform inversion (left), "
+        f"{words}"
     )
     return {caption: errors_figure(places, by_inversion)}
 
@@ -171,7 +180,7 @@ def errors_figure(
     places: Mapping[str, tuple[ArrayLike, ArrayLike]],
     forces: Mapping[str, tuple[ArrayLike, ArrayLike]],
 ) -> Figure:
-    """Draw which share of the recordings has at most an error, of place and of force.
+    """Draw the share of recordings with errors up to each value, of place and of force.
 
     Parameters
     ----------
@@ -194,7 +203,7 @@ def errors_figure(
             colour = RETURN if "inversion" in name else SEND
             known = np.sort(values[np.isfinite(values)])
             share = PERCENT * np.arange(1, len(known) + 1) / max(len(values), 1)
-            axes.step(np.clip(known, *bounds), share, where="post", color=colour, label=name)
+            axes.step(np.maximum(known, bounds[0]), share, where="post", color=colour, label=name)
         axes.set(xscale="log", xlim=bounds, ylim=(0, 100), xlabel=words)
         axes.legend(loc="upper left")
     sheet.axes[0].set_ylabel("share of the recordings (%)")

@@ -90,7 +90,8 @@ its places and five cycles of each press.
 
 Waveform inversion is given five cycles of each press, 200 cycles of the wrapped tube without
 contact, the shape of its helix, and a library of the rod at depths of its own. Its model has the
-modes of the bent tube, the recordings the bends in series, joined by all their modes.
+modes of the bent tube, the recordings the bends in series, joined by all their modes. The
+rangefinder's parameters are known to it, and the mean error of the thermometer.
 
 Unknown to the simulation: how the fabric stretches and narrows the tube, how much of a free tube's
 flattening it allows (the last rows state the effect of all of it), how the tubes differ, where the
@@ -198,7 +199,7 @@ def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
             lambda cycles: CM * float(np.sqrt(np.nanmean(skin(cycles) ** 2))), tables,
             quantity="place on the skin: RMSE", unit="cm", why="Not published.",
         ),
-        ranged.detection_row(tables),
+        *ranged.detection_rows(tables),
         compared_row(
             lambda cycles: CM * farthest(cycles), tables,
             quantity="farthest located press", unit="cm", published=210.0,

@@ -204,7 +204,7 @@ def write_table(studies: Mapping[str, Study], path: Path) -> None:
         for row in study.rows:
             numbers = (row.published, row.ours, 100 * row.difference, row.coarser,
                        100 * row.change, row.inversion)  # fmt: skip
-            words = [_plain(number, 6, "") for number in numbers]
+            words = [plain(number, 6, "") for number in numbers]
             writer.writerow([name, row.quantity, row.unit, *words, row.why])
     write_file(path, table.getvalue(), overwrite=True)
 
@@ -237,8 +237,8 @@ def page(study: Study, pictures: Mapping[str, bytes]) -> str:
 def _html_row(row: Row) -> str:
     far = bool(abs(row.difference) > MARKED_DIFFERENCE)
     cells = (
-        _plain(row.published), _plain(row.ours), _percent(row.difference), _plain(row.coarser),
-        _percent(row.change), _plain(row.inversion),
+        plain(row.published), plain(row.ours), _percent(row.difference), plain(row.coarser),
+        _percent(row.change), plain(row.inversion),
     )  # fmt: skip
     numbers = "".join(f"<td>{cell}</td>" for cell in cells)
     return (
@@ -247,7 +247,8 @@ def _html_row(row: Row) -> str:
     )
 
 
-def _plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
+def plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
+    """Return a number in words of some digits, and what stands for one that there is not."""
     return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
 
 

@@ -194,7 +194,7 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
             session = seed_of(tube, number, recipe.seed)
             cycles = ranging.record(
                 presses,
-                _in_session(rangefinder, session, recipe),
+                in_session(rangefinder, session, recipe),
                 radius=settings.radius,
                 length=settings.tube.length,
                 temperature=settings.temperature,
@@ -220,7 +220,7 @@ def _reflectors(recipe: Recipe, seed: int) -> Array:
     return np.clip(moved, -1, 1)
 
 
-def _in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
+def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
     """Return a rangefinder with parameters drawn for a session, as its thermometer's error."""
     random, drawn = np.random.default_rng([seed, 2]), {}
     for name, deviation in recipe.spread:
