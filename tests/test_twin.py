@@ -26,7 +26,7 @@ from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.recordings import chosen
 from acoustube.runs.sensor_file import twin_settings
-from acoustube.runs.sweep.cycles import Recipe, _in_session, _reflectors
+from acoustube.runs.sweep.cycles import Recipe, _reflectors, in_session
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.twin import _check_untouched, read_recordings
 from acoustube.runs.twin_calibration import is_twin, thermometer
@@ -500,7 +500,7 @@ def test_sessions_are_drawn_from_what_wanders(sessions):
     """Gains of many sessions have mean and deviation of the twins; other parameters are fixed."""
     settings, _ = recipe_settings(sessions)
     recipe = Recipe(**settings)
-    drawn = [_in_session(recipe.rangefinder, seed, recipe) for seed in range(300)]
+    drawn = [in_session(recipe.rangefinder, seed, recipe) for seed in range(300)]
     gains = np.log([one.gain for one in drawn])
     # Standard errors of mean and deviation of 300: 6 and 4 %.
     width = dict(recipe.spread)["gain"]
