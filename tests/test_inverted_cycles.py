@@ -14,7 +14,9 @@ from acoustube.ranging import record
 from acoustube.recordings import write
 from acoustube.runs.inverted_cycles import inverted
 from acoustube.runs.libraries import files
+from acoustube.runs.libraries.build import build_library
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.sweep.workers import Workers
 
 PRESSES = ((0.53, 3e-3), (0.91, 5e-3))
 
@@ -34,6 +36,14 @@ def folder(tmp_path_factory):
             data[name] = "cycle", np.full(10, value)
         write(data, where / "cycles" / f"p{i}.nc")
     return where
+
+
+def test_finished_library_is_left_as_it_is_by_a_pool_of_workers(folder):
+    """As the studies build theirs, with the pool of the study before."""
+    plans = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
+    before = (folder / "lib" / plans[0].name).read_bytes()
+    assert build_library(plans, folder / "lib", workers=Workers(1))
+    assert (folder / "lib" / plans[0].name).read_bytes() == before
 
 
 @pytest.mark.slow

@@ -40,7 +40,9 @@ def reproduce(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> None:
-    """Repeat published studies: a page and a table of published, simulated and inverted numbers.
+    """Repeat published studies: a page and a table of published and simulated numbers for each.
+
+    Beside them stand those of waveform inversion, from the same simulated recordings.
 
     Parameters
     ----------

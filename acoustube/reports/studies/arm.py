@@ -96,22 +96,23 @@ def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, ModalScattering]]:
 
 
 def bent_around(
-    helix: Helix, place: float, like: ModalScattering, *, flattened: bool = False
+    helix: Helix, place: float | None, like: ModalScattering, *, flattened: bool = False
 ) -> list[PlacedScatterer]:
     """Return the bends of a wrapped tube that is pressed at a place in m.
 
     Parameters
     ----------
     helix : Helix
-    place : float
+    place : float or None
+        None for a tube without a press.
     like : ModalScattering
         Of a press, for its band and modes.
     flattened : bool
         Whether the bends flatten the tube as much as a free one.
     """
     return windings(
-        helix, air_at(TEMPERATURE), like.frequency, [place], reach=REACH, radius=RADIUS,
-        modes=like.modes, tube=Tube() if flattened else None,
+        helix, air_at(TEMPERATURE), like.frequency, [] if place is None else [place],
+        reach=REACH, radius=RADIUS, modes=like.modes, tube=Tube() if flattened else None,
     )  # fmt: skip
 
 
@@ -205,13 +206,10 @@ def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> Recor
         Of a press, for its band and modes.
     """
     helix = sleeve()[tube]
-    bends = windings(
-        helix, air_at(TEMPERATURE), like.frequency, [], reach=REACH, radius=RADIUS,
-        modes=like.modes,
-    )  # fmt: skip
     return inverter_of(
-        library, bends, session_seed=tube, tube_seed=TUBE_SEEDS[tube], wrap=wrap_of(helix)
-    )
+        library, bent_around(helix, None, like), session_seed=tube, tube_seed=TUBE_SEEDS[tube],
+        wrap=wrap_of(helix),
+    )  # fmt: skip
 
 
 def announce(report: Reporter, words: str) -> None:

@@ -98,10 +98,10 @@ The coarser level has every fifth place and five cycles of each press.
 The network learns force from the first dataset and is tried on the second, as published; so do the
 networks whose input is the whole echo, from a tenth of the cycles.
 
-By waveform inversion are the presses at every tenth position of the first dataset, and every third
-depth of the second, from five cycles of each. Its library is of the same tool, tube and mesh, at
-depths of its own; it learns the clutter from 200 cycles without contact. The rangefinder's
-parameters are known to it, and the mean error of the thermometer.
+Waveform inversion is given five cycles of each press at every tenth position of the first dataset
+and at every third depth of the second, 200 cycles without contact, from which it learns the
+clutter, and a library of the same tool, tube and mesh at depths of its own. The rangefinder's
+parameters and the mean error of its thermometer are known to it.
 
 Unknown to the simulation: friction and play of the test machine, the tube's own irregularities at
 the places that were pressed, and the yielding of the floor."""
@@ -168,15 +168,12 @@ def recordings_inverted(
         library, [], session_seed=session, tube_seed=seed_of(tube, recipe.seed),
         rangefinder=in_session(Rangefinder(), session, recipe),
     )  # fmt: skip
-    tables = []
-    for name, label, stride in (
-        ("first", "true_distance", PLACE_STRIDE),
-        ("second", "depth", DEPTH_STRIDE),
-    ):
-        some = every_nth(work / name / "cycles", label, stride)
-        tables.append(inverted.inverted_table(some, inverter, report))
-    first, second = tables
-    return first, second
+    first = every_nth(work / "first" / "cycles", "true_distance", PLACE_STRIDE)
+    second = every_nth(work / "second" / "cycles", "depth", DEPTH_STRIDE)
+    return (
+        inverted.inverted_table(first, inverter, report),
+        inverted.inverted_table(second, inverter, report),
+    )
 
 
 def every_nth(folder: Path, label: str, stride: int) -> list[xr.Dataset]:

@@ -92,7 +92,8 @@ of soft tissue: a layer of 20 mm and 60 kPa on bone. Depth follows from force an
 of a hand drifts through its level in the 2 s of a press, 40 cycles, which are averaged before they
 are processed, as published. Calibration: that of each tube when it is straight. Waveform inversion
 is given five cycles of the middle of each press, 200 cycles of each wrapped tube without contact,
-the shape of its helix, and a library of the rod on this tissue at depths of its own.
+the shape of its helix, and a library of the rod on this tissue at depths of its own. The
+rangefinder's parameters and the mean error of its thermometer are known to it.
 
 The sleeve, the bends between the presses and the curved tube under the rod are those of the
 mannequin.

@@ -91,7 +91,7 @@ its places and five cycles of each press.
 Waveform inversion is given five cycles of each press, 200 cycles of the wrapped tube without
 contact, the shape of its helix, and a library of the rod at depths of its own. Its model has the
 modes of the bent tube, the recordings the bends in series, joined by all their modes. The
-rangefinder's parameters are known to it, and the mean error of the thermometer.
+rangefinder's parameters and the mean error of its thermometer are known to it.
 
 Unknown to the simulation: how the fabric stretches and narrows the tube, how much of a free tube's
 flattening it allows (the last rows state the effect of all of it), how the tubes differ, where the
@@ -228,7 +228,8 @@ def force_rows(tables: Tables, network: Model) -> list[Row]:
         estimates = estimation.estimate(network, table)
         return estimation.errors(table["force"].values, estimates["force"].values)
 
-    found, coarser, _ = Tables(tables.ours, tables.coarser).measured(learned)
+    found = learned(tables.ours)
+    coarser = None if tables.coarser is None else learned(tables.coarser)
     inversion = None if tables.inversion is None else ranged.force_errors(tables.inversion)
     largest = float(tables.ours["force"].max())
     why = (

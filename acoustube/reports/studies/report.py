@@ -248,7 +248,7 @@ def _html_row(row: Row) -> str:
 
 
 def plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
-    """Return a number in words of some digits, and what stands for one that there is not."""
+    """Return a number as text, to some significant digits; `missing` for None and nan."""
     return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
 
 
