@@ -160,6 +160,30 @@ class Baseband:
         """Distance in m of the nearest press whose echo is not clipped."""
         return 0.5 * self.air.sound_speed * (self.clear + AFTER_CLIPPING + FADE) + 0.03
 
+    def sounding(self, places: Array, before: float, lasting: float, n: int) -> NDArray[np.int_]:
+        """Return the first n samples' range in which presses at places are heard.
+
+        Parameters
+        ----------
+        places : ndarray
+            In m, (n_places,).
+        before, lasting : float
+            Times in s before the arrival of an echo, and after that of the end of the drive.
+        n : int
+
+        Returns
+        -------
+        ndarray
+            First sample, and the one after the last, at least two samples, (n_places, 2).
+        """
+        at, step = self.path.place_at(self.window), self.window[1] - self.window[0]
+        arrival = np.interp(places, at, self.window, self.window[0]) + self.rangefinder.lead
+        first = ((arrival - before - self.window[0]) / step).astype(int)
+        late = arrival + self.rangefinder.drive.duration + lasting
+        last = np.ceil((late - self.window[0]) / step).astype(int)
+        first = np.clip(first, 0, n - 2)
+        return np.stack([first, np.clip(last, first + 2, n)], axis=1)
+
     def noise(self, n_cycles: int) -> float:
         """Return the variance of a sample of the mean of cycles in the baseband.
 
@@ -219,15 +243,16 @@ class Baseband:
     def transformed(self, spectrum: Complex) -> Complex:
         """Return the baseband (..., n_time) of spectra (..., n_f) in counts s on the grid."""
         scale = 2 * len(self.bins) * self.step
-        return np.asarray(scale * np.fft.ifft(spectrum * self.taper, axis=-1)[..., self.used])
+        taper = (scale * self.taper).astype(spectrum.real.dtype)
+        return np.asarray(np.fft.ifft(spectrum * taper, axis=-1)[..., self.used])
 
     def adjoint(self, samples: Complex) -> Complex:
         """Return the spectrum (..., n_f) whose product with a spectrum is that of their basebands.
 
-        The adjoint of :meth:`transformed`.
+        The adjoint of :meth:`transformed`, of all samples or the first ones (..., n).
         """
         full = np.zeros((*samples.shape[:-1], len(self.bins)), complex)
-        full[..., self.used] = samples
+        full[..., self.used[: samples.shape[-1]]] = samples
         return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
 
     def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:

@@ -15,7 +15,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import doubted
 from acoustube.inversion.fit import split
-from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
+from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis, odds_of
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.peeling import peeled
@@ -23,11 +23,6 @@ from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
-PRESS_ODDS = 2 * np.log([1e4, 1e6, 1e12])
-"""Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
-1e-4, 1e-6 and 1e-12. Errors of the model count as independent, so that a press that is none, far
-behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more, a third of
-1e11. Of third presses that are real one in fifteen has less."""
 SAME_PLACE = 0.03
 """Distance in m within which presses of two hypotheses are the same."""
 MISFIT = 0.15
@@ -247,11 +242,6 @@ class Inverter:
         untouched = self.model.without_presses(nuisances)[0]
         value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
         return builder.samples - untouched, value - untouched
-
-
-def odds_of(number: int) -> float:
-    """Return minus twice the logarithm of the prior odds of the n-th press."""
-    return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])
 
 
 def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:

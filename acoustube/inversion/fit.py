@@ -11,6 +11,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import log, pi
 from typing import NamedTuple
 
@@ -44,8 +45,9 @@ class Weights:
     Attributes
     ----------
     matrix : ndarray
-        Inverse of the Cholesky factor of the covariance, (n_time, n_time): a row depends on the
-        samples up to its own time, so that the first rows are the likelihood of the first samples.
+        Inverse of the Cholesky factor of the covariance of the first n samples, (n, n): a row
+        depends on the samples up to its own time, so that the first rows are the likelihood of the
+        first samples.
     log_determinant : float
         Of the covariance.
     spread : float
@@ -57,14 +59,21 @@ class Weights:
     spread: float = 0.0
 
     def __call__(self, samples: Complex) -> Complex:
-        """Return whitened samples (..., n_time)."""
-        return samples @ self.matrix.T
+        """Return whitened samples (..., n) of samples (..., n_time)."""
+        return samples[..., : len(self.matrix)] @ self.matrix.T
+
+    def weighted(self, samples: Complex) -> Complex:
+        """Return samples (n_time,) times the inverse of the covariance, (n,)."""
+        return np.asarray(self(samples) @ self.matrix.conj())
 
     def until(self, n: int) -> Weights:
         """Return the weights of the first n samples alone."""
-        matrix = self.matrix.copy()
-        matrix[n:] = 0.0
-        return replace(self, matrix=matrix)
+        return replace(self, matrix=self.matrix[:n, :n])
+
+    @cached_property
+    def precision(self) -> Complex:
+        """Inverse of the covariance of the first n samples, (n, n)."""
+        return np.asarray(self.matrix.conj().T @ self.matrix)
 
 
 def weights(

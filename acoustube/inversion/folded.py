@@ -82,12 +82,13 @@ class FoldedBaseband(Baseband):
 
     def transformed(self, spectrum: Complex) -> Complex:
         """Return the real parts of basebands (..., n_time) of spectra (..., n_f) in counts s."""
-        samples = super().transformed(spectrum) * self._signs
-        return np.asarray(samples.real, complex)
+        samples = super().transformed(spectrum)
+        samples = samples * self._signs.astype(samples.real.dtype)
+        return np.asarray(samples.real, samples.dtype)
 
     def adjoint(self, samples: Complex) -> Complex:
         """Return the adjoint of :meth:`transformed`, for the real part of the product."""
-        return super().adjoint(samples * self._signs)
+        return super().adjoint(samples * self._signs[: samples.shape[-1]])
 
     def ring_down(self) -> Complex:
         """Return the ring-down that the rangefinder's parameters give, in the baseband."""

@@ -31,6 +31,11 @@ from acoustube.inversion.other_depths import other_depths
 from acoustube.inversion.search import Templates, front_of
 from acoustube.waves.scattering import Complex
 
+PRESS_ODDS = 2 * np.log([1e4, 1e6, 1e12])
+"""Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
+1e-4, 1e-6 and 1e-12. Errors of the model count as independent, so that a press that is none, far
+behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more, a third of
+1e11. Of third presses that are real one in fifteen has less."""
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is taken."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
@@ -65,6 +70,9 @@ DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m up to which two maxima are one."""
 SAME_MAXIMUM = 4.0
 """Squared difference of two maxima, in standard deviations, up to which they also count as one."""
+MOST_NEEDED = 2
+"""Number of presses whose odds a candidate's expected gain has to exceed at most: that of a third
+is expected less exactly."""
 HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
@@ -173,27 +181,25 @@ class Builder:
         echo = echo_of(self.model, known.tools, known.best) if known.tools else None
         return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
 
-    def extended(self, known: Hypothesis, near: float | None = None) -> list[Hypothesis]:
-        """Return hypotheses with one press more.
-
-        Parameters
-        ----------
-        known : Hypothesis
-        near : float, optional
-            Place in m about which the press is sought.
-        """
+    def extended(self, known: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses with one press more."""
         own = self.searched(known) if known.tools else known
         sought = [known] if own is known else [known, own]
         found = []
+        least = odds_of(min(len(known.tools) + 1, MOST_NEEDED))
         for one in sought:
-            fits = self.with_one_more(one, one.whiten, near)
+            fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):
                 fits = [fit for fit in fits if self._promising(known, *fit)]
             found += [self._fitted(*fit) for fit in fits[:FOLLOWED]]
         return found
 
     def with_one_more(
-        self, known: Hypothesis, whiten: Weights, near: float | None = None
+        self,
+        known: Hypothesis,
+        whiten: Weights,
+        within: tuple[float, float] | None = None,
+        least: float = 0.0,
     ) -> list[tuple[tuple[int, ...], Fits]]:
         """Return tools and fits with one press more, for each tool and order, the best first.
 
@@ -202,8 +208,10 @@ class Builder:
         known : Hypothesis
         whiten : Weights
             By which candidates are found and refined.
-        near : float, optional
-            Place in m about which the press is sought.
+        within : (float, float), optional
+            Range of places in m in which the press is sought.
+        least : float
+            Gain that the best candidate is to have.
         """
         if not known.tools:
             parameters = self.start[None]
@@ -213,7 +221,7 @@ class Builder:
         rest, found = self.residual_of(known), []
         for tool, templates in enumerate(self.templates):
             candidates = templates.search(
-                rest, whiten, fronts, near=near, temperature=nuisances[0, 0]
+                rest, whiten, fronts, within=within, least=least, temperature=nuisances[0, 0]
             )
             if len(candidates.gain):
                 found += self._added(known, tool, candidates.place, candidates.depth, whiten)
@@ -378,6 +386,11 @@ class Builder:
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
         return Hypothesis(tools, fits, error, whiten, deviance, residual)
+
+
+def odds_of(number: int) -> float:
+    """Return minus twice the logarithm of the prior odds of the n-th press."""
+    return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])
 
 
 def _distinct(fits: Fits, n_presses: int) -> Fits:

@@ -18,6 +18,9 @@ LEADING = 0.1
 """Level at which an echo begins, over the highest that follows: the band's edges ring before it."""
 AHEAD = 0.5e-3
 """Time in s within which it follows."""
+EARLIER = 0.3
+"""Distance in m before the place from which an echo is back when it begins to be seen: the part of
+it that comes earlier may be too weak."""
 BEAM = 2
 """Hypotheses of each number of presses that are followed."""
 ALIKE = 1e-3
@@ -50,11 +53,13 @@ def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
     start = leading_edge(np.abs(known.whiten(rest)), step := builder.time_step)
     if start is None:
         return []
-    found = []
+    base, found = builder.model.base, []
+    reach = base.path.place_at(base.window)
     for part in PARTS:
         end = min(start + int(part / step), len(rest))
         whiten = known.whiten.until(end)
-        for tools, fits in builder.with_one_more(known, whiten)[:1]:
+        within = float(reach[start]) - EARLIER, float(reach[end - 1])
+        for tools, fits in builder.with_one_more(known, whiten, within)[:1]:
             left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
             share = float(np.mean(np.abs(left[:end]) ** 2)) / builder.model.base.freedom
             found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))

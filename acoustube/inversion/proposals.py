@@ -22,14 +22,13 @@ from acoustube.inversion.search import (
     at_face,
     candidates,
     exclude,
+    within_range,
 )
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
 """Steps in m of the coarse search."""
-REACH = 9e-3
-"""Distance in m from a place near which is searched."""
 NODES = 0.15
 """Distance in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
@@ -85,7 +84,11 @@ class PlaneFilter:
         self.delay = base.rangefinder.lead + base.rangefinder.drive.duration / 2
 
     def highest(
-        self, rest: Complex, whiten: Weights, fronts: list[Front], near: float | None = None
+        self,
+        rest: Complex,
+        whiten: Weights,
+        fronts: list[Front],
+        within: tuple[float, float] | None = None,
     ) -> float:
         """Return the highest gain of one more contact.
 
@@ -96,11 +99,11 @@ class PlaneFilter:
         whiten : Weights
         fronts : list of Front
             Of the contacts known, by place.
-        near : float, optional
-            Place in m about which alone is searched.
+        within : (float, float), optional
+            Range of places in m in which alone is searched.
         """
         base = self.model.base
-        field = base.adjoint(whiten(rest) @ whiten.matrix.conj())
+        field = base.adjoint(whiten.weighted(rest))
         energy = self.energy * self._dimmed(whiten)
         gain = np.empty(energy.shape)
         fields, ends, scales = [field], [0.0], [1.0]
@@ -113,16 +116,14 @@ class PlaneFilter:
             scales.append(float(np.median(np.abs(passed)) ** 2))
             ends.append(front.place)
         owner = np.searchsorted(ends[1:], self.places)
-        searched = np.full(len(self.places), True)
-        if near is not None:
-            searched = np.abs(self.places - near) <= REACH
+        searched = within_range(self.places, within)
         for i, j in np.unique(np.stack([owner, self.zone])[:, searched], axis=1).T:
             here = searched & (owner == i) & (self.zone == j)
             filters = (self.shapes[j] * fields[i]).astype(np.complex64)
             level = np.abs(filters @ self.turns[:, here])
             energy[:, here] *= scales[i]
             gain[:, here] = 2 * (2 * level - energy[:, here])
-        exclude(gain, self.places, ends[1:], near, REACH)
+        exclude(gain, self.places, ends[1:], searched)
         return float(gain.max())
 
     def _phases(self, places: Array, *, behind: bool = False) -> Complex:
@@ -160,24 +161,24 @@ class Proposals:
         *,
         number: int = 2,
         fine: int = 3,
-        near: float | None = None,
+        within: tuple[float, float] | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
         """Return candidates for one more contact, none where the plane wave's gain is small.
 
         Parameters
         ----------
-        rest, whiten, fronts, near
+        rest, whiten, fronts, within
             See :meth:`PlaneFilter.highest`.
         number, fine : int
             Number of places, to which :data:`MORE_PLACES` are added, and of candidates at each.
         temperature : float
             Deviation in K.
         """
-        if self.plane.highest(rest, whiten, fronts, near) < WORTH:
+        if self.plane.highest(rest, whiten, fronts, within) < WORTH:
             return candidates([])
         return self.modal.search(
-            rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, near=near,
+            rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, within=within,
             temperature=temperature,
         )  # fmt: skip
 

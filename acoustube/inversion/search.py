@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
@@ -29,6 +30,9 @@ KEPT = 40
 """Places whose reflection is remembered."""
 CHUNK = 40
 """Nodes whose templates are computed at once."""
+BEFORE, LASTING = 1e-3, 5e-3
+"""Times in s before and after a template's arrival within which its energy is computed: sound that
+is trapped under a press decays by a factor of 1000 in the latter."""
 
 
 class Front(NamedTuple):
@@ -95,7 +99,8 @@ class Templates:
         *,
         number: int = 6,
         fine: int = 6,
-        near: float | None = None,
+        within: tuple[float, float] | None = None,
+        least: float = 0.0,
         temperature: float = 0.0,
     ) -> Candidates:
         """Return candidates for one more press.
@@ -109,28 +114,30 @@ class Templates:
             Of the presses known, by place.
         number, fine : int
             Number of places, and of candidates at each.
-        near : float, optional
-            Place in m about which alone is searched.
+        within : (float, float), optional
+            Range of places in m in which alone is searched.
+        least : float
+            Gain that the best candidate is to have, or there is none.
         temperature : float
             Deviation in K.
         """
         base = self.model.base
-        field = base.adjoint(whiten(residual) @ whiten.matrix.conj())
+        field = base.adjoint(whiten.weighted(residual))
         coarse = np.full((len(self.depths), len(self.places)), -np.inf)
-        sought = np.full(len(self.places), True)
-        if near is not None:
-            sought = np.abs(self.places - near) <= FINE_REACH
+        sought = within_range(self.places, within)
         zones, starts = self._zones(fronts, temperature)
         owner = np.searchsorted(starts, self.places, side="right") - 1
-        matrix = whiten.matrix.T.astype(np.complex64)
+        precision = whiten.precision.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
             here = sought & (owner == number_of_zone)
             if here.any():
-                zone.set_energy(base, matrix, self.places[here])
+                zone.set_energy(base, precision, self.places[here])
                 level = np.abs(zone.correlate(field, self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
-        exclude(coarse, self.places, [front.place for front in fronts], near, FINE_REACH)
+        exclude(coarse, self.places, [front.place for front in fronts], sought)
         found: list[tuple[float, float, float]] = []
+        if not coarse.max() > least:
+            return candidates(found)
         for best in apart(coarse.max(axis=0), self.places, number):
             found += self._refined(zones[owner[best]], field, self.places[best], fine)
         return candidates(found)
@@ -192,17 +199,31 @@ class _Zone:
         """Return the modes' phases from the origin to places, (n_places, n_f, m)."""
         return self.path.phases(places, self.warmer) - self.start
 
-    def set_energy(self, base: Baseband, whiten: Complex, places: Array) -> None:
-        """Compute the energies of templates at nodes about places, whitened by a matrix."""
+    def set_energy(self, base: Baseband, precision: Complex, places: Array) -> None:
+        """Compute the energies of templates at nodes about places.
+
+        Parameters
+        ----------
+        base : Baseband
+        precision : ndarray
+            Inverse of the covariance of the first samples, transposed, (n, n).
+        places : ndarray
+            In m, rising.
+        """
         step = NODES_BEHIND if len(self.parts) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
+        sounds = base.sounding(self.nodes, BEFORE, LASTING, len(precision))
         energy = []
-        for some in np.array_split(self.nodes, 1 + len(self.nodes) // CHUNK):
-            spectra = self.spectra(np.maximum(some, self.origin)).astype(np.complex64)
-            samples = base.transformed(spectra).astype(np.complex64) @ whiten
-            energy.append(np.sum(samples.real**2 + samples.imag**2, axis=-1))
-        self.level = np.log(np.maximum(np.concatenate(energy, axis=1), 1e-30))
+        for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
+            spectra = self.spectra(np.maximum(self.nodes[some], self.origin))
+            samples = base.transformed(spectra).astype(np.complex64, copy=False)
+            for i, (start, stop) in enumerate(sounds[some]):
+                part = samples[:, i, start:stop]
+                energy.append(
+                    np.sum((part @ precision[start:stop, start:stop] * part.conj()).real, axis=-1)
+                )
+        self.level = np.log(np.maximum(np.stack(energy, axis=1), 1e-30))
 
     def energy_at(self, places: Array) -> Array:
         """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
@@ -213,30 +234,40 @@ class _Zone:
 
     def correlate(self, field: Complex, places: Array) -> Complex:
         """Return the products with a field, (n_depths, n_places)."""
-        total: Complex = np.zeros((len(self.parts[0][0]), len(places)), complex)
+        total: Complex = np.zeros((len(self.parts[0][0]), len(places)), np.complex64)
         phases = self.phases(places).conj()
         for shape, a, b in self.parts:
-            total += (shape.conj() * field) @ np.exp(1j * (phases[..., a] + phases[..., b])).T
+            turn = np.exp(1j * (phases[..., a] + phases[..., b])).astype(np.complex64)
+            total += (shape.conj() * field).astype(np.complex64) @ turn.T
         return total
 
     def spectra(self, places: Array) -> Complex:
         """Return the spectra at places, (n_depths, n_places, n_f)."""
         first = self.parts[0][0]
-        total: Complex = np.zeros((len(first), len(places), first.shape[1]), complex)
+        total: Complex = np.zeros((len(first), len(places), first.shape[1]), np.complex64)
         phases = self.phases(places)
         for shape, a, b in self.parts:
-            total += shape[:, None] * np.exp(-1j * (phases[..., a] + phases[..., b]))
+            turn = np.exp(-1j * (phases[..., a] + phases[..., b])).astype(np.complex64)
+            total += shape.astype(np.complex64)[:, None] * turn
         return total
 
 
-def exclude(
-    gain: Array, places: Array, known: Sequence[float], near: float | None, reach: float
-) -> None:
-    """Set the gain (n_depths, n_places) to minus infinity next to presses and far from a place."""
+def around(place: float) -> tuple[float, float]:
+    """Return the range of places in m about a maximum that belong to it."""
+    return place - FINE_REACH, place + FINE_REACH
+
+
+def within_range(places: Array, limits: tuple[float, float] | None) -> NDArray[np.bool_]:
+    """Return which places (n,) lie within limits, all if there are none."""
+    low, high = limits or (-np.inf, np.inf)
+    return np.asarray((places >= low) & (places <= high))
+
+
+def exclude(gain: Array, places: Array, known: Sequence[float], sought: NDArray[np.bool_]) -> None:
+    """Set the gain (n_depths, n_places) to minus infinity next to presses and where not sought."""
     for place in known:
         gain[:, np.abs(places - place) < CLOSEST] = -np.inf
-    if near is not None:
-        gain[:, np.abs(places - near) > reach] = -np.inf
+    gain[:, ~sought] = -np.inf
 
 
 def apart(gain: Array, places: Array, number: int) -> list[int]:

@@ -34,6 +34,7 @@ from acoustube.inversion.motion import (
     updated,
 )
 from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.search import around
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -306,7 +307,7 @@ class Track:
             fronts, _, warm = fronts_of(self.model, fewer)
             given = self.proposals[tool].search(
                 cycle.samples - value[0], self.whiten, fronts, number=1, fine=NEAR,
-                near=best.mean[0, 2 * i], temperature=warm,
+                within=around(best.mean[0, 2 * i]), temperature=warm,
             )  # fmt: skip
             n = len(given.gain)
             if n:
