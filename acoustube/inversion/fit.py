@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import ztrtri
 
 from acoustube.base.types import Array, Index
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -62,6 +63,15 @@ class Weights:
         """Return whitened samples (..., n) of samples (..., n_time)."""
         return samples[..., : len(self.matrix)] @ self.matrix.T
 
+    def roughly(self, samples: Complex) -> Complex:
+        """Return the same in single precision, which is enough for derivatives."""
+        given = samples[..., : len(self.matrix)].astype(np.complex64)
+        return np.asarray(given @ self._rough.T)
+
+    @cached_property
+    def _rough(self) -> Complex:
+        return self.matrix.astype(np.complex64)
+
     def weighted(self, samples: Complex) -> Complex:
         """Return samples (n_time,) times the inverse of the covariance, (n,)."""
         return np.asarray(self(samples) @ self.matrix.conj())
@@ -99,7 +109,7 @@ def weights(
         lacks.
     """
     factor = _factor(model, noise, error, echo, spread)
-    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+    inverse, _ = ztrtri(factor, lower=1)
     freedom = model.base.freedom
     return Weights(np.sqrt(freedom) * inverse, freedom * _log_determinant(factor), spread)
 
@@ -318,16 +328,17 @@ def _few_quadratic(
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
-    slopes = whiten(jacobian)
+    slopes = whiten.roughly(jacobian)
     p = parameters.shape[1]
     prior = np.zeros((p, p))
     own = np.arange(p - len(NUISANCES), p)
     precision = 1 / model.priors.deviations**2
     prior[own, own] = precision
     cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
-    gradient = -2 * np.einsum("npt,nt->np", slopes.conj(), residual, optimize=True).real
+    conjugate = slopes.conj()
+    gradient = np.asarray(-2 * (conjugate @ residual[:, :, None])[:, :, 0].real, float)
     gradient[:, own] += nuisances * precision
-    information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + prior
+    information = 2 * (conjugate @ slopes.swapaxes(1, 2)).real.astype(float) + prior
     return cost, gradient, information
 
 

@@ -62,6 +62,9 @@ SEARCHED = 0.02
 """Largest error of the model with which presses are sought."""
 STARTS = 2, 10
 """Iterations after which only some of the candidates are followed, and how many."""
+FIRST_STARTS = 16, 5
+"""Candidates of a first press that are refined, and how many of these are followed: the best one
+is among the first thirteen."""
 FOLLOWED = 2
 """Tools, or orders of them along the tube, whose model error is estimated."""
 LOUD = 5.0
@@ -253,8 +256,9 @@ class Builder:
         rank = np.searchsorted(places[0], place)
         found = []
         for i in np.unique(rank[apart]):
-            here = apart & (rank == i)
-            n = int(here.sum())
+            here = np.flatnonzero(apart & (rank == i))
+            here = here if known.tools else here[: FIRST_STARTS[0]]
+            n = len(here)
             start = joined(
                 np.insert(np.repeat(places, n, 0), i, place[here], axis=1),
                 np.insert(np.repeat(depths, n, 0), i, depth[here], axis=1),
@@ -262,7 +266,8 @@ class Builder:
             )
             tools = (*known.tools[:i], tool, *known.tools[i:])
             tried = maximise(self.model, tools, start, self.samples, whiten, STARTS[0])
-            start = tried.sorted().first(STARTS[1]).parameters
+            followed = STARTS[1] if known.tools else FIRST_STARTS[1]
+            start = tried.sorted().first(followed).parameters
             fits = maximise(self.model, tools, start, self.samples, whiten, 7)
             found.append((tools, _distinct(fits, len(tools)).first(KEPT)))
         return found

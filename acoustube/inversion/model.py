@@ -16,7 +16,7 @@ from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo, Waves, echo
 from acoustube.inversion.paths import MOST_MODES
-from acoustube.inversion.tables import Matrices, table_of
+from acoustube.inversion.tables import Heard, Matrices, table_of
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
@@ -231,18 +231,17 @@ class ForwardModel:
     def _echo(
         self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
         stretch: Array,
-    ) -> tuple[Echo, Sequence[Matrices | Joined]]:  # fmt: skip
+    ) -> tuple[Echo, Sequence[Matrices | Heard | Joined]]:  # fmt: skip
         """Return the echo at the face, and the matrices of the presses along the path."""
         base, path, last = self.base, self.path, len(tools) - 1
-        given = [
-            self.tables[tool](depths[:, i], stretch, last=i == last and not path.converts)
-            for i, tool in enumerate(tools)
-        ]
         face = base.rangefinder.face_reflection
+        all_but_last = range(last if not path.converts else last + 1)
+        given = [self.tables[tools[i]](depths[:, i], stretch) for i in all_but_last]
         if not path.converts:
             heat = base.k_by_temperature[:, : self.modes]
             waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
-            return echo(given, places, waves, face), given
+            heard = self.tables[tools[last]].in_front(depths[:, last], stretch)
+            return echo(given, heard, places, waves, face), [*given, heard]
         assert isinstance(path, WrappedPath)
         presses = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
         sections, entry = path.sections(places, temperature), path.entry(temperature)
@@ -253,7 +252,7 @@ class ForwardModel:
         spectrum: Complex,
         places: Array,
         temperature: Array,
-        matrices: Sequence[Matrices | Joined],
+        matrices: Sequence[Matrices | Heard | Joined],
     ) -> None:
         """Add the clutter, dimmed by the presses before it, and its derivatives.
 

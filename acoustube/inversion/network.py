@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.tables import Matrices, padded
+from acoustube.inversion.tables import Heard, Matrices, padded
 from acoustube.waves.scattering import Complex
 
 
@@ -48,13 +48,14 @@ class Waves(NamedTuple):
     by_temperature: Complex
 
 
-def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) -> Echo:
+def echo(before: list[Matrices], last: Heard, places: Array, waves: Waves, face: complex) -> Echo:
     """Return the echo of presses at the face of the source.
 
     Parameters
     ----------
-    presses : list of Matrices
-        One for each press, from the face on.
+    before : list of Matrices
+        One for each press but the last, from the face on.
+    last : Heard
     places : ndarray
         Distances from the face in m, rising, (n, n_presses).
     waves : Waves
@@ -74,11 +75,9 @@ def echo(presses: list[Matrices], places: Array, waves: Waves, face: complex) ->
     k, heat = np.zeros((2, *waves.k.shape[:-1], MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
-    kinds = [(press.value, press.by_depth, press.by_stretch) for press in presses]
-    before = [_stacked([parts[i] for parts in kinds[:-1]], k.shape[:2]) for i in range(3)]
-    last = [_stacked([part], k.shape[:2])[0] for part in kinds[-1]]
+    matrices = (_stacked([press[i] for press in before], k.shape[:2]) for i in range(3))
     value, by_length, by_depth, heated, stretched = echoes(
-        *before, *last, lengths, path, k, heat, complex(face)
+        *matrices, *last, lengths, path, k, heat, complex(face)
     )
     # A place is the end of its own section and the start of the next.
     following = np.concatenate([by_length[:, 1:], np.zeros_like(by_length[:, :1])], axis=1)

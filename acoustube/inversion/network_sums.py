@@ -54,7 +54,8 @@ def echoes(
         Matrices of the presses but the last, and their derivatives by depth and stretch,
         (n_presses - 1, n, n_f, 2, 3, 2, 3).
     last, last_depth, last_stretch : ndarray
-        Those of the last, of which the reflection is taken, (n, n_f, 2, 3, 2, 3).
+        Reflection of the last between three modes, row by row, and its derivatives, (n, n_f, 9) or
+        more.
     lengths : ndarray
         Of the straight tube before each press in m, (n, n_presses).
     path : ndarray
@@ -79,7 +80,7 @@ def echoes(
             # multiple reflections behind it the inverse of I - B R2.
             for i in range(p - 1, -1, -1):
                 if i == p - 1:
-                    found = block(last[a, f], 0, 0)
+                    found = kept(last[a, f])
                 else:
                     one, behind = s[i, a, f], kept(load[i + 1])
                     inner = inverse(unit_less(product(behind, block(one, 1, 1))))
@@ -109,8 +110,8 @@ def echoes(
                 way = path[a, i, f, 0], path[a, i, f, 1], path[a, i, f, 2]
                 left, right = each(left, way), each(way, right)
                 if i == p - 1:
-                    deepened[a, i, f] = dot(left, apply(block(last_depth[a, f], 0, 0), right))
-                    stretched[a, f] += dot(left, apply(block(last_stretch[a, f], 0, 0), right))
+                    deepened[a, i, f] = dot(left, apply(kept(last_depth[a, f]), right))
+                    stretched[a, f] += dot(left, apply(kept(last_stretch[a, f]), right))
                 else:
                     one, behind, inner = s[i, a, f], kept(load[i + 1]), kept(loop[i + 1])
                     sent = apply(block(one, 1, 0), right)

@@ -28,8 +28,6 @@ DISTINCT = 1.5e-3, 0.5e-3
 """Differences of place and depth in m from which two maxima about a place are separate."""
 KEPT = 40
 """Places whose reflection is remembered."""
-CHUNK = 40
-"""Nodes whose templates are computed at once."""
 BEFORE, LASTING = 1e-3, 5e-3
 """Times in s before and after a template's arrival within which its energy is computed: sound that
 is trapped under a press decays by a factor of 1000 in the latter."""
@@ -213,17 +211,14 @@ class _Zone:
         step = NODES_BEHIND if len(self.parts) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
+        samples = base.transformed(self._spectra(np.maximum(self.nodes, self.origin)))
+        energy = np.empty(samples.shape[:2], np.float32)
         sounds = base.sounding(self.nodes, BEFORE, LASTING, len(precision))
-        energy = []
-        for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
-            spectra = self.spectra(np.maximum(self.nodes[some], self.origin))
-            samples = base.transformed(spectra).astype(np.complex64, copy=False)
-            for i, (start, stop) in enumerate(sounds[some]):
-                part = samples[:, i, start:stop]
-                energy.append(
-                    np.sum((part @ precision[start:stop, start:stop] * part.conj()).real, axis=-1)
-                )
-        self.level = np.log(np.maximum(np.stack(energy, axis=1), 1e-30))
+        for found, part, (start, stop) in zip(energy, samples, sounds, strict=True):
+            heard = part[:, start:stop]
+            weighted = heard @ precision[start:stop, start:stop]
+            found[:] = (heard.real * weighted.real + heard.imag * weighted.imag).sum(axis=-1)
+        self.level = np.log(np.maximum(energy.T, 1e-30))
 
     def energy_at(self, places: Array) -> Array:
         """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
@@ -234,22 +229,31 @@ class _Zone:
 
     def correlate(self, field: Complex, places: Array) -> Complex:
         """Return the products with a field, (n_depths, n_places)."""
-        total: Complex = np.zeros((len(self.parts[0][0]), len(places)), np.complex64)
-        phases = self.phases(places).conj()
-        for shape, a, b in self.parts:
-            turn = np.exp(1j * (phases[..., a] + phases[..., b])).astype(np.complex64)
-            total += (shape.conj() * field).astype(np.complex64) @ turn.T
-        return total
+        shapes = np.concatenate([shape.conj() * field for shape, _, _ in self.parts], axis=1)
+        turns = self._turns(places).conj()
+        return np.asarray(shapes.astype(np.complex64) @ turns.reshape(len(places), -1).T)
 
-    def spectra(self, places: Array) -> Complex:
-        """Return the spectra at places, (n_depths, n_places, n_f)."""
-        first = self.parts[0][0]
-        total: Complex = np.zeros((len(first), len(places), first.shape[1]), np.complex64)
-        phases = self.phases(places)
-        for shape, a, b in self.parts:
-            turn = np.exp(-1j * (phases[..., a] + phases[..., b])).astype(np.complex64)
-            total += shape.astype(np.complex64)[:, None] * turn
-        return total
+    def _spectra(self, places: Array) -> Complex:
+        """Return the spectra at places, (n_places, n_depths, n_f)."""
+        shapes = np.stack([shape for shape, _, _ in self.parts], axis=-1)
+        shapes = shapes.astype(np.complex64).swapaxes(0, 1)  # by frequency
+        found = self._turns(places).transpose(2, 0, 1) @ shapes.swapaxes(1, 2)
+        return np.asarray(np.moveaxis(found, 0, -1))
+
+    def _turns(self, places: Array) -> Complex:
+        """Return the factors of the parts from the origin to places, (n_places, n_parts, n_f)."""
+        modes = propagation(self.phases(places))
+        return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
+
+
+def propagation(phases: Complex) -> Complex:
+    """Return exp(-j phases) in single precision, several times as fast as in double."""
+    turn = phases.real / (2 * np.pi)
+    angle = (-2 * np.pi * (turn - np.rint(turn))).astype(np.float32)
+    size = np.exp(phases.imag.astype(np.float32))
+    found = np.empty(phases.shape, np.complex64)
+    found.real, found.imag = size * np.cos(angle), size * np.sin(angle)
+    return found
 
 
 def around(place: float) -> tuple[float, float]:

@@ -27,8 +27,9 @@ def sums(
     depths: Array,
     depth: Array,
     places: Array,
+    rates: Array,
 ) -> Array:
-    """Return a spline's values and its derivatives by depth and by frequency, in steps.
+    """Return a spline's values and its derivatives by depth and by a shift of the frequencies.
 
     Hermite's cubics over the depths, B-splines over the frequencies.
 
@@ -42,6 +43,8 @@ def sums(
         Wanted, (n,).
     places : ndarray
         Of the frequencies wanted among the coefficients, rising, (n, n_f).
+    rates : ndarray
+        Changes of these by the shift, (n_f,).
 
     Returns
     -------
@@ -74,7 +77,9 @@ def sums(
             v = 1 - u
             w0, w1 = v**3 / 6, 2 / 3 - u**2 + u**3 / 2
             w2, w3 = 2 / 3 - v**2 + v**3 / 2, u**3 / 6
-            t0, t1, t2, t3 = -(v**2) / 2, -2 * u + 1.5 * u**2, 2 * v - 1.5 * v**2, u**2 / 2
+            rate = rates[k]
+            t0, t1 = -rate * v**2 / 2, rate * (1.5 * u**2 - 2 * u)
+            t2, t3 = rate * (2 * v - 1.5 * v**2), rate * u**2 / 2
             x0, x1, x2, x3 = here[j - 1], here[j], here[j + 1], here[j + 2]
             y0, y1, y2, y3 = moved[j - 1], moved[j], moved[j + 1], moved[j + 2]
             for c in range(q):

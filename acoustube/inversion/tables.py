@@ -23,6 +23,8 @@ WIDEST_STRETCH = 0.02
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
 """Start in s of a press's impulse response relative to its reference plane's; decay time in s of
 its power; least power that is kept, relative to the largest."""
+MOST_HEARD, ONWARDS, BACK = 3, 9, 10
+"""Modes between which the reflection of :class:`Heard` is, and where its transmissions are."""
 ROUNDING = 1e-5
 """Errors of the coefficients to be smoothed, relative to their size."""
 
@@ -45,11 +47,39 @@ class Matrices(NamedTuple):
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's transmission both ways, and changes by depth and stretch."""
-        there, here = (
-            [one[..., out, 0, into, 0] for one in self] for out, into in ((1, 0), (0, 1))
+        return both_ways(
+            [one[..., 1, 0, 0, 0] for one in self], [one[..., 0, 0, 1, 0] for one in self]
         )
-        by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
-        return there[0] * here[0], by_depth, by_stretch
+
+
+class Heard(NamedTuple):
+    """What is heard of presses behind which nothing lies, and its derivatives; each (n, n_f, 11).
+
+    The reflection at their front between three modes, row by row, and the plane wave's transmission
+    onwards and back.
+
+    Attributes
+    ----------
+    value : ndarray
+    by_depth : ndarray
+        Per m.
+    by_stretch : ndarray
+        Per relative change of frequency.
+    """
+
+    value: Complex
+    by_depth: Complex
+    by_stretch: Complex
+
+    def transmission(self) -> tuple[Complex, Complex, Complex]:
+        """Return the plane wave's transmission both ways, and changes by depth and stretch."""
+        return both_ways([one[..., ONWARDS] for one in self], [one[..., BACK] for one in self])
+
+
+def both_ways(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
+    """Return the product of two transmissions and its derivatives, from theirs."""
+    by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
+    return there[0] * here[0], by_depth, by_stretch
 
 
 @lru_cache(maxsize=8)
@@ -106,19 +136,14 @@ class ToolTable:
         filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
         self.value = filtered.astype(np.complex64)
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
-        entries = np.zeros((2, modes, 2, modes), bool)
-        entries[0, :, 0] = entries[0, 0, 1, 0] = entries[1, 0, 0, 0] = True
-        self.seen = np.flatnonzero(entries)
-        self.value_seen, self.slope_seen = (
-            np.ascontiguousarray(part[..., self.seen]) for part in (self.value, self.slope)
-        )
+        self.heard, self.heard_slope = _heard(self.value, modes), _heard(self.slope, modes)
 
     @property
     def range(self) -> tuple[float, float]:
         """Shallowest and deepest depth in m."""
         return float(self.tool.depth[0]), float(self.tool.depth[-1])
 
-    def __call__(self, depth: Array, stretch: Array, *, last: bool = False) -> Matrices:
+    def __call__(self, depth: Array, stretch: Array) -> Matrices:
         """Return the matrices at depths and stretches.
 
         Parameters
@@ -127,29 +152,33 @@ class ToolTable:
             In m, (n,).
         stretch : ndarray
             Relative changes of frequency, (n,).
-        last : bool
-            Whether nothing lies behind the press: all but the reflection at its front and the plane
-            wave's transmission is zero then.
         """
+        parts = self._sums(self.value, self.slope, depth, stretch)
+        return Matrices(*parts.reshape(*parts.shape[:3], 2, self.modes, 2, self.modes))
+
+    def in_front(self, depth: Array, stretch: Array) -> Heard:
+        """Return what is heard of presses behind which nothing lies, with the same arguments."""
+        return Heard(*self._sums(self.heard, self.heard_slope, depth, stretch))
+
+    def _sums(self, values: Complex, slopes: Complex, depth: Array, stretch: Array) -> Complex:
+        """Return coefficients and their derivatives, (3, n, n_f, n_coefficients)."""
         from acoustube.inversion.spline_sums import sums  # Numba, without which the sensor does
 
-        values, slopes = (self.value_seen, self.slope_seen) if last else (self.value, self.slope)
         place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
-        parts = sums(
+        return np.asarray(sums(
             values.view(np.float32), slopes.view(np.float32), self.tool.depth,
-            np.asarray(depth, float), place,
-        ).view(complex)  # fmt: skip
-        by_stretch = parts[2] * (self.frequency / self.step)[None, :, None]
-        return Matrices(*(self._spread(part, last) for part in (parts[0], parts[1], by_stretch)))
+            np.asarray(depth, float), place, self.frequency / self.step,
+        ).view(complex))  # fmt: skip
 
-    def _spread(self, part: Complex, last: bool) -> Complex:
-        """Return the matrices of their coefficients (n, n_f, n_coefficients)."""
-        shape = (*part.shape[:2], 2, self.modes, 2, self.modes)
-        if last:
-            full = np.zeros((*part.shape[:2], 4 * self.modes**2), complex)
-            full[..., self.seen] = part
-            part = full
-        return part.reshape(shape)
+
+def _heard(part: Complex, modes: int) -> Complex:
+    """Return the coefficients of :class:`Heard` among those of matrices, (n_depths, n_f, 11)."""
+    s = part.reshape(*part.shape[:2], 2, modes, 2, modes)
+    found = np.zeros((*part.shape[:2], BACK + 1), part.dtype)
+    between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_HEARD, MOST_HEARD)
+    between[..., :modes, :modes] = s[:, :, 0, :, 0, :]
+    found[..., ONWARDS], found[..., BACK] = s[:, :, 1, 0, 0, 0], s[:, :, 0, 0, 1, 0]
+    return found
 
 
 def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
