@@ -20,8 +20,9 @@ from acoustube.inversion import (
     measured_clutter,
 )
 from acoustube.inversion.coupled_network import coupled_echo
-from acoustube.inversion.fit import Weights, deviance_of, echo_of, restricted_deviance
 from acoustube.inversion.joints import Joined
+from acoustube.inversion.likelihood import Weights, deviance_of, echo_of
+from acoustube.inversion.model_error import restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.quantiser import linearised
@@ -297,7 +298,11 @@ def test_restricted_deviance_is_that_of_the_marginal_likelihood():
     found, expected = [], []
     for sizes in (np.full(n, 1.0), np.linspace(4.0, 0.5, n)):
         whiten = Weights(np.diag(1 / sizes).astype(complex), 2 * float(np.log(sizes).sum()))
-        found.append(restricted_deviance(model, at, residual, jacobian, whiten)[0])
+        found.append(
+            restricted_deviance(
+                model, at, whiten(residual), whiten(jacobian), whiten.log_determinant
+            )[0]
+        )
         noise = np.tile(sizes**2 / 2, 2)
         covariance = np.diag(noise) + (slopes * prior) @ slopes.T
         value = data @ np.linalg.solve(covariance, data)

@@ -7,7 +7,7 @@ import pytest
 from test_inversion import MODES, RADIUS, tool
 
 from acoustube.inversion import Baseband, ForwardModel, Library
-from acoustube.inversion.fit import weights
+from acoustube.inversion.likelihood import weights
 from acoustube.inversion.peeling import leading_edge
 from acoustube.inversion.search import Templates, apart, exclude, front_of, separate
 from acoustube.ranging import Rangefinder
@@ -63,7 +63,7 @@ def test_places_of_highest_gains_are_apart_and_maxima_separate():
     gain = 10 * np.exp(-(off[0] ** 2) - off[1] ** 2)
     gain += 5 * np.exp(-(((places - 0.50) / 2e-3) ** 2)) - 0.01
     gain[3, 250] = 100.0
-    exclude(gain, places, [places[250]], None, 0.0)
+    exclude(gain, places, [places[250]], np.full(len(places), True))
     first, second = apart(gain.max(axis=0), places, 2)
     assert places[[first, second]] == pytest.approx([0.40, 0.50], abs=1e-9)
     maxima = separate(gain.copy(), places, depths, 3)

@@ -15,8 +15,10 @@ from acoustube.inversion import (
     baseband_of,
     measured_clutter,
 )
-from acoustube.inversion.fit import joined, maximise, weights
+from acoustube.inversion.fit import maximise
+from acoustube.inversion.likelihood import weights
 from acoustube.inversion.motion import Branches, at_rest, predicted, updated
+from acoustube.inversion.parameters import joined
 from acoustube.ranging import Rangefinder, digitise, record, response
 
 LENGTH, TUBE = 2.0, 7

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import CLOSEST, Weights, split
+from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import Branches, Motion
+from acoustube.inversion.parameters import CLOSEST, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import Front, front_of
 from acoustube.waves.scattering import Complex

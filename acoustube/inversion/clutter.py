@@ -73,6 +73,11 @@ class Clutter:
         return value, by_column / CELL, by_row / WARM_STEP
 
     @cached_property
+    def rough(self) -> Complex:
+        """The covariance in single precision."""
+        return self.covariance.astype(np.complex64)
+
+    @cached_property
     def warmer_by_row(self) -> NDArray[np.complex64]:
         """Derivative by temperature in steps of the table."""
         assert self.warmer is not None

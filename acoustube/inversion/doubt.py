@@ -12,8 +12,9 @@ from __future__ import annotations
 from dataclasses import replace
 from math import sqrt
 
-from acoustube.inversion.fit import echo_of, evidence, maximise, weights
+from acoustube.inversion.fit import evidence, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
+from acoustube.inversion.likelihood import echo_of, weights
 
 SAMPLES = 10
 """Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
@@ -53,5 +54,5 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         fit = maximise(model, one.tools, start, builder.samples, whiten, ITERATIONS)
         deviance.append(float(evidence(model, one.tools, fit, whiten)[0]))
     # That of `more` may be the result of an earlier call.
-    own = float(evidence(model, more.tools, more.fits, more.whiten)[0])
+    own = builder.own_deviance(more)
     return replace(more, deviance=max(own, fewer.deviance + deviance[1] - deviance[0]))

@@ -7,17 +7,17 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import doubted
-from acoustube.inversion.fit import split
-from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis, odds_of
+from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
+from acoustube.inversion.parameters import odds_of, split
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
@@ -34,6 +34,9 @@ EXCESS = 2.0
 """Standard deviations of the noise's energy by which the residual's has to exceed it."""
 EXPLAINED = 1.5
 """Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
+NEGLIGIBLE = 300.0
+"""Excess of a maximum's cost from which it has no part in the posterior, where errors of the model
+tell maxima apart by up to ten times less."""
 BEAM = 2
 """Hypotheses of each number of presses that are extended."""
 
@@ -121,6 +124,7 @@ class Inverter:
     @checked(model=ForwardModel, most=Number(1, 8, whole=True))
     def __init__(self, model: ForwardModel, most: int = 3) -> None:
         self.model, self.most = model, most
+        self._threads = ThreadpoolController()
         self.templates = [Templates(model, i) for i in range(len(model.tables))]
 
     @checked(counts=Reals(ndim=2))
@@ -145,7 +149,7 @@ class Inverter:
             )
         samples, noise = self.model.base.of_cycles(array)
         builder = Builder(self.model, self.templates, samples, noise)
-        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+        with self._threads.limit(limits=1, user_api="blas"):  # the matrices are small
             return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
@@ -162,7 +166,8 @@ class Inverter:
             if not found:
                 break
             least = min(one.deviance for one in found)
-            if chain[-1].error <= GOOD and least > chain[-1].deviance + HOPELESS:
+            own = builder.own_deviance(chain[-1])
+            if chain[-1].error <= GOOD and least > own + HOPELESS:
                 chain.append(min(found, key=lambda one: one.deviance))
                 break
             found = _shifted(builder, found)
@@ -188,9 +193,10 @@ class Inverter:
         probability = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         probability /= probability.sum()
         number = int(np.argmax(probability))
-        off = discrepancy(self.model, chain[number], builder.samples, builder.noise)
+        best = replace(chain[number], fits=chain[number].fits.likely(NEGLIGIBLE))
+        off = discrepancy(self.model, best, builder.samples, builder.noise)
         order = np.argsort(off.level)
-        best = replace(chain[number], fits=chain[number].fits.at(order))
+        best = replace(best, fits=best.fits.at(order))
         chain = [*chain[:number], best, *chain[number + 1 :]]
         posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
         contacts = []

@@ -14,28 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import (
-    CLOSEST,
-    Fits,
-    Weights,
-    deviance_of,
-    echo_of,
-    evidence,
-    joined,
-    maximise,
-    split,
-    weights,
-)
+from acoustube.inversion.fit import Fits, evidence, maximise
+from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
+from acoustube.inversion.parameters import CLOSEST, joined, odds_of, split
 from acoustube.inversion.search import Templates, front_of
 from acoustube.waves.scattering import Complex
 
-PRESS_ODDS = 2 * np.log([1e4, 1e6, 1e12])
-"""Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
-1e-4, 1e-6 and 1e-12. Errors of the model count as independent, so that a press that is none, far
-behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more, a third of
-1e11. Of third presses that are real one in fifteen has less."""
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is taken."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
@@ -233,19 +219,16 @@ class Builder:
     def _promising(self, known: Hypothesis, tools: tuple[int, ...], fits: Fits) -> bool:
         """Return whether fits with a press more may be likelier than without, once settled."""
         deviance = float(evidence(self.model, tools, fits, known.whiten).min())
-        return deviance < known.deviance + HOPELESS
+        return deviance < self.own_deviance(known) + HOPELESS
+
+    def own_deviance(self, known: Hypothesis) -> float:
+        """Return minus twice the logarithm of the evidence, whatever it was credited with since."""
+        return float(evidence(self.model, known.tools, known.fits.first(1), known.whiten)[0])
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
         """Return hypotheses with one press sought again."""
-        places, depths, nuisances = split(known.fits.parameters[:1])
-        kept = [i for i in range(len(known.tools)) if i != number]
-        rest = joined(places[:, kept], depths[:, kept], nuisances)
-        fewer = Hypothesis(
-            tuple(known.tools[i] for i in kept),
-            Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None]),
-            known.error, known.whiten, np.inf, np.inf,
-        )  # fmt: skip
-        return self.extended(fewer)
+        fewer = _without(known, number)
+        return self.extended(Hypothesis(*fewer, known.error, known.whiten, np.inf, np.inf))
 
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
@@ -283,8 +266,8 @@ class Builder:
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
         """Return the hypothesis of one starting point (1, n_parameters), with its model's error."""
-        for _ in range(2):
-            error, own = self._likely_error(tools, at[0])
+        for spread in (False, True):
+            error, own = self._likely_error(tools, at[0], spread=spread)
             fit = maximise(self.model, tools, at, self.samples, own, 8)
             at = fit.parameters
         return self._judged(tools, fit, error, own)
@@ -330,14 +313,7 @@ class Builder:
 
     def pruned(self, known: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses with one press less, each the rest of those known."""
-        places, depths, nuisances = split(known.fits.parameters[:1])
-        found = []
-        for number in range(len(known.tools)):
-            kept = [i for i in range(len(known.tools)) if i != number]
-            rest = joined(places[:, kept], depths[:, kept], nuisances)
-            fits = Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None])
-            found.append(self._fitted(tuple(known.tools[i] for i in kept), fits))
-        return found
+        return [self._fitted(*_without(known, i)) for i in range(len(known.tools))]
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
         """Return fits with those farther away, where half wavelengths are not resolved."""
@@ -356,8 +332,13 @@ class Builder:
         found = maximise(self.model, tools, np.concatenate(starts), self.samples, whiten, 8)
         return _distinct(fits.and_those(found), m)
 
-    def _likely_error(self, tools: tuple[int, ...], parameters: Array) -> tuple[float, Weights]:
-        """Return the most likely error of the model for given parameters, and its weights."""
+    def _likely_error(
+        self, tools: tuple[int, ...], parameters: Array, *, spread: bool = True
+    ) -> tuple[float, Weights]:
+        """Return the most likely error of the model for given parameters, and its weights.
+
+        With `spread` also of errors at all times.
+        """
         echo = echo_of(self.model, tools, parameters)
         rest = self.samples - self.modelled(tools, parameters)
 
@@ -366,12 +347,14 @@ class Builder:
             return deviance_of(*what, rest), error, spread
 
         best = min(judged(error, 0.0) for error in ERRORS)
+        if not spread:
+            return best[1], weights(self.model, self.noise, best[1], echo)
         # An error at all times may explain what seemed one of the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
-        wider = [judged(error, spread) for error in sorted(errors) for spread in spreads]
-        _, error, spread = min([best, *wider])
-        return error, weights(self.model, self.noise, error, echo, spread)
+        wider = [judged(error, one) for error in sorted(errors) for one in spreads]
+        _, error, wide = min([best, *wider])
+        return error, weights(self.model, self.noise, error, echo, wide)
 
     def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:
         """Return the baseband of parameters (n_parameters,), (n_time,)."""
@@ -393,9 +376,13 @@ class Builder:
         return Hypothesis(tools, fits, error, whiten, deviance, residual)
 
 
-def odds_of(number: int) -> float:
-    """Return minus twice the logarithm of the prior odds of the n-th press."""
-    return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])
+def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:
+    """Return tools and parameters of a hypothesis without one of its presses."""
+    places, depths, nuisances = split(known.fits.parameters[:1])
+    kept = [i for i in range(len(known.tools)) if i != number]
+    rest = joined(places[:, kept], depths[:, kept], nuisances)
+    fits = Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None])
+    return tuple(known.tools[i] for i in kept), fits
 
 
 def _distinct(fits: Fits, n_presses: int) -> Fits:

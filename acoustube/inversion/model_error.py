@@ -21,9 +21,10 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import LARGEST, SAMPLES
-from acoustube.inversion.fit import echo_of, restricted_deviance, split, weights
 from acoustube.inversion.hypotheses import ERRORS, Hypothesis
-from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.likelihood import echo_of, whitened
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.parameters import limited, split
 from acoustube.waves.scattering import Complex
 
 
@@ -64,19 +65,23 @@ def discrepancy(
     places, depths, nuisances = split(known.fits.parameters)
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)
     echo = echo_of(model, known.tools, known.best)
-    deviance = np.array([
-        restricted_deviance(
-            model, known.fits.parameters, samples - value, jacobian,
-            weights(model, noise, error, echo, known.whiten.spread),
+
+    both = np.concatenate([(samples - value)[:, None], jacobian], axis=1)
+    freedom = model.base.freedom
+
+    def deviance_of(error: float) -> Array:
+        flat = both.reshape(-1, both.shape[2]).T
+        white, size = whitened(model, noise, error, echo, known.whiten.spread, flat)
+        white = np.sqrt(freedom) * white.T.reshape(both.shape)
+        return restricted_deviance(
+            model, known.fits.parameters, white[:, 0], white[:, 1:], freedom * size
         )
-        for error in ERRORS
-    ])  # fmt: skip
+
+    deviance = np.array([deviance_of(error) for error in ERRORS])
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
     # The error changes an echo as a whole: it tells maxima apart less than its samples would.
-    alike = np.sqrt(SAMPLES) * min(float(error[0]), LARGEST)
-    whiten = weights(model, noise, alike, echo, known.whiten.spread)
-    level = restricted_deviance(model, known.fits.parameters, samples - value, jacobian, whiten)
+    level = deviance_of(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
     deviation = np.empty_like(slope)
@@ -86,3 +91,38 @@ def discrepancy(
         deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
         value = before
     return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)))
+
+
+def restricted_deviance(
+    model: ForwardModel, parameters: Array, rest: Complex, slopes: Complex, logarithm: float
+) -> Array:
+    """Return minus twice the log likelihood of errors, parameters marginalised, (n,).
+
+    By a linear model about each of some sets of parameters, within the largest steps of an
+    iteration, and but for a constant.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    parameters : ndarray
+        (n, n_parameters).
+    rest : ndarray
+        Samples less the model's, whitened, (n, n_time).
+    slopes : ndarray
+        Derivatives of the model, whitened, (n, n_parameters, n_time).
+    logarithm : float
+        Of the determinant of the covariance.
+    """
+    precision = np.zeros(parameters.shape[1])
+    precision[-len(NUISANCES) :] = 1 / model.priors.deviations**2
+    information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + np.diag(precision)
+    gradient = precision * parameters - 2 * (slopes.conj() @ rest[..., None])[..., 0].real
+    step = np.asarray(np.linalg.solve(information, gradient[..., None])[..., 0], float)
+    # As far towards the minimum as the linear model holds: it may lie beyond a bound.
+    part = np.min(
+        limited(step) / np.where(step == 0, 1.0, step), axis=1, initial=1.0, where=step != 0
+    )
+    least = 2 * np.sum(np.abs(rest) ** 2, axis=1) + parameters**2 @ precision
+    least -= part * (2 - part) * np.sum(gradient * step, axis=1)
+    curvature = np.linalg.slogdet(information)[1]
+    return np.asarray(least + 2 * logarithm + curvature)

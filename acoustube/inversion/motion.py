@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from acoustube.base.checks import check_fields
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion.fit import LARGEST_STEPS, Weights, bounded, split
+from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel, Priors
+from acoustube.inversion.parameters import LARGEST_STEPS, bounded, split
 from acoustube.waves.scattering import Complex
 
 Numbers = NDArray[np.integer[Any]]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from acoustube.inversion.fit import Fits, Weights, maximise
+from acoustube.inversion.fit import Fits, maximise
+from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.waves.scattering import Complex
 

@@ -14,6 +14,8 @@ from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
 
 PARTS = 0.7e-3, 1.2e-3
 """Lengths in s of the first part of an echo that are tried."""
+EXPLAINED = 1.5
+"""Mean square of the whitened residual up to which a part is explained: no longer one is tried."""
 LEADING = 0.1
 """Level at which an echo begins, over the highest that follows: the band's edges ring before it."""
 AHEAD = 0.5e-3
@@ -63,6 +65,8 @@ def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
             left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
             share = float(np.mean(np.abs(left[:end]) ** 2)) / builder.model.base.freedom
             found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
+        if found and found[-1].residual < EXPLAINED:
+            break
     return found
 
 

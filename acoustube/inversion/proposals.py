@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import Weights, weights
+from acoustube.inversion.likelihood import Weights, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.paths import stretches
 from acoustube.inversion.search import (

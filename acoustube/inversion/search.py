@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
-from acoustube.inversion.fit import CLOSEST, Weights
+from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.parameters import CLOSEST
 from acoustube.inversion.paths import Path, stretches
 from acoustube.waves.scattering import Complex
 
@@ -134,10 +135,9 @@ class Templates:
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         exclude(coarse, self.places, [front.place for front in fronts], sought)
         found: list[tuple[float, float, float]] = []
-        if not coarse.max() > least:
-            return candidates(found)
-        for best in apart(coarse.max(axis=0), self.places, number):
-            found += self._refined(zones[owner[best]], field, self.places[best], fine)
+        if coarse.max() > least:
+            for best in apart(coarse.max(axis=0), self.places, number):
+                found += self._refined(zones[owner[best]], field, self.places[best], fine)
         return candidates(found)
 
     def _refined(

@@ -18,10 +18,11 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.cycle import Cycle
 from acoustube.inversion.estimate import MISFIT, Contact
-from acoustube.inversion.fit import split, weights
 from acoustube.inversion.hypotheses import Builder
+from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.motion import Branches, Motion, Update, at_rest
+from acoustube.inversion.parameters import split
 from acoustube.inversion.posterior import Estimate, mixture
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.tracks import FAINT, Track

@@ -23,7 +23,7 @@ from acoustube.inversion.births import (
 )
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
-from acoustube.inversion.fit import Echo, Weights, split, weights
+from acoustube.inversion.likelihood import Echo, Weights, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
     LOST,
@@ -33,6 +33,7 @@ from acoustube.inversion.motion import (
     predicted,
     updated,
 )
+from acoustube.inversion.parameters import split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import around
 from acoustube.waves.scattering import Complex

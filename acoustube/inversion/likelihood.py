@@ -1,0 +1,207 @@
+"""Likelihood of a cycle's baseband: its covariance about the model, and whitening.
+
+The covariance has four parts: noise, what is not known of clutter and ring-down, an error of the
+model in proportion to the echo, and one of the losses in the presses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import ztrtri
+
+from acoustube.base.types import Array
+from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.parameters import split
+from acoustube.waves.scattering import Complex
+
+RINGING, RINGING_SHARE = 0.5e-3, 0.05
+"""Decay in s, and share, of the model's error after an echo: that of trapped sound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening of the baseband.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Inverse of the Cholesky factor of the covariance of the first n samples, (n, n): a row
+        depends on the samples up to its own time, so that the first rows are the likelihood of the
+        first samples.
+    log_determinant : float
+        Of the covariance.
+    spread : float
+        Error of the model at all times, relative to the highest echo.
+    """
+
+    matrix: Complex
+    log_determinant: float
+    spread: float = 0.0
+
+    def __call__(self, samples: Complex) -> Complex:
+        """Return whitened samples (..., n) of samples (..., n_time)."""
+        return samples[..., : len(self.matrix)] @ self.matrix.T
+
+    def roughly(self, samples: Complex) -> Complex:
+        """Return the same in single precision, which is enough for derivatives."""
+        given = samples[..., : len(self.matrix)].astype(np.complex64)
+        return np.asarray(given @ self._rough.T)
+
+    @cached_property
+    def _rough(self) -> Complex:
+        return self.matrix.astype(np.complex64)
+
+    def weighted(self, samples: Complex) -> Complex:
+        """Return samples (n_time,) times the inverse of the covariance, (n,)."""
+        return np.asarray(self(samples) @ self.matrix.conj())
+
+    def until(self, n: int) -> Weights:
+        """Return the weights of the first n samples alone."""
+        return replace(self, matrix=self.matrix[:n, :n])
+
+    @cached_property
+    def precision(self) -> Complex:
+        """Inverse of the covariance of the first n samples, (n, n)."""
+        return np.asarray(self.matrix.conj().T @ self.matrix)
+
+
+def weights(
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Echo | None,
+    spread: float = 0.0,
+) -> Weights:
+    """Return the weights for the noise of a mean of cycles and a relative error of the model.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    noise : float
+        Variance of a sample of the mean of cycles.
+    error : float
+        Error of the model relative to the echo.
+    echo : Echo or None
+        Expected echo of the presses.
+    spread : float
+        Error of the model at all times, relative to the highest echo: multiple reflections that it
+        lacks.
+    """
+    covariance = _covariance(model, noise, error, echo, spread)
+    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    inverse, _ = ztrtri(factor, lower=1)
+    freedom = model.base.freedom
+    logarithm = 2 * float(np.log(np.diag(factor).real).sum())
+    return Weights(np.sqrt(freedom) * inverse, freedom * logarithm, spread)
+
+
+class Echo(NamedTuple):
+    """Echo of presses in the baseband, and its derivative by their losses, both (n_time,).
+
+    Attributes
+    ----------
+    value : ndarray
+    by_losses : ndarray or None
+        Its change by an error of the losses in the presses, one standard deviation. Trapped sound
+        decays faster or slower by it, which after some milliseconds is more than any error in
+        proportion to the echo. None if it is left out.
+    """
+
+    value: Complex
+    by_losses: Complex | None
+
+
+def echo_of(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Echo:
+    """Return the echo of presses with parameters (n_parameters,)."""
+    places, depths, nuisances = split(parameters[None])
+    value = model.baseband(tools, places, depths, nuisances)[0][0]
+    echo = value - model.without_presses(nuisances)[0]
+    if not tools or model.priors.losses == 0:
+        return Echo(echo, None)
+    return Echo(echo, model.priors.losses * model.by_losses(tools, places, depths, nuisances)[0])
+
+
+def deviance_of(
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Echo,
+    spread: float,
+    residual: Complex,
+) -> float:
+    """Return minus twice the log likelihood of a residual, with the arguments of :func:`weights`.
+
+    But for a constant.
+    """
+    white, logarithm = whitened(model, noise, error, echo, spread, residual[:, None])
+    deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * logarithm
+    return float(model.base.freedom) * deviance
+
+
+def whitened(
+    model: ForwardModel,
+    noise: float,
+    error: float,
+    echo: Echo,
+    spread: float,
+    samples: Complex,
+) -> tuple[Complex, float]:
+    """Return whitened samples, and the logarithm of the covariance's determinant.
+
+    In single precision after scaling, with an error of 1e-4 of a deviance: for what is needed once.
+
+    Parameters
+    ----------
+    model, noise, error, echo, spread
+        See :func:`weights`.
+    samples : ndarray
+        (n_time, n).
+    """
+    own = _diagonal(model, noise, error, echo, spread)
+    losses = None if echo is None else echo.by_losses
+    power = 0.0 if losses is None else np.abs(losses) ** 2
+    scale = (np.diag(model.clutter.covariance).real + own + power) ** -0.5
+    scaled = model.clutter.rough * (scale[:, None] * scale).astype(np.float32)
+    scaled[np.diag_indices(len(scale))] += own * scale**2
+    if losses is not None:
+        scaled += np.outer(scale * losses, (scale * losses).conj()).astype(np.complex64)
+    factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
+    given = (samples * scale[:, None]).astype(np.complex64)
+    white = solve_triangular(factor, given, lower=True, overwrite_b=True, check_finite=False)
+    size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
+    return np.asarray(white, complex), 2 * float(size.sum())
+
+
+def _covariance(
+    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
+) -> Complex:
+    """Return the covariance of the samples about those of the model, (n_time, n_time)."""
+    covariance = model.clutter.covariance.copy()
+    own = _diagonal(model, noise, error, echo, spread)
+    covariance[np.diag_indices(len(own))] += own
+    if echo is not None and echo.by_losses is not None:
+        covariance += np.outer(echo.by_losses, echo.by_losses.conj())
+    return covariance
+
+
+def _diagonal(
+    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
+) -> Array:
+    """Return the variances of what is independent from sample to sample, (n_time,)."""
+    variance = np.full(len(model.base.used), noise)
+    if echo is None:
+        return variance
+    variance += (spread * np.abs(echo.value).max()) ** 2
+    if error > 0:
+        from scipy.signal import lfilter  # with the statistics 20 MB, for which a sensor has no use
+
+        power = np.convolve(np.abs(echo.value) ** 2, [0.25, 0.5, 0.25], "same")
+        step = model.base.time[1] - model.base.time[0]
+        tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
+        variance += error**2 * (power + RINGING_SHARE * tail)
+    return variance

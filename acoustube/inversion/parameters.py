@@ -1,0 +1,56 @@
+"""Parameters of presses: places, depths and nuisances side by side, their bounds and prior odds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.model import NUISANCES, ForwardModel
+
+LARGEST_STEPS = 1.5e-3, 4e-4
+"""Largest changes of place and depth in an iteration, in m."""
+CLOSEST = 0.03
+"""Smallest distance of two presses in m; their deformed parts meet earlier."""
+PRESS_ODDS = 2 * np.log([1e4, 1e6, 1e12])
+"""Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
+1e-4, 1e-6 and 1e-12. Errors of the model count as independent, so that a press that is none, far
+behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more, a third of
+1e11. Of third presses that are real one in fifteen has less."""
+
+
+def split(parameters: Array) -> tuple[Array, Array, Array]:
+    """Return places, depths (n, n_presses) and nuisances (n, 6) of parameters."""
+    m = (parameters.shape[1] - len(NUISANCES)) // 2
+    return parameters[:, : 2 * m : 2], parameters[:, 1 : 2 * m : 2], parameters[:, 2 * m :]
+
+
+def joined(places: Array, depths: Array, nuisances: Array) -> Array:
+    """Return parameters of places and depths (n, n_presses) and nuisances (n, 6)."""
+    presses = np.stack([places, depths], axis=-1).reshape(len(places), -1)
+    return np.concatenate([presses, nuisances], axis=1)
+
+
+def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Array:
+    """Return parameters within the ranges of places and depths, with rising places."""
+    places, depths, nuisances = split(np.array(parameters))
+    for i, tool in enumerate(tools):
+        places[:, i] = np.clip(places[:, i], *model.span)
+        if i:
+            places[:, i] = np.maximum(places[:, i], places[:, i - 1] + CLOSEST)
+        depths[:, i] = np.clip(depths[:, i], *model.tables[tool].range)
+    limit = 6 * model.priors.deviations
+    return joined(places, depths, np.clip(nuisances, -limit, limit))
+
+
+def limited(step: Array) -> Array:
+    """Return steps whose changes of places and depths are not too large."""
+    found = step.copy()
+    m = (step.shape[1] - len(NUISANCES)) // 2
+    for i, largest in enumerate(LARGEST_STEPS):
+        found[:, i : 2 * m : 2] = np.clip(found[:, i : 2 * m : 2], -largest, largest)
+    return found
+
+
+def odds_of(number: int) -> float:
+    """Return minus twice the logarithm of the prior odds of the n-th press."""
+    return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])
