@@ -60,8 +60,7 @@ DISTINCT = 0.3e-3, 0.02e-3
 SAME_MAXIMUM = 4.0
 """Squared difference of two maxima, in standard deviations, up to which they also count as one."""
 MOST_NEEDED = 2
-"""Number of presses whose odds a candidate's expected gain has to exceed at most: that of a third
-is expected less exactly."""
+"""Number of presses whose odds the gain expected of one more has to exceed, of a third too."""
 HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
@@ -157,11 +156,6 @@ class Builder:
         robust = 2 * np.minimum(np.abs(before) ** 2, OUTLIER).sum(axis=1)
         return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
-    @property
-    def time_step(self) -> float:
-        """Step of the samples in s."""
-        return float(self.model.base.time[1] - self.model.base.time[0])
-
     def searched(self, known: Hypothesis) -> Hypothesis:
         """Return a hypothesis with the weights by which presses more are sought."""
         if 0 < known.error <= SEARCHED:
@@ -227,8 +221,8 @@ class Builder:
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
         """Return hypotheses with one press sought again."""
-        fewer = _without(known, number)
-        return self.extended(Hypothesis(*fewer, known.error, known.whiten, np.inf, np.inf))
+        rest = known.error, known.whiten, np.inf, np.inf
+        return self.extended(Hypothesis(*_without(known, number), *rest))
 
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights

@@ -52,10 +52,12 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
 def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
     """Return hypotheses with the next press in time, the residual that of the first part."""
     rest = builder.residual_of(known)
-    start = leading_edge(np.abs(known.whiten(rest)), step := builder.time_step)
+    base = builder.model.base
+    step = float(base.time[1] - base.time[0])
+    start = leading_edge(np.abs(known.whiten(rest)), step)
     if start is None:
         return []
-    base, found = builder.model.base, []
+    found = []
     reach = base.path.place_at(base.window)
     for part in PARTS:
         end = min(start + int(part / step), len(rest))
