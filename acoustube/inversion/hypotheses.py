@@ -221,8 +221,9 @@ class Builder:
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
         """Return hypotheses with one press sought again."""
-        rest = known.error, known.whiten, np.inf, np.inf
-        return self.extended(Hypothesis(*_without(known, number), *rest))
+        tools, fits = _without(known, number)
+        fewer = Hypothesis(tools, fits, known.error, known.whiten, np.inf, np.inf)
+        return self.extended(fewer)
 
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
