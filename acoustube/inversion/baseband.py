@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from math import log, pi
 
 import numpy as np
@@ -14,8 +15,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MS
-from acoustube.inversion.paths import MOST_MODES, Path, StraightPath
+from acoustube.inversion.paths import Path, StraightPath
 from acoustube.inversion.quantiser import linearised
+from acoustube.inversion.tables import MOST_MODES
 from acoustube.inversion.wrap import Wrap, WrappedPath
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import anti_alias, sent_spectrum
@@ -91,7 +93,8 @@ class Baseband:
         self.rate = rangefinder.sampling_rate
         carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
         self.air = air_at(temperature)
-        flight, late = 2 * length / SLOWEST, rangefinder.drive.duration + 0.5e-3
+        flight = rangefinder.lead + 2 * length / SLOWEST
+        late = rangefinder.drive.duration + 0.5e-3
         lasting = flight + max(3e-3, 2e-3 + late)
         self.period = self._period(max(self.n_samples, int(self.rate * lasting)))
         self.step = step = self.rate / self.period
@@ -152,16 +155,27 @@ class Baseband:
 
     @property
     def window(self) -> Array:
-        """Times of the baseband that are used, in s from the start of the drive, (n_time,)."""
+        """Times of the baseband that are used, in s from the start of the record, (n_time,)."""
         return self.time[self.used]
+
+    @cached_property
+    def places(self) -> Array:
+        """Distances in m from which sound comes back at these times, (n_time,)."""
+        return self.path.place_at(np.maximum(self.window - self.rangefinder.lead, 0.0))
+
+    @property
+    def interval(self) -> float:
+        """Time in s from a sample of the baseband to the next."""
+        return float(self.time[1] - self.time[0])
 
     @property
     def nearest(self) -> float:
         """Distance in m of the nearest press whose echo is not clipped."""
-        return 0.5 * self.air.sound_speed * (self.clear + AFTER_CLIPPING + FADE) + 0.03
+        flight = self.clear - self.rangefinder.lead + AFTER_CLIPPING + FADE
+        return 0.5 * self.air.sound_speed * flight + 0.03
 
     def sounding(self, places: Array, before: float, lasting: float, n: int) -> NDArray[np.int_]:
-        """Return the first n samples' range in which presses at places are heard.
+        """Return the ranges of samples, among the first n, in which presses at places are heard.
 
         Parameters
         ----------
@@ -176,11 +190,10 @@ class Baseband:
         ndarray
             First sample, and the one after the last, at least two samples, (n_places, 2).
         """
-        at, step = self.path.place_at(self.window), self.window[1] - self.window[0]
-        arrival = np.interp(places, at, self.window, self.window[0]) + self.rangefinder.lead
-        first = ((arrival - before - self.window[0]) / step).astype(int)
-        late = arrival + self.rangefinder.drive.duration + lasting
-        last = np.ceil((late - self.window[0]) / step).astype(int)
+        arrival = np.interp(places, self.places, np.arange(len(self.used)))
+        first = (arrival - before / self.interval).astype(int)
+        late = (self.rangefinder.drive.duration + lasting) / self.interval
+        last = np.ceil(arrival + late).astype(int)
         first = np.clip(first, 0, n - 2)
         return np.stack([first, np.clip(last, first + 2, n)], axis=1)
 

@@ -18,7 +18,7 @@ from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.parameters import odds_of, split
-from acoustube.inversion.peeling import peeled
+from acoustube.inversion.peeling import EXPLAINED, peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
@@ -32,11 +32,9 @@ GOOD = 0.05
 """Relative error of the model up to which an explanation is good: no other is followed."""
 EXCESS = 2.0
 """Standard deviations of the noise's energy by which the residual's has to exceed it."""
-EXPLAINED = 1.5
-"""Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
 NEGLIGIBLE = 300.0
-"""Excess of a maximum's cost from which it has no part in the posterior, where errors of the model
-tell maxima apart by up to ten times less."""
+"""Excess of a maximum's cost over the least from which it is left out of the posterior. Its weight
+there is by a covariance of up to ten times the power of the model's error: at most exp(-15)."""
 BEAM = 2
 """Hypotheses of each number of presses that are extended."""
 
@@ -153,7 +151,7 @@ class Inverter:
             return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
-        """Return the best hypothesis found of each number of presses, up to one too many."""
+        """Return the best hypothesis found of each number of presses, as far as any was likely."""
         chain = [builder.untouched()]
         beam, in_time = chain, peeled(builder, self.most)
         for number in range(1, self.most + 1):
@@ -166,9 +164,8 @@ class Inverter:
             if not found:
                 break
             least = min(one.deviance for one in found)
-            own = builder.own_deviance(chain[-1])
-            if chain[-1].error <= GOOD and least > own + HOPELESS:
-                chain.append(min(found, key=lambda one: one.deviance))
+            enough = builder.own_deviance(chain[-1]) + HOPELESS
+            if chain[-1].error <= GOOD and least > enough:
                 break
             found = _shifted(builder, found)
             best = found[0]
@@ -193,7 +190,8 @@ class Inverter:
         probability = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         probability /= probability.sum()
         number = int(np.argmax(probability))
-        best = replace(chain[number], fits=chain[number].fits.likely(NEGLIGIBLE))
+        near = chain[number].fits.likely(NEGLIGIBLE * max(1.0, chain[number].residual))
+        best = replace(chain[number], fits=near)
         off = discrepancy(self.model, best, builder.samples, builder.noise)
         order = np.argsort(off.level)
         best = replace(best, fits=best.fits.at(order))
@@ -230,7 +228,7 @@ class Inverter:
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
             number={i: float(p) for i, p in enumerate(probability)},
-            place=base.path.place_at(base.window), measured=measured, explained=explained,
+            place=base.places, measured=measured, explained=explained,
             **nuisance,
         )  # fmt: skip
 

@@ -159,10 +159,11 @@ def _few_quadratic(
     precision = 1 / model.priors.deviations**2
     prior[own, own] = precision
     cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
+    slopes = slopes.astype(complex)  # products that cancel, of place and temperature, need it
     conjugate = slopes.conj()
-    gradient = np.asarray(-2 * (conjugate @ residual[:, :, None])[:, :, 0].real, float)
+    gradient = -2 * (conjugate @ residual[:, :, None])[:, :, 0].real
     gradient[:, own] += nuisances * precision
-    information = 2 * (conjugate @ slopes.swapaxes(1, 2)).real.astype(float) + prior
+    information = 2 * (conjugate @ slopes.swapaxes(1, 2)).real + prior
     return cost, gradient, information
 
 

@@ -49,8 +49,8 @@ SEARCHED = 0.02
 STARTS = 2, 10
 """Iterations after which only some of the candidates are followed, and how many."""
 FIRST_STARTS = 16, 5
-"""Candidates of a first press that are refined, and how many of these are followed: the best one
-is among the first thirteen."""
+"""The same of a first press, after as many iterations. In twelve recordings of single presses the
+candidate that led to the best maximum was among the first eight."""
 FOLLOWED = 2
 """Tools, or orders of them along the tube, whose model error is estimated."""
 LOUD = 5.0
@@ -60,7 +60,8 @@ DISTINCT = 0.3e-3, 0.02e-3
 SAME_MAXIMUM = 4.0
 """Squared difference of two maxima, in standard deviations, up to which they also count as one."""
 MOST_NEEDED = 2
-"""Number of presses whose odds the gain expected of one more has to exceed, of a third too."""
+"""Number of presses whose prior odds bound the gain that a candidate has to promise: for a third
+too, since the gain is computed with the two known as they are."""
 HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
@@ -164,12 +165,16 @@ class Builder:
         echo = echo_of(self.model, known.tools, known.best) if known.tools else None
         return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
 
-    def extended(self, known: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses with one press more."""
+    def extended(self, known: Hypothesis, least: float | None = None) -> list[Hypothesis]:
+        """Return hypotheses with one press more, whose expected gain exceeds the least.
+
+        By default that is what its prior odds demand.
+        """
         own = self.searched(known) if known.tools else known
         sought = [known] if own is known else [known, own]
         found = []
-        least = odds_of(min(len(known.tools) + 1, MOST_NEEDED))
+        if least is None:
+            least = odds_of(min(len(known.tools) + 1, MOST_NEEDED))
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):
@@ -216,14 +221,17 @@ class Builder:
         return deviance < self.own_deviance(known) + HOPELESS
 
     def own_deviance(self, known: Hypothesis) -> float:
-        """Return minus twice the logarithm of the evidence, whatever it was credited with since."""
+        """Return minus twice the logarithm of a hypothesis's evidence by its own weights.
+
+        Its `deviance` may be larger, by the doubt of :mod:`acoustube.inversion.doubt`.
+        """
         return float(evidence(self.model, known.tools, known.fits.first(1), known.whiten)[0])
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
         """Return hypotheses with one press sought again."""
         tools, fits = _without(known, number)
         fewer = Hypothesis(tools, fits, known.error, known.whiten, np.inf, np.inf)
-        return self.extended(fewer)
+        return self.extended(fewer, least=0.0)
 
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
@@ -337,9 +345,9 @@ class Builder:
         echo = echo_of(self.model, tools, parameters)
         rest = self.samples - self.modelled(tools, parameters)
 
-        def judged(error: float, spread: float) -> tuple[float, float, float]:
-            what = self.model, self.noise, error, echo, spread
-            return deviance_of(*what, rest), error, spread
+        def judged(error: float, always: float) -> tuple[float, float, float]:
+            what = self.model, self.noise, error, echo, always
+            return deviance_of(*what, rest), error, always
 
         best = min(judged(error, 0.0) for error in ERRORS)
         if not spread:

@@ -1,7 +1,7 @@
 """Likelihood of a cycle's baseband: its covariance about the model, and whitening.
 
-The covariance has four parts: noise, what is not known of clutter and ring-down, an error of the
-model in proportion to the echo, and one of the losses in the presses.
+The covariance has five parts: noise, what is not known of clutter and ring-down, errors of the
+model in proportion to the echo and at all times, and one of the losses in the presses.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.parameters import split
 from acoustube.waves.scattering import Complex
 
+SINGLE = 1e-3
+"""Least share of a sample's variance that is independent of the others', from which single
+precision is enough."""
 RINGING, RINGING_SHARE = 0.5e-3, 0.05
 """Decay in s, and share, of the model's error after an echo: that of trapped sound."""
 
@@ -34,7 +37,7 @@ class Weights:
         depends on the samples up to its own time, so that the first rows are the likelihood of the
         first samples.
     log_determinant : float
-        Of the covariance.
+        Of the covariance of all samples.
     spread : float
         Error of the model at all times, relative to the highest echo.
     """
@@ -153,7 +156,9 @@ def whitened(
 ) -> tuple[Complex, float]:
     """Return whitened samples, and the logarithm of the covariance's determinant.
 
-    In single precision after scaling, with an error of 1e-4 of a deviance: for what is needed once.
+    For weights that are needed once: without their inverse, and in single precision where that
+    changes a deviance by less than 0.01, which is where the independent part of each sample's
+    variance is not small (:data:`SINGLE`).
 
     Parameters
     ----------
@@ -163,15 +168,17 @@ def whitened(
         (n_time, n).
     """
     own = _diagonal(model, noise, error, echo, spread)
-    losses = None if echo is None else echo.by_losses
+    losses = echo.by_losses
     power = 0.0 if losses is None else np.abs(losses) ** 2
     scale = (np.diag(model.clutter.covariance).real + own + power) ** -0.5
-    scaled = model.clutter.rough * (scale[:, None] * scale).astype(np.float32)
+    single = bool(np.all(own * scale**2 > SINGLE))
+    known = model.clutter.rough if single else model.clutter.covariance
+    scaled = known * (scale[:, None] * scale).astype(known.real.dtype)
     scaled[np.diag_indices(len(scale))] += own * scale**2
     if losses is not None:
-        scaled += np.outer(scale * losses, (scale * losses).conj()).astype(np.complex64)
+        scaled += np.outer(scale * losses, (scale * losses).conj()).astype(known.dtype)
     factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
-    given = (samples * scale[:, None]).astype(np.complex64)
+    given = (samples * scale[:, None]).astype(known.dtype)
     white = solve_triangular(factor, given, lower=True, overwrite_b=True, check_finite=False)
     size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
     return np.asarray(white, complex), 2 * float(size.sum())
@@ -201,7 +208,7 @@ def _diagonal(
         from scipy.signal import lfilter  # with the statistics 20 MB, for which a sensor has no use
 
         power = np.convolve(np.abs(echo.value) ** 2, [0.25, 0.5, 0.25], "same")
-        step = model.base.time[1] - model.base.time[0]
+        step = model.base.interval
         tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
         variance += error**2 * (power + RINGING_SHARE * tail)
     return variance

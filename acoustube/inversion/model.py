@@ -15,8 +15,7 @@ from acoustube.inversion.clutter import Clutter, unknown_clutter
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo, Waves, echo
-from acoustube.inversion.paths import MOST_MODES
-from acoustube.inversion.tables import Heard, Matrices, table_of
+from acoustube.inversion.tables import MOST_MODES, Heard, Matrices, table_of
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex

@@ -65,11 +65,10 @@ def discrepancy(
     places, depths, nuisances = split(known.fits.parameters)
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)
     echo = echo_of(model, known.tools, known.best)
-
     both = np.concatenate([(samples - value)[:, None], jacobian], axis=1)
     freedom = model.base.freedom
 
-    def deviance_of(error: float) -> Array:
+    def restricted(error: float) -> Array:
         flat = both.reshape(-1, both.shape[2]).T
         white, size = whitened(model, noise, error, echo, known.whiten.spread, flat)
         white = np.sqrt(freedom) * white.T.reshape(both.shape)
@@ -77,11 +76,11 @@ def discrepancy(
             model, known.fits.parameters, white[:, 0], white[:, 1:], freedom * size
         )
 
-    deviance = np.array([deviance_of(error) for error in ERRORS])
+    deviance = np.array([restricted(error) for error in ERRORS])
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
     # The error changes an echo as a whole: it tells maxima apart less than its samples would.
-    level = deviance_of(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
+    level = restricted(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
     deviation = np.empty_like(slope)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.tables import Heard, Matrices, padded
+from acoustube.inversion.tables import MOST_MODES, Heard, Matrices, padded
 from acoustube.waves.scattering import Complex
 
 
@@ -70,9 +70,9 @@ def echo(before: list[Matrices], last: Heard, places: Array, waves: Waves, face:
     """
     lengths = np.diff(places, axis=1, prepend=0.0)
     m = waves.k.shape[-1]
-    from acoustube.inversion.network_sums import MODES, echoes  # Numba, as in `tables`
+    from acoustube.inversion.network_sums import echoes  # Numba, as in `tables`
 
-    k, heat = np.zeros((2, *waves.k.shape[:-1], MODES), complex)
+    k, heat = np.zeros((2, *waves.k.shape[:-1], MOST_MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
     matrices = (_stacked([press[i] for press in before], k.shape[:2]) for i in range(3))
@@ -86,11 +86,9 @@ def echo(before: list[Matrices], last: Heard, places: Array, waves: Waves, face:
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
     """Return matrices of presses padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
-    from acoustube.inversion.network_sums import MODES
-
     if len(parts) == 1:
-        return padded(parts[0], MODES)[None]
-    found = np.zeros((len(parts), *shape, 2, MODES, 2, MODES), complex)
+        return padded(parts[0], MOST_MODES)[None]
+    found = np.zeros((len(parts), *shape, 2, MOST_MODES, 2, MOST_MODES), complex)
     for full, part in zip(found, parts, strict=True):
-        full[:] = padded(part, MODES)
+        full[:] = padded(part, MOST_MODES)
     return found

@@ -29,9 +29,6 @@ from acoustube.inversion.small_matrices import (
 )
 from acoustube.waves.scattering import Complex
 
-MODES = 3
-"""Modes of the matrices; fewer are padded with zeros."""
-
 
 @compiled
 def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vector) -> complex:

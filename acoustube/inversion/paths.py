@@ -16,9 +16,6 @@ from acoustube.inversion.joints import Joined
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
-MOST_MODES = 3
-"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
-
 
 class Section(NamedTuple):
     """Propagation from one press to the next, mode by mode.

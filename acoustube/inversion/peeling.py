@@ -15,14 +15,14 @@ from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
 PARTS = 0.7e-3, 1.2e-3
 """Lengths in s of the first part of an echo that are tried."""
 EXPLAINED = 1.5
-"""Mean square of the whitened residual up to which a part is explained: no longer one is tried."""
+"""Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
 LEADING = 0.1
 """Level at which an echo begins, over the highest that follows: the band's edges ring before it."""
 AHEAD = 0.5e-3
 """Time in s within which it follows."""
 EARLIER = 0.3
-"""Distance in m before the place from which an echo is back when it begins to be seen: the part of
-it that comes earlier may be too weak."""
+"""Distance in m before the place whose echo ends when an echo begins to be seen, from which on a
+press is sought: its first part may be too weak to be seen."""
 BEAM = 2
 """Hypotheses of each number of presses that are followed."""
 ALIKE = 1e-3
@@ -53,19 +53,18 @@ def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
     """Return hypotheses with the next press in time, the residual that of the first part."""
     rest = builder.residual_of(known)
     base = builder.model.base
-    step = float(base.time[1] - base.time[0])
-    start = leading_edge(np.abs(known.whiten(rest)), step)
+    start = leading_edge(np.abs(known.whiten(rest)), base.interval)
     if start is None:
         return []
     found = []
-    reach = base.path.place_at(base.window)
+    early = EARLIER + base.rangefinder.drive.duration * base.air.sound_speed / 2
     for part in PARTS:
-        end = min(start + int(part / step), len(rest))
+        end = min(start + max(int(part / base.interval), 2), len(rest))
         whiten = known.whiten.until(end)
-        within = float(reach[start]) - EARLIER, float(reach[end - 1])
+        within = float(base.places[start]) - early, float(base.places[end - 1])
         for tools, fits in builder.with_one_more(known, whiten, within)[:1]:
             left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
-            share = float(np.mean(np.abs(left[:end]) ** 2)) / builder.model.base.freedom
+            share = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
             found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
         if found and found[-1].residual < EXPLAINED:
             break

@@ -134,7 +134,7 @@ class PlaneFilter:
         """Return the precision at the echoes of the places, relative to the untouched tube's."""
         base = self.model.base
         ratio = _precision(whiten) / self.quiet
-        width = max(1, round(SMOOTHED / (base.window[1] - base.window[0])))
+        width = max(1, round(SMOOTHED / base.interval))
         smooth = np.convolve(ratio, np.ones(width) / width, "same")
         return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
 

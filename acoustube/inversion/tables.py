@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +23,10 @@ WIDEST_STRETCH = 0.02
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
 """Start in s of a press's impulse response relative to its reference plane's; decay time in s of
 its power; least power that is kept, relative to the largest."""
-MOST_HEARD, ONWARDS, BACK = 3, 9, 10
-"""Modes between which the reflection of :class:`Heard` is, and where its transmissions are."""
+MOST_MODES = 3
+"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
+ONWARDS, BACK = 9, 10
+"""Where the transmissions of :class:`Heard` are, behind a reflection between three modes."""
 ROUNDING = 1e-5
 """Errors of the coefficients to be smoothed, relative to their size."""
 
@@ -105,7 +107,7 @@ class ToolTable:
     frequency : ndarray
         In Hz, (n_f,), with a margin to the ends of the tool's band for stretches.
     modes : int
-        Number of modes to keep, the plane mode first.
+        Number of modes to keep, at most three, the plane mode first.
 
     Notes
     -----
@@ -136,7 +138,6 @@ class ToolTable:
         filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
         self.value = filtered.astype(np.complex64)
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
-        self.heard, self.heard_slope = _heard(self.value, modes), _heard(self.slope, modes)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -158,7 +159,12 @@ class ToolTable:
 
     def in_front(self, depth: Array, stretch: Array) -> Heard:
         """Return what is heard of presses behind which nothing lies, with the same arguments."""
-        return Heard(*self._sums(self.heard, self.heard_slope, depth, stretch))
+        return Heard(*self._sums(*self._front, depth, stretch))
+
+    @cached_property
+    def _front(self) -> tuple[Complex, Complex]:
+        """Coefficients of :class:`Heard` and their slopes by depth."""
+        return _heard(self.value, self.modes), _heard(self.slope, self.modes)
 
     def _sums(self, values: Complex, slopes: Complex, depth: Array, stretch: Array) -> Complex:
         """Return coefficients and their derivatives, (3, n, n_f, n_coefficients)."""
@@ -175,7 +181,7 @@ def _heard(part: Complex, modes: int) -> Complex:
     """Return the coefficients of :class:`Heard` among those of matrices, (n_depths, n_f, 11)."""
     s = part.reshape(*part.shape[:2], 2, modes, 2, modes)
     found = np.zeros((*part.shape[:2], BACK + 1), part.dtype)
-    between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_HEARD, MOST_HEARD)
+    between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_MODES, MOST_MODES)
     between[..., :modes, :modes] = s[:, :, 0, :, 0, :]
     found[..., ONWARDS], found[..., BACK] = s[:, :, 1, 0, 0, 0], s[:, :, 0, 0, 1, 0]
     return found

@@ -216,7 +216,7 @@ class ContactTracker:
         return Tracked(
             contacts, numbers, self._misfit(found.rest[0], explained),
             told(first), told(first + NUISANCES.index("gain")),
-            base.path.place_at(base.window), measured, explained,
+            base.places, measured, explained,
         )  # fmt: skip
 
     def _lasting(self, found: Update) -> Array:

@@ -1,0 +1,168 @@
+"""Likelihood of a cycle, its derivatives, and where presses are sought: what the inversion's speed
+rests on, against the same computed at length."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_inversion import MODES, RADIUS, press, tool
+
+from acoustube.inversion import (
+    Baseband,
+    ForwardModel,
+    Inverter,
+    Library,
+    Priors,
+    baseband_of,
+    measured_clutter,
+)
+from acoustube.inversion.fit import maximise
+from acoustube.inversion.hypotheses import Builder
+from acoustube.inversion.likelihood import echo_of, weights, whitened
+from acoustube.inversion.parameters import split
+from acoustube.inversion.peeling import peeled
+from acoustube.inversion.search import Templates, front_of
+from acoustube.inversion.tables import ToolTable
+from acoustube.ranging import Burst, Rangefinder, record
+
+LENGTH, TUBE = 1.2, 7
+FOLDED = Rangefinder(sampling_rate=80e3)
+PRESS = np.array([0.6, 4e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def model_of(rangefinder, *, learned, **priors):
+    base = baseband_of(rangefinder, RADIUS, LENGTH, 20.0, MODES)
+    clutter = None
+    if learned:
+        free = record([], rangefinder, n_cycles=100, tube_seed=TUBE, seed=11, length=LENGTH)
+        clutter = measured_clutter(base, free["signal"].values)
+    return ForwardModel(Library((tool(0.5e-3),)), base, clutter, Priors(**priors))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return model_of(Rangefinder(), learned=True)
+
+
+@pytest.mark.parametrize("learned", [True, False], ids=["learned", "unknown"])
+@pytest.mark.parametrize("rangefinder", [Rangefinder(), FOLDED], ids=["complex", "folded"])
+@pytest.mark.parametrize("quiet", [1.0, 1e-6], ids=["noise", "quiet"])
+def test_what_is_whitened_once_has_the_likelihood_of_the_weights(rangefinder, learned, quiet):
+    """In single precision where the clutter is learned; what is not known of it is a thousand times
+    the noise and more, and needs double. Deviances of some hundreds, within 0.02."""
+    model = model_of(rangefinder, learned=learned)
+    noise = quiet * model.base.noise(20)
+    echo = echo_of(model, (0,), PRESS)
+    for error, spread in ((0.003, 0.0), (0.2, 1e-3)):
+        known = weights(model, noise, error, echo, spread)
+        rest = np.linalg.solve(known.matrix, np.exp(1j * np.arange(len(known.matrix)) ** 2))
+        white, size = whitened(model, noise, error, echo, spread, rest[:, None])
+        freedom = model.base.freedom
+        found = 2 * freedom * (np.sum(np.abs(white) ** 2) + size)
+        expected = 2 * np.sum(np.abs(known(rest)) ** 2) + 2 * known.log_determinant
+        assert found == pytest.approx(expected, abs=0.02)
+
+
+def test_first_samples_have_weights_of_their_own(model):
+    echo = echo_of(model, (0,), PRESS)
+    whole = weights(model, model.base.noise(1), 0.01, echo)
+    some = whole.until(40)
+    np.testing.assert_allclose(some(echo.value), whole(echo.value)[:40], rtol=1e-12)
+    expected = whole(echo.value)[:40] @ whole.matrix[:40].conj()
+    np.testing.assert_allclose(some.weighted(echo.value), expected[:40], rtol=1e-12)
+    assert not expected[40:].any()
+
+
+def test_information_is_positive_where_place_and_temperature_are_one_delay():
+    """A loud echo without learned clutter: what tells place from temperature is the prior, the
+    difference of numbers 1e7 times as large. Products in single precision make it negative."""
+    model = model_of(Rangefinder(), learned=False)
+    noise = 1e-3 * model.base.noise(20)
+    echo = echo_of(model, (0,), PRESS)
+    whiten = weights(model, noise, 0.0, None)
+    fit = maximise(model, (0,), PRESS[None], echo.value + model.clutter.ring, whiten, 0)
+    _, jacobian = model.baseband((0,), *split(PRESS[None]))
+    slopes = whiten(jacobian)[0]
+    expected = 2 * (slopes.conj() @ slopes.T).real
+    expected[2:, 2:] += np.diag(1 / model.priors.deviations**2)
+    sizes = np.sqrt(np.diag(expected))
+    found = np.linalg.eigvalsh(fit.information[0] / np.outer(sizes, sizes))
+    assert found[0] > 0
+    least = np.linalg.eigvalsh(expected / np.outer(sizes, sizes))[0]
+    assert found[0] == pytest.approx(least, rel=0.05)
+
+
+@pytest.mark.parametrize("rangefinder", [Rangefinder(), FOLDED], ids=["complex", "folded"])
+def test_adjoint_is_that_of_the_first_samples_too(rangefinder):
+    base = baseband_of(rangefinder, RADIUS, LENGTH, 20.0, MODES)
+    rng, n = np.random.default_rng(3), len(base.bins)
+    spectrum = rng.normal(size=n) + 1j * rng.normal(size=n)
+    full = base.transformed(spectrum)
+    rough = base.transformed(spectrum.astype(np.complex64))
+    assert rough.dtype == np.complex64
+    np.testing.assert_allclose(rough, full, atol=1e-6 * np.abs(full).max())
+    for count in (len(full), 30):
+        field = rng.normal(size=count) + 1j * rng.normal(size=count) * (base.freedom == 1)
+        product = np.vdot(field, full[:count])
+        other = np.vdot(base.adjoint(field), spectrum)
+        assert other.real == pytest.approx(product.real, rel=1e-9)
+
+
+@pytest.mark.parametrize("lead", [0.0, 1.5e-3])
+def test_presses_are_heard_within_their_samples(lead):
+    """99.9 % of the energy of an echo, and the samples are fewer than all."""
+    device = dataclasses.replace(Rangefinder(), lead=lead)
+    model = model_of(device, learned=False)
+    for place in (0.4, 0.9):
+        echo = echo_of(model, (0,), np.array([place, *PRESS[1:]])).value
+        ((start, stop),) = model.base.sounding(np.array([place]), 1e-3, 5e-3, len(echo))
+        power = np.abs(echo) ** 2
+        assert power[start:stop].sum() > 0.999 * power.sum()
+        assert stop - start < len(echo)
+    beyond = model.base.sounding(np.array([-1.0, 50.0]), 1e-3, 5e-3, len(echo))
+    assert np.all(np.diff(beyond, axis=1) >= 2)
+    assert beyond.min() >= 0
+    assert beyond.max() <= len(echo)
+
+
+@pytest.mark.parametrize("drive", [{"lead": 3e-3}, {"drive": Burst(cycles=60)}])
+def test_a_first_press_is_sought_where_its_echo_begins(drive):
+    """Of a rangefinder that records for 3 ms before it sends, and of one that sends for 1.4 ms."""
+    device = dataclasses.replace(Rangefinder(), **drive)
+    model = model_of(device, learned=True)
+    cycles = record([press(4.1e-3, 0.62)], device, n_cycles=20, tube_seed=TUBE, seed=5,
+                    length=LENGTH)["signal"].values  # fmt: skip
+    templates = [Templates(model, 0)]
+    builder = Builder(model, templates, *model.base.of_cycles(cycles))
+    ((first, *_), *_) = peeled(builder, 1)
+    assert first.best[0] == pytest.approx(0.62, abs=0.01)
+    ((contact,)) = Inverter(model)(cycles).contacts
+    assert contact.distance.value == pytest.approx(0.62, abs=1e-3)
+
+
+def test_search_finds_nothing_outside_its_range_or_under_its_least_gain(model):
+    echo = echo_of(model, (0,), PRESS).value
+    whiten = weights(model, model.base.noise(1), 0.0, None)
+    templates = Templates(model, 0)
+    silent = front_of(model, (), np.zeros(0), np.zeros(0), np.zeros(6))
+    found = templates.search(echo, whiten, silent)
+    assert found.place[0] == pytest.approx(PRESS[0], abs=1e-3)
+    assert not len(templates.search(echo, whiten, silent, least=1.1 * found.gain[0]).gain)
+    assert len(templates.search(echo, whiten, silent, least=0.5 * found.gain[0]).gain)
+    elsewhere = templates.search(echo, whiten, silent, within=(0.9, 1.0))
+    assert not len(elsewhere.gain) or elsewhere.gain[0] < 0.1 * found.gain[0]
+    assert np.all((elsewhere.place > 0.88) & (elsewhere.place < 1.02))
+
+
+@pytest.mark.parametrize("modes", [1, 2, 3])
+def test_what_is_heard_of_a_press_is_its_reflection_and_transmission(modes):
+    base = Baseband(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
+    table = ToolTable(tool(0.5e-3), base.frequency, modes)
+    depth, stretch = np.array([2.3e-3, 5.1e-3]), np.array([0.0, 1e-3])
+    whole, heard = table(depth, stretch), table.in_front(depth, stretch)
+    for one, part in zip(whole, heard, strict=True):
+        expected = np.zeros((2, len(base.frequency), 3, 3), complex)
+        expected[:, :, :modes, :modes] = one[:, :, 0, :, 0, :]
+        np.testing.assert_array_equal(part[..., :9].reshape(expected.shape), expected)
+    for one, other in zip(whole.transmission(), heard.transmission(), strict=True):
+        np.testing.assert_array_equal(one, other)
