@@ -22,6 +22,9 @@ LEAST, BENT_LEAST, LARGEST = 0.02, 0.06, 0.1
 """Least errors of the model that are allowed for, of a straight tube and of a wrapped one, and the
 largest: two solvers, or meshes, differ by the least near closure, echoes on a sleeve next to a
 cut-on; an error over the largest stands for presses not found yet."""
+SMALL = 0.01
+"""Error of the model, with one press more, up to which it is taken as its error in truth: what was
+larger without was the missing press."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
@@ -45,7 +48,8 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     """
     model = builder.model
     least = BENT_LEAST if model.path.converts else LEAST
-    error = sqrt(SAMPLES) * min(max(fewer.error, least), LARGEST)
+    seen = more.error if more.error <= SMALL else fewer.error
+    error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
     echo = echo_of(model, fewer.tools, fewer.best)
     whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)
     deviance = []
