@@ -11,11 +11,11 @@ LARGEST_STEPS = 1.5e-3, 4e-4
 """Largest changes of place and depth in an iteration, in m."""
 CLOSEST = 0.03
 """Smallest distance of two presses in m; their deformed parts meet earlier."""
-PRESS_ODDS = 2 * np.log([1e4, 1e6, 1e12])
+PRESS_ODDS = 2 * np.log([1e4, 1e9, 1e12])
 """Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
-1e-4, 1e-6 and 1e-12. Errors of the model count as independent, so that a press that is none, far
-behind one whose trapped sound differs from the model's, reaches odds of 1e5 and more, a third of
-1e11. Of third presses that are real one in fifteen has less."""
+1e-4, 1e-9 and 1e-12. Errors of the model count as independent, so that a press that is none, far
+behind one whose trapped sound differs from the model's, reaches odds of 1e6 to 1e8, a third of
+1e11; of pairs of 20 cycles a real second one had 1e14 at least."""
 
 
 def split(parameters: Array) -> tuple[Array, Array, Array]:
