@@ -26,6 +26,10 @@ CONVERGED = 0.02
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
 AT_ONCE = 8
 """Sets of parameters whose scattering is computed at once: some MB, which a cache holds."""
+DISTINCT = 0.3e-3, 0.02e-3
+"""Differences of place and depth in m up to which two maxima are one."""
+SAME_MAXIMUM = 4.0
+"""Squared difference of two maxima, in standard deviations, up to which they also count as one."""
 PATIENCE, FAR_WORSE = 3, 1e3
 """Iterations after which starting points are given up, and the excess of their cost over the least,
 halved with each iteration more."""
@@ -178,3 +182,20 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
     p = fits.parameters.shape[1]
     curvature = np.linalg.slogdet(fits.information)[1] - p * log(2 * pi)
     return np.asarray(fits.cost + 2 * whiten.log_determinant + curvature + volume)
+
+
+def distinct(fits: Fits, n_presses: int) -> Fits:
+    """Return the maxima that differ, the best first."""
+    fits = fits.sorted()
+    scale = np.tile(DISTINCT, n_presses)
+    kept: list[int] = []
+    for i in range(len(fits.cost)):
+        same = False
+        for j in kept:
+            off = fits.parameters[i] - fits.parameters[j]
+            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
+            near = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
+            same = same or close or near
+        if not same:
+            kept.append(i)
+    return fits.at(np.array(kept))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import Fits, evidence, maximise
+from acoustube.inversion.fit import Fits, distinct, evidence, maximise
 from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
@@ -55,10 +55,6 @@ FOLLOWED = 2
 """Tools, or orders of them along the tube, whose model error is estimated."""
 LOUD = 5.0
 """Level over the noise, of whitened samples smoothed, at which an echo begins."""
-DISTINCT = 0.3e-3, 0.02e-3
-"""Differences of place and depth in m up to which two maxima are one."""
-SAME_MAXIMUM = 4.0
-"""Squared difference of two maxima, in standard deviations, up to which they also count as one."""
 MOST_NEEDED = 2
 """Number of presses whose prior odds bound the gain that a candidate has to promise: for a third
 too, since the gain is computed with the two known as they are."""
@@ -255,7 +251,7 @@ class Builder:
             followed = STARTS[1] if known.tools else FIRST_STARTS[1]
             start = tried.sorted().first(followed).parameters
             fits = maximise(self.model, tools, start, self.samples, whiten, 7)
-            found.append((tools, _distinct(fits, len(tools)).first(KEPT)))
+            found.append((tools, distinct(fits, len(tools)).first(KEPT)))
         return found
 
     def settled(self, known: Hypothesis) -> Hypothesis:
@@ -294,7 +290,7 @@ class Builder:
         if m > 1 and known.error > POOR:
             # The error that explains a wrong place hides the right one.
             n = m * len(moves)
-            together = _distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)
+            together = distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)
             tried = [self._alone(known.tools, at[None]) for at in together.parameters[:JUDGED]]
             better = min(tried, key=lambda one: one.deviance)
             if better.deviance < known.deviance - 1:
@@ -304,13 +300,13 @@ class Builder:
             better = self._alone(known.tools, others.sorted().parameters[:1])
             if better.deviance < known.deviance - 1:
                 return self.shifted(better)
-        merged = _distinct(known.fits.and_those(fits).and_those(others), m)
+        merged = distinct(known.fits.and_those(fits).and_those(others), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
         if moved:
             error, whiten = self._likely_error(known.tools, merged.parameters[0])
             start = merged.parameters
-            merged = _distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
+            merged = distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
         merged = self._farther(known.tools, merged, whiten, half)
         return self._judged(known.tools, merged, error, whiten)
 
@@ -333,7 +329,7 @@ class Builder:
         if not starts:
             return fits
         found = maximise(self.model, tools, np.concatenate(starts), self.samples, whiten, 8)
-        return _distinct(fits.and_those(found), m)
+        return distinct(fits.and_those(found), m)
 
     def _likely_error(
         self, tools: tuple[int, ...], parameters: Array, *, spread: bool = True
@@ -386,20 +382,3 @@ def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:
     rest = joined(places[:, kept], depths[:, kept], nuisances)
     fits = Fits(rest, np.zeros(1), np.eye(rest.shape[1])[None])
     return tuple(known.tools[i] for i in kept), fits
-
-
-def _distinct(fits: Fits, n_presses: int) -> Fits:
-    """Return the maxima that differ, the best first."""
-    fits = fits.sorted()
-    scale = np.tile(DISTINCT, n_presses)
-    kept: list[int] = []
-    for i in range(len(fits.cost)):
-        same = False
-        for j in kept:
-            off = fits.parameters[i] - fits.parameters[j]
-            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
-            near = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
-            same = same or close or near
-        if not same:
-            kept.append(i)
-    return fits.at(np.array(kept))
