@@ -26,7 +26,7 @@ from acoustube.inversion.model_error import restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.quantiser import linearised
-from acoustube.inversion.tables import Heard, Matrices, ToolTable
+from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
 from acoustube.runs.libraries import files
@@ -126,7 +126,7 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     presses = [press(d, z, frequency) for d, z in zip(depths, places, strict=True)]
     given = [Matrices(*(one.scattering.s[None] for _ in range(3))) for one in presses]
     front = given[-1].value[:, :, 0, :, 0, :].reshape(1, -1, 9)
-    heard = Heard(front, front, front)
+    heard = FrontCoefficients(front, front, front)
     found = echo(given[:-1], heard, places[None], Waves(k[None], k[None]), 0.3)
     pressure = transfer(presses, air, frequency, radius=RADIUS, length=2.5, probes=[0.0],
                         source_reflection=0.3, far_reflection=0.0)[0]  # fmt: skip
@@ -203,7 +203,7 @@ def test_table_keeps_sound_that_rings_for_milliseconds():
     given = tool(depth=depth, force=depth, force_error=depth, error=depth, frequency=frequency, s=s,
                  interpolation_error=depth[1:])  # fmt: skip
     wanted = np.arange(36e3, 48e3, 40.0)
-    found = ToolTable(given, wanted, 3).in_front(depth[:1], np.zeros(1)).value[0, :, 0]
+    found = ToolTable(given, wanted, 3).front(depth[:1], np.zeros(1)).value[0, :, 0]
     taper, time = np.hanning(len(wanted)), np.arange(len(wanted)) / (40.0 * len(wanted))
     echo, error = np.abs(np.fft.ifft(taper * [ring(wanted), found - ring(wanted)]))
     # Cubics between 100 Hz are off by 0.1, 2 and 26 %.

@@ -14,12 +14,14 @@ from acoustube.inversion import (
     Library,
     Priors,
     baseband_of,
+    doubt,
     measured_clutter,
 )
-from acoustube.inversion.fit import maximise
-from acoustube.inversion.hypotheses import Builder
+from acoustube.inversion.doubt import doubted
+from acoustube.inversion.fit import Fits, maximise
+from acoustube.inversion.hypotheses import Builder, Hypothesis
 from acoustube.inversion.likelihood import echo_of, weights, whitened
-from acoustube.inversion.parameters import split
+from acoustube.inversion.parameters import odds_of, split
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates, front_of
 from acoustube.inversion.tables import ToolTable
@@ -115,11 +117,11 @@ def test_presses_are_heard_within_their_samples(lead):
     model = model_of(device, learned=False)
     for place in (0.4, 0.9):
         echo = echo_of(model, (0,), np.array([place, *PRESS[1:]])).value
-        ((start, stop),) = model.base.sounding(np.array([place]), 1e-3, 5e-3, len(echo))
+        ((start, stop),) = model.base.echo_ranges(np.array([place]), 1e-3, 5e-3, len(echo))
         power = np.abs(echo) ** 2
         assert power[start:stop].sum() > 0.999 * power.sum()
         assert stop - start < len(echo)
-    beyond = model.base.sounding(np.array([-1.0, 50.0]), 1e-3, 5e-3, len(echo))
+    beyond = model.base.echo_ranges(np.array([-1.0, 50.0]), 1e-3, 5e-3, len(echo))
     assert np.all(np.diff(beyond, axis=1) >= 2)
     assert beyond.min() >= 0
     assert beyond.max() <= len(echo)
@@ -159,10 +161,28 @@ def test_what_is_heard_of_a_press_is_its_reflection_and_transmission(modes):
     base = Baseband(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
     table = ToolTable(tool(0.5e-3), base.frequency, modes)
     depth, stretch = np.array([2.3e-3, 5.1e-3]), np.array([0.0, 1e-3])
-    whole, heard = table(depth, stretch), table.in_front(depth, stretch)
+    whole, heard = table(depth, stretch), table.front(depth, stretch)
     for one, part in zip(whole, heard, strict=True):
         expected = np.zeros((2, len(base.frequency), 3, 3), complex)
         expected[:, :, :modes, :modes] = one[:, :, 0, :, 0, :]
         np.testing.assert_array_equal(part[..., :9].reshape(expected.shape), expected)
     for one, other in zip(whole.transmission(), heard.transmission(), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monkeypatch):
+    """Without a third press, faint and behind two, the error of the model seems to be 0.1.
+
+    Doubted by that it is worth less than nothing; with it the model is exact.
+    """
+    pressed = [press(5e-3, 0.4), press(4e-3, 0.6), press(2.6e-3, 0.85)]
+    cycles = record(pressed, n_cycles=20, tube_seed=TUBE, seed=6, length=LENGTH)["signal"].values
+    builder = Builder(model, [Templates(model, 0)], *model.base.of_cycles(cycles))
+    three = np.array([0.4, 5e-3, 0.6, 4e-3, 0.85, 2.6e-3, *PRESS[2:]])
+    start = Fits(three[None], np.zeros(1), np.eye(len(three))[None])
+    more = builder.settled(Hypothesis((0,) * 3, start, 0.0, builder.quiet, 0.0, 0.0))
+    fewer = builder.pruned(more)[-1]
+    assert more.error <= doubt.SMALL_ERROR < fewer.error
+    assert fewer.deviance - doubted(builder, fewer, more).deviance > odds_of(3)
+    monkeypatch.setattr(doubt, "SMALL_ERROR", 0.0)
+    assert fewer.deviance - doubted(builder, fewer, more).deviance < 0

@@ -174,8 +174,8 @@ class Baseband:
         flight = self.clear - self.rangefinder.lead + AFTER_CLIPPING + FADE
         return 0.5 * self.air.sound_speed * flight + 0.03
 
-    def sounding(self, places: Array, before: float, lasting: float, n: int) -> NDArray[np.int_]:
-        """Return the ranges of samples, among the first n, in which presses at places are heard.
+    def echo_ranges(self, places: Array, before: float, lasting: float, n: int) -> NDArray[np.int_]:
+        """Return the ranges of samples, among the first n, that the echoes of presses cover.
 
         Parameters
         ----------

@@ -73,7 +73,7 @@ class Clutter:
         return value, by_column / CELL, by_row / WARM_STEP
 
     @cached_property
-    def rough(self) -> Complex:
+    def covariance_single(self) -> Complex:
         """The covariance in single precision."""
         return self.covariance.astype(np.complex64)
 

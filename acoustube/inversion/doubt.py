@@ -22,7 +22,7 @@ LEAST, BENT_LEAST, LARGEST = 0.02, 0.06, 0.1
 """Least errors of the model that are allowed for, of a straight tube and of a wrapped one, and the
 largest: two solvers, or meshes, differ by the least near closure, echoes on a sleeve next to a
 cut-on; an error over the largest stands for presses not found yet."""
-SMALL = 0.01
+SMALL_ERROR = 0.01
 """Error of the model, with one press more, up to which it is taken as its error in truth: what was
 larger without was the missing press."""
 ITERATIONS = 6
@@ -48,7 +48,7 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     """
     model = builder.model
     least = BENT_LEAST if model.path.converts else LEAST
-    seen = more.error if more.error <= SMALL else fewer.error
+    seen = more.error if more.error <= SMALL_ERROR else fewer.error
     error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
     echo = echo_of(model, fewer.tools, fewer.best)
     whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)

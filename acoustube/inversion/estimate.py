@@ -122,7 +122,7 @@ class Inverter:
     @checked(model=ForwardModel, most=Number(1, 8, whole=True))
     def __init__(self, model: ForwardModel, most: int = 3) -> None:
         self.model, self.most = model, most
-        self._threads = ThreadpoolController()
+        self._threads = ThreadpoolController()  # finding the libraries takes milliseconds
         self.templates = [Templates(model, i) for i in range(len(model.tables))]
 
     @checked(counts=Reals(ndim=2))

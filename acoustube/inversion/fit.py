@@ -156,7 +156,7 @@ def _few_quadratic(
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
-    slopes = whiten.roughly(jacobian)
+    slopes = whiten.in_single_precision(jacobian)
     p = parameters.shape[1]
     prior = np.zeros((p, p))
     own = np.arange(p - len(NUISANCES), p)

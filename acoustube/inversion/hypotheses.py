@@ -49,15 +49,13 @@ SEARCHED = 0.02
 STARTS = 2, 10
 """Iterations after which only some of the candidates are followed, and how many."""
 FIRST_STARTS = 16, 5
-"""The same of a first press, after as many iterations. In twelve recordings of single presses the
-candidate that led to the best maximum was among the first eight."""
+"""Candidates of a first press that are refined, and how many are followed after those iterations.
+In twelve recordings of single presses the one that led to the best maximum was among the first
+eight."""
 FOLLOWED = 2
 """Tools, or orders of them along the tube, whose model error is estimated."""
 LOUD = 5.0
 """Level over the noise, of whitened samples smoothed, at which an echo begins."""
-MOST_NEEDED = 2
-"""Number of presses whose prior odds bound the gain that a candidate has to promise: for a third
-too, since the gain is computed with the two known as they are."""
 HOPELESS = 10.0
 """Excess of the deviance of a press more, before its model's error and the other maxima are known,
 from which it is not followed."""
@@ -170,7 +168,8 @@ class Builder:
         sought = [known] if own is known else [known, own]
         found = []
         if least is None:
-            least = odds_of(min(len(known.tools) + 1, MOST_NEEDED))
+            # For a third press those of a second: the two known are not refitted in the gain.
+            least = odds_of(min(len(known.tools) + 1, 2))
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):
@@ -236,10 +235,10 @@ class Builder:
         places, depths, nuisances = split(known.fits.parameters[:1])
         apart = np.abs(place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
         rank = np.searchsorted(places[0], place)
+        most, followed = (len(place), STARTS[1]) if known.tools else FIRST_STARTS
         found = []
         for i in np.unique(rank[apart]):
-            here = np.flatnonzero(apart & (rank == i))
-            here = here if known.tools else here[: FIRST_STARTS[0]]
+            here = np.flatnonzero(apart & (rank == i))[:most]
             n = len(here)
             start = joined(
                 np.insert(np.repeat(places, n, 0), i, place[here], axis=1),
@@ -248,7 +247,6 @@ class Builder:
             )
             tools = (*known.tools[:i], tool, *known.tools[i:])
             tried = maximise(self.model, tools, start, self.samples, whiten, STARTS[0])
-            followed = STARTS[1] if known.tools else FIRST_STARTS[1]
             start = tried.sorted().first(followed).parameters
             fits = maximise(self.model, tools, start, self.samples, whiten, 7)
             found.append((tools, distinct(fits, len(tools)).first(KEPT)))

@@ -19,7 +19,7 @@ from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.parameters import split
 from acoustube.waves.scattering import Complex
 
-SINGLE = 1e-3
+INDEPENDENT_SHARE = 1e-3
 """Least share of a sample's variance that is independent of the others', from which single
 precision is enough."""
 RINGING, RINGING_SHARE = 0.5e-3, 0.05
@@ -50,13 +50,13 @@ class Weights:
         """Return whitened samples (..., n) of samples (..., n_time)."""
         return samples[..., : len(self.matrix)] @ self.matrix.T
 
-    def roughly(self, samples: Complex) -> Complex:
-        """Return the same in single precision, which is enough for derivatives."""
+    def in_single_precision(self, samples: Complex) -> Complex:
+        """Return samples whitened in single precision, which is enough for derivatives."""
         given = samples[..., : len(self.matrix)].astype(np.complex64)
-        return np.asarray(given @ self._rough.T)
+        return np.asarray(given @ self._single.T)
 
     @cached_property
-    def _rough(self) -> Complex:
+    def _single(self) -> Complex:
         return self.matrix.astype(np.complex64)
 
     def weighted(self, samples: Complex) -> Complex:
@@ -95,12 +95,11 @@ def weights(
         Error of the model at all times, relative to the highest echo: multiple reflections that it
         lacks.
     """
-    covariance = _covariance(model, noise, error, echo, spread)
-    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    factor, scale = _factor(model, noise, error, echo, spread)
     inverse, _ = ztrtri(factor, lower=1)
     freedom = model.base.freedom
-    logarithm = 2 * float(np.log(np.diag(factor).real).sum())
-    return Weights(np.sqrt(freedom) * inverse, freedom * logarithm, spread)
+    logarithm = freedom * _log_determinant(factor, scale)
+    return Weights(np.sqrt(freedom) * inverse * scale, logarithm, spread)
 
 
 class Echo(NamedTuple):
@@ -158,7 +157,7 @@ def whitened(
 
     For weights that are needed once: without their inverse, and in single precision where that
     changes a deviance by less than 0.01, which is where the independent part of each sample's
-    variance is not small (:data:`SINGLE`).
+    variance is not small (:data:`INDEPENDENT_SHARE`).
 
     Parameters
     ----------
@@ -167,33 +166,38 @@ def whitened(
     samples : ndarray
         (n_time, n).
     """
-    own = _diagonal(model, noise, error, echo, spread)
-    losses = echo.by_losses
+    factor, scale = _factor(model, noise, error, echo, spread, single=True)
+    given = (samples * scale[:, None]).astype(factor.dtype)
+    white = solve_triangular(factor, given, lower=True, overwrite_b=True, check_finite=False)
+    return np.asarray(white, complex), _log_determinant(factor, scale)
+
+
+def _factor(
+    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float,
+    *, single: bool = False,
+) -> tuple[Complex, Array]:  # fmt: skip
+    """Return the Cholesky factor of the covariance scaled to a diagonal of ones, and the scale.
+
+    With `single` in single precision, where that is enough.
+    """
+    own, known = _diagonal(model, noise, error, echo, spread), model.clutter.covariance
+    losses = None if echo is None else echo.by_losses
     power = 0.0 if losses is None else np.abs(losses) ** 2
-    scale = (np.diag(model.clutter.covariance).real + own + power) ** -0.5
-    single = bool(np.all(own * scale**2 > SINGLE))
-    known = model.clutter.rough if single else model.clutter.covariance
+    scale = (np.diag(known).real + own + power) ** -0.5
+    if single and np.all(own * scale**2 > INDEPENDENT_SHARE):
+        known = model.clutter.covariance_single
     scaled = known * (scale[:, None] * scale).astype(known.real.dtype)
     scaled[np.diag_indices(len(scale))] += own * scale**2
     if losses is not None:
         scaled += np.outer(scale * losses, (scale * losses).conj()).astype(known.dtype)
     factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
-    given = (samples * scale[:, None]).astype(known.dtype)
-    white = solve_triangular(factor, given, lower=True, overwrite_b=True, check_finite=False)
+    return np.asarray(factor), scale
+
+
+def _log_determinant(factor: Complex, scale: Array) -> float:
+    """Return the logarithm of the determinant of the covariance, from its scaled factor."""
     size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
-    return np.asarray(white, complex), 2 * float(size.sum())
-
-
-def _covariance(
-    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
-) -> Complex:
-    """Return the covariance of the samples about those of the model, (n_time, n_time)."""
-    covariance = model.clutter.covariance.copy()
-    own = _diagonal(model, noise, error, echo, spread)
-    covariance[np.diag_indices(len(own))] += own
-    if echo is not None and echo.by_losses is not None:
-        covariance += np.outer(echo.by_losses, echo.by_losses.conj())
-    return covariance
+    return 2 * float(size.sum())
 
 
 def _diagonal(

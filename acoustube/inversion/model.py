@@ -15,7 +15,7 @@ from acoustube.inversion.clutter import Clutter, unknown_clutter
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.network import Echo, Waves, echo
-from acoustube.inversion.tables import MOST_MODES, Heard, Matrices, table_of
+from acoustube.inversion.tables import MOST_MODES, FrontCoefficients, Matrices, table_of
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
@@ -230,17 +230,17 @@ class ForwardModel:
     def _echo(
         self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
         stretch: Array,
-    ) -> tuple[Echo, Sequence[Matrices | Heard | Joined]]:  # fmt: skip
+    ) -> tuple[Echo, Sequence[Matrices | FrontCoefficients | Joined]]:  # fmt: skip
         """Return the echo at the face, and the matrices of the presses along the path."""
-        base, path, last = self.base, self.path, len(tools) - 1
+        base, path = self.base, self.path
         face = base.rangefinder.face_reflection
-        all_but_last = range(last if not path.converts else last + 1)
-        given = [self.tables[tools[i]](depths[:, i], stretch) for i in all_but_last]
+        whole = tools if path.converts else tools[:-1]
+        given = [self.tables[tool](depths[:, i], stretch) for i, tool in enumerate(whole)]
         if not path.converts:
             heat = base.k_by_temperature[:, : self.modes]
             waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
-            heard = self.tables[tools[last]].in_front(depths[:, last], stretch)
-            return echo(given, heard, places, waves, face), [*given, heard]
+            last = self.tables[tools[-1]].front(depths[:, -1], stretch)
+            return echo(given, last, places, waves, face), [*given, last]
         assert isinstance(path, WrappedPath)
         presses = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
         sections, entry = path.sections(places, temperature), path.entry(temperature)
@@ -251,7 +251,7 @@ class ForwardModel:
         spectrum: Complex,
         places: Array,
         temperature: Array,
-        matrices: Sequence[Matrices | Heard | Joined],
+        matrices: Sequence[Matrices | FrontCoefficients | Joined],
     ) -> None:
         """Add the clutter, dimmed by the presses before it, and its derivatives.
 

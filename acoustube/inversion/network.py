@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.tables import MOST_MODES, Heard, Matrices, padded
+from acoustube.inversion.tables import MOST_MODES, FrontCoefficients, Matrices, padded
 from acoustube.waves.scattering import Complex
 
 
@@ -48,14 +48,16 @@ class Waves(NamedTuple):
     by_temperature: Complex
 
 
-def echo(before: list[Matrices], last: Heard, places: Array, waves: Waves, face: complex) -> Echo:
+def echo(
+    before: list[Matrices], last: FrontCoefficients, places: Array, waves: Waves, face: complex
+) -> Echo:
     """Return the echo of presses at the face of the source.
 
     Parameters
     ----------
     before : list of Matrices
         One for each press but the last, from the face on.
-    last : Heard
+    last : FrontCoefficients
     places : ndarray
         Distances from the face in m, rising, (n, n_presses).
     waves : Waves

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -130,31 +131,31 @@ class Templates:
         field = base.adjoint(whiten.weighted(residual))
         coarse = np.full((len(self.depths), len(self.places)), -np.inf)
         sought = within_range(self.places, within)
-        zones, starts = self._zones(fronts, temperature)
+        zones, starts = self._zones(fronts, temperature, field)
         owner = np.searchsorted(starts, self.places, side="right") - 1
         precision = whiten.precision.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
             here = sought & (owner == number_of_zone)
             if here.any():
                 zone.set_energy(base, precision, self.places[here])
-                level = np.abs(zone.correlate(field, self.places[here]))
+                level = np.abs(zone.correlation(self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         exclude(coarse, self.places, [front.place for front in fronts], sought)
         found: list[tuple[float, float, float]] = []
         if coarse.max() > least:
             for best in apart(coarse.max(axis=0), self.places, number):
-                found += self._refined(zones[owner[best]], field, self.places[best], fine)
+                found += self._refined(zones[owner[best]], self.places[best], fine)
         return candidates(found)
 
-    def _refined(
-        self, zone: _Zone, field: Complex, place: float, count: int
-    ) -> list[tuple[float, float, float]]:
+    def _refined(self, zone: _Zone, place: float, count: int) -> list[tuple[float, float, float]]:
         """Return the highest separate maxima of the correlation with its phase, about a place."""
         places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
-        gain = 2 * (2 * zone.correlate(field, places).real - zone.energy_at(places))
+        gain = 2 * (2 * zone.correlation(places).real - zone.energy_at(places))
         return separate(gain, places, self.depths, count)
 
-    def _zones(self, fronts: list[Front], temperature: float) -> tuple[list[_Zone], Array]:
+    def _zones(
+        self, fronts: list[Front], temperature: float, field: Complex
+    ) -> tuple[list[_Zone], Array]:
         """Return templates of the tube before, between and behind presses, and where each begins.
 
         Where the presses' matrices vary along the tube, of its stretches.
@@ -173,7 +174,7 @@ class Templates:
                     shape = shape + front.out[:, b] * front.into[:, a] * reflection[:, :, b, a]
                 if np.any(shape):
                     parts.append((gain * shape, a, b))
-            found.append(_Zone(parts, path, front, temperature))
+            found.append(_Zone(parts, path, front, temperature, field))
         return found, np.array([start for start, _ in places])
 
     def _reflection(self, place: float) -> Complex:
@@ -190,12 +191,27 @@ class Templates:
 
 
 class _Zone:
-    """Templates of one stretch of the tube: sums of spectra that travel as two modes each."""
+    """Templates of one stretch of the tube: sums of spectra that travel as two modes each.
+
+    Parameters
+    ----------
+    parts : list of (ndarray, int, int)
+        Spectra at the origin for all depths, (n_depths, n_f), and their two modes.
+    path : Path
+    front : Front
+        Behind which the stretch lies.
+    warmer : float
+        Deviation of the temperature in K.
+    field : ndarray
+        Spectrum with which the templates are correlated, (n_f,).
+    """
 
     def __init__(
-        self, parts: Sequence[tuple[Complex, int, int]], path: Path, front: Front, warmer: float
-    ) -> None:
+        self, parts: list[tuple[Complex, int, int]], path: Path, front: Front, warmer: float,
+        field: Complex,
+    ) -> None:  # fmt: skip
         self.parts, self.path, self.origin, self.warmer = parts, path, front.place, warmer
+        self.field = field
         self.start = path.phases(np.array([front.place]), warmer, behind=True)
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
@@ -218,7 +234,7 @@ class _Zone:
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
         energy = np.empty((len(self.nodes), len(self.parts[0][0])), np.float32)
-        sounds = base.sounding(self.nodes, BEFORE, LASTING, len(precision))
+        sounds = base.echo_ranges(self.nodes, BEFORE, LASTING, len(precision))
         for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
             samples = base.transformed(self._spectra(np.maximum(self.nodes[some], self.origin)))
             for i, part in zip(some, samples, strict=True):
@@ -236,26 +252,34 @@ class _Zone:
         share = np.clip(share - i, 0, 1)
         return np.asarray(np.exp((1 - share) * self.level[:, i] + share * self.level[:, i + 1]))
 
-    def correlate(self, field: Complex, places: Array) -> Complex:
-        """Return the products with a field, (n_depths, n_places)."""
-        shapes = np.concatenate([shape.conj() * field for shape, _, _ in self.parts], axis=1)
-        turns = self._turns(places).conj()
-        return np.asarray(shapes.astype(np.complex64) @ turns.reshape(len(places), -1).T)
+    @cached_property
+    def _shapes(self) -> Complex:
+        """Spectra of the parts at the origin, in single precision, (n_depths, n_parts, n_f)."""
+        return np.stack([shape for shape, _, _ in self.parts], axis=1).astype(np.complex64)
+
+    @cached_property
+    def _filters(self) -> Complex:
+        """Conjugate spectra times the field, (n_depths, n_parts n_f)."""
+        products = self._shapes.conj() * self.field.astype(np.complex64)
+        return np.asarray(products.reshape(len(products), -1))
+
+    def correlation(self, places: Array) -> Complex:
+        """Return the products of the templates with the field, (n_depths, n_places)."""
+        factors = self._factors(places).conj()
+        return np.asarray(self._filters @ factors.reshape(len(places), -1).T)
 
     def _spectra(self, places: Array) -> Complex:
         """Return the spectra at places, (n_places, n_depths, n_f)."""
-        shapes = np.stack([shape for shape, _, _ in self.parts], axis=-1)
-        shapes = shapes.astype(np.complex64).swapaxes(0, 1)  # by frequency
-        found = self._turns(places).transpose(2, 0, 1) @ shapes.swapaxes(1, 2)
+        found = self._factors(places).transpose(2, 0, 1) @ self._shapes.transpose(2, 1, 0)
         return np.asarray(np.moveaxis(found, 0, -1))
 
-    def _turns(self, places: Array) -> Complex:
+    def _factors(self, places: Array) -> Complex:
         """Return the factors of the parts from the origin to places, (n_places, n_parts, n_f)."""
-        modes = propagation(self.phases(places))
+        modes = propagation_factor(self.phases(places))
         return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
 
 
-def propagation(phases: Complex) -> Complex:
+def propagation_factor(phases: Complex) -> Complex:
     """Return exp(-j phases) in single precision, several times as fast as in double."""
     turn = phases.real / (2 * np.pi)
     angle = (-2 * np.pi * (turn - np.rint(turn))).astype(np.float32)

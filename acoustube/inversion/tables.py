@@ -26,7 +26,7 @@ its power; least power that is kept, relative to the largest."""
 MOST_MODES = 3
 """Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
 ONWARDS, BACK = 9, 10
-"""Where the transmissions of :class:`Heard` are, behind a reflection between three modes."""
+"""Indices of the transmission coefficients in :class:`FrontCoefficients`."""
 ROUNDING = 1e-5
 """Errors of the coefficients to be smoothed, relative to their size."""
 
@@ -49,15 +49,16 @@ class Matrices(NamedTuple):
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's transmission both ways, and changes by depth and stretch."""
-        return both_ways(
+        return round_trip(
             [one[..., 1, 0, 0, 0] for one in self], [one[..., 0, 0, 1, 0] for one in self]
         )
 
 
-class Heard(NamedTuple):
-    """What is heard of presses behind which nothing lies, and its derivatives; each (n, n_f, 11).
+class FrontCoefficients(NamedTuple):
+    """Reflection at the front of presses, and two-way transmission, with derivatives.
 
-    The reflection at their front between three modes, row by row, and the plane wave's transmission
+    What the echo depends on where nothing lies behind a press. Each (n, n_f, 11): the reflection
+    coefficients between three modes, row by row, and the plane wave's transmission coefficients
     onwards and back.
 
     Attributes
@@ -75,11 +76,11 @@ class Heard(NamedTuple):
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's transmission both ways, and changes by depth and stretch."""
-        return both_ways([one[..., ONWARDS] for one in self], [one[..., BACK] for one in self])
+        return round_trip([one[..., ONWARDS] for one in self], [one[..., BACK] for one in self])
 
 
-def both_ways(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
-    """Return the product of two transmissions and its derivatives, from theirs."""
+def round_trip(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
+    """Return the two-way transmission coefficient and its derivatives, from both one-way ones."""
     by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
     return there[0] * here[0], by_depth, by_stretch
 
@@ -157,14 +158,16 @@ class ToolTable:
         parts = self._sums(self.value, self.slope, depth, stretch)
         return Matrices(*parts.reshape(*parts.shape[:3], 2, self.modes, 2, self.modes))
 
-    def in_front(self, depth: Array, stretch: Array) -> Heard:
-        """Return what is heard of presses behind which nothing lies, with the same arguments."""
-        return Heard(*self._sums(*self._front, depth, stretch))
+    def front(self, depth: Array, stretch: Array) -> FrontCoefficients:
+        """Return the coefficients at the front alone, with the same arguments."""
+        return FrontCoefficients(*self._sums(*self._front, depth, stretch))
 
     @cached_property
     def _front(self) -> tuple[Complex, Complex]:
-        """Coefficients of :class:`Heard` and their slopes by depth."""
-        return _heard(self.value, self.modes), _heard(self.slope, self.modes)
+        """Coefficients of :class:`FrontCoefficients` and their slopes by depth."""
+        return _front_coefficients(self.value, self.modes), _front_coefficients(
+            self.slope, self.modes
+        )
 
     def _sums(self, values: Complex, slopes: Complex, depth: Array, stretch: Array) -> Complex:
         """Return coefficients and their derivatives, (3, n, n_f, n_coefficients)."""
@@ -177,8 +180,8 @@ class ToolTable:
         ).view(complex))  # fmt: skip
 
 
-def _heard(part: Complex, modes: int) -> Complex:
-    """Return the coefficients of :class:`Heard` among those of matrices, (n_depths, n_f, 11)."""
+def _front_coefficients(part: Complex, modes: int) -> Complex:
+    """Return front coefficients (n_depths, n_f, 11) of those of whole matrices."""
     s = part.reshape(*part.shape[:2], 2, modes, 2, modes)
     found = np.zeros((*part.shape[:2], BACK + 1), part.dtype)
     between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_MODES, MOST_MODES)
