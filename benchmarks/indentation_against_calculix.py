@@ -22,7 +22,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Iterable
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from time import process_time, sleep
 from typing import Any
@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.indentation import Indenter, MeshSize, indent
+from acoustube.indentation import USUAL_MESH, Indenter, MeshSize, indent
 from acoustube.indentation.contact import CONTACT_STIFFNESS
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.tube import Tube
@@ -43,7 +43,7 @@ TIMED = DEPTHS_MM.index(7.0)
 """Number of the depth to which a run is timed."""
 REFINED = (
     MeshSize(through_wall=1, around=10, along=7),
-    MeshSize(),
+    MeshSize(through_wall=2, around=20, along=13),
     MeshSize(through_wall=3, around=30, along=20),
     MeshSize(through_wall=4, around=40, along=26),
 )
@@ -53,6 +53,8 @@ OTHERS = (
     MeshSize(through_wall=2, around=12, along=12),
     MeshSize(through_wall=2, around=24, along=18),
 )
+GRADED = (USUAL_MESH, replace(USUAL_MESH, around=30, along=17, grading=3.0))
+"""Default and fine mesh, by acoustube alone."""
 ORDER = 3
 """Assumed order of convergence of the force; 2 and 4 differ by 0.8 of the last difference, which is
 the uncertainty stated."""
@@ -255,7 +257,7 @@ def record(
 
 CODES = {"acoustube": acoustube, "CalculiX": calculix}
 RUNS = [
-    *(("acoustube", size) for size in (*OTHERS, *REFINED)),
+    *(("acoustube", size) for size in (*OTHERS, *GRADED, *REFINED)),
     *(("CalculiX", size) for size in (*OTHERS, REFINED[1])),
 ]
 

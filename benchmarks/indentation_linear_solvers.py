@@ -31,7 +31,7 @@ from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
 from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Indentation, Indenter, MeshSize, indent, linear_solver
+from acoustube.indentation import USUAL_MESH, Indentation, Indenter, MeshSize, indent, linear_solver
 from acoustube.indentation.assembly import stiffness
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.multifrontal import Analysis
@@ -43,7 +43,7 @@ Factorise = Callable[[sparse.csc_array], linear_solver.Solve]
 
 TUBE, ROD, DEPTH, REPEATS = Tube(), Indenter(), 1e-3, 3
 REACH = pressed_reach(TUBE.outer_diameter, ROD.diameter)
-SIZE = MeshSize()
+SIZE = USUAL_MESH
 CASES = {
     "quarter": (SIZE, (True, True)),
     "half": (SIZE, (True, False)),

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.limits import pressed_reach
-from acoustube.indentation import Indentation, Indenter, MeshSize, indent
+from acoustube.indentation import USUAL_MESH, Indentation, Indenter, MeshSize, indent
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.reference_element import FACE, HEX20, QUAD8, Reference, gauss
 from acoustube.lumen import measure
@@ -31,9 +31,11 @@ DEPTHS_MM = (2.0, 4.0, 6.0, 7.0, 7.5, 8.0)
 MESHES = (
     MeshSize(through_wall=1, around=12, along=10),
     MeshSize(through_wall=2, around=12, along=12),
-    MeshSize(),
+    MeshSize(through_wall=2, around=20, along=13),
     MeshSize(through_wall=2, around=24, along=18),
     MeshSize(through_wall=3, around=18, along=14),
+    USUAL_MESH,
+    replace(USUAL_MESH, around=30, along=17, grading=3.0),
 )
 REACH = pressed_reach(Tube().outer_diameter, 25e-3)
 BARRIER_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
@@ -124,7 +126,7 @@ if __name__ == "__main__":
     print(f"\n| barrier distance mm | {depths} | {tail}")
     print("|" + "---|" * (len(DEPTHS_MM) + 4))
     for distance in BARRIER_DISTANCES_MM:
-        press, seconds = pressed(MeshSize(), distance)
+        press, seconds = pressed(USUAL_MESH, distance)
         print(f"| {distance:g} | {cells(press, exact)} | {seconds:.1f} |", flush=True)
     print(f"\n| element | {depths} | {tail}")
     print("|" + "---|" * (len(DEPTHS_MM) + 4))

@@ -15,11 +15,12 @@ path on a coarse mesh), `load_path` (increments of depth), `press` (the public f
 
 from acoustube.indentation.depth_path import DepthPath, InterpolationError
 from acoustube.indentation.indenters import Indenter, Layer, Press, Support
-from acoustube.indentation.mesh import Mesh, MeshSize
+from acoustube.indentation.mesh import USUAL_MESH, Mesh, MeshSize
 from acoustube.indentation.press import indent, restored
 from acoustube.indentation.result import Indentation, PressError
 
 __all__ = [
+    "USUAL_MESH",
     "DepthPath",
     "Indentation",
     "Indenter",

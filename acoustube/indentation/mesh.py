@@ -39,9 +39,9 @@ class MeshSize:
         than the average if there were many.
     """
 
-    through_wall: int = 2
-    around: int = 20
-    along: int = 13
+    through_wall: int
+    around: int
+    along: int
     grading: float = 3.2
     fold: float = 0.55
     touch: float = 0.2
@@ -54,6 +54,10 @@ class MeshSize:
             self, through_wall=count, around=count, along=count, fold=fraction, touch=fraction,
             inner=fraction, grading=Number(0, 20),
         )  # fmt: skip
+
+
+USUAL_MESH = MeshSize(through_wall=3, around=20, along=12, grading=3.4, fold=0.65, inner=0.5)
+"""Default mesh size: the force of a 25 mm rod to 7 mm is within 0.5 % of the converged one."""
 
 
 class Sweep(NamedTuple):
@@ -175,7 +179,7 @@ def sweep(
         (-y) over the side x > 0 to the top line (+y) and, where the tube is whole, back over the
         other side.
     """
-    size = size or MeshSize()
+    size = size or USUAL_MESH
     around = size.around * (1 if halved[0] else 2)
     station = _stations(np.asarray(presses) / reach, size, from_zero=halved[1])
     half = np.pi * _graded_turn(np.linspace(0, 1, 2 * size.around + 1), size)

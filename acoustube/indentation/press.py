@@ -93,7 +93,8 @@ def indent(
     material : Material, optional
         Material of the wall; Neo-Hookean with the tube's moduli by default.
     mesh : Mesh or MeshSize, optional
-        A mesh of the wall, for instance of an imported surface, or the numbers of elements.
+        A mesh of the wall, for instance of an imported surface, or the numbers of elements;
+        ``USUAL_MESH`` by default.
     whole : bool
         Model the whole tube even where it is symmetric, so that symmetry can break.
     barrier_distance : float, optional

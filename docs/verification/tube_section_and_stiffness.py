@@ -11,10 +11,12 @@ elastic half space.
 # The area of the section, from the volume of the elements
 # --------------------------------------------------------
 # Quadratic edges follow a circle with an error of fourth order.
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 
-from acoustube.indentation.mesh import MeshSize, sweep
+from acoustube.indentation.mesh import USUAL_MESH, sweep
 from acoustube.tube import Tube, shear_modulus_from_shore
 
 tube, reach = Tube(), 0.02
@@ -23,7 +25,7 @@ exact = np.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
 
 def section_area(around):
     """Return the area in m2 of a tube that is meshed by so many elements around half of it."""
-    mesh = sweep(tube, reach, MeshSize(around=around))
+    mesh = sweep(tube, reach, replace(USUAL_MESH, around=around))
     shape = mesh.reference
     slopes = np.einsum("qad,eax->eqxd", shape.slopes, mesh.points[mesh.elements])
     volume = np.sum(np.linalg.det(slopes) * shape.weights)
@@ -33,8 +35,8 @@ def section_area(around):
 around = np.array([6, 8, 12, 16, 24, 32])
 error = np.array([abs(section_area(n) / exact - 1) for n in around])
 order = float(np.log2(error[0] / error[3]) / np.log2(around[3] / around[0]))
-usual = float(abs(section_area(MeshSize().around) / exact - 1))
-print(f"order {order:.2f}; {usual:.1e} of the area with the usual {MeshSize().around} elements")
+usual = float(abs(section_area(USUAL_MESH.around) / exact - 1))
+print(f"order {order:.2f}; {usual:.1e} of the area with the usual {USUAL_MESH.around} elements")
 
 # %%
 # The modulus

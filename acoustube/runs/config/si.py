@@ -9,11 +9,11 @@ stages.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from acoustube.air import Air, air_at
-from acoustube.indentation import Indenter, Layer, MeshSize, Support
+from acoustube.indentation import USUAL_MESH, Indenter, Layer, MeshSize, Support
 from acoustube.runs.config.config import Config, Mechanics
 from acoustube.runs.config.settings import IndentationSettings
 from acoustube.runs.config.tube_in_si import CENTI, KILO, MEGA, MILLI, tube_in_si
@@ -25,8 +25,8 @@ FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg
 
 MESH_SIZES = {
     "coarse": MeshSize(through_wall=1, around=12, along=10),
-    "usual": MeshSize(),
-    "fine": MeshSize(through_wall=3, inner=0.5, fold=0.65),
+    "usual": USUAL_MESH,
+    "fine": replace(USUAL_MESH, around=30, along=17, grading=3.0),
 }
 """Meshes of a round tube. The force of a 25 mm rod on each is in the documentation's findings."""
 
