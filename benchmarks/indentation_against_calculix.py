@@ -53,7 +53,7 @@ OTHERS = (
     MeshSize(through_wall=2, around=12, along=12),
     MeshSize(through_wall=2, around=24, along=18),
 )
-GRADED = (USUAL_MESH, replace(USUAL_MESH, around=30, along=17, grading=3.0))
+GRADED = (USUAL_MESH, replace(USUAL_MESH, around=28, along=24, grading=3.2))
 """Default and fine mesh, by acoustube alone."""
 ORDER = 3
 """Assumed order of convergence of the force; 2 and 4 differ by 0.8 of the last difference, which is

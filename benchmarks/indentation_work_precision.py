@@ -35,7 +35,7 @@ MESHES = (
     MeshSize(through_wall=2, around=24, along=18),
     MeshSize(through_wall=3, around=18, along=14),
     USUAL_MESH,
-    replace(USUAL_MESH, around=30, along=17, grading=3.0),
+    replace(USUAL_MESH, around=28, along=24, grading=3.2),
 )
 REACH = pressed_reach(Tube().outer_diameter, 25e-3)
 BARRIER_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)

@@ -15,10 +15,14 @@ from acoustube.inversion import (
     baseband_of,
     measured_clutter,
 )
+from acoustube.inversion.births import new_deviations
+from acoustube.inversion.cycle import Known
+from acoustube.inversion.fewer import one_for_two, refitted
 from acoustube.inversion.fit import maximise
-from acoustube.inversion.likelihood import weights
+from acoustube.inversion.likelihood import echo_of, weights
 from acoustube.inversion.motion import Branches, at_rest, predicted, updated
 from acoustube.inversion.parameters import joined
+from acoustube.inversion.proposals import Proposals
 from acoustube.ranging import Rangefinder, digitise, record, response
 
 LENGTH, TUBE = 2.0, 7
@@ -145,6 +149,81 @@ def test_contact_that_is_added_and_taken_away_leaves_the_others():
     assert fewer.tools == (0, 1)
     assert np.array_equal(fewer.mean[1], start.mean[0])
     assert np.array_equal(fewer.covariance[1], start.covariance[0])
+
+
+def of_contacts(model, contacts):
+    """Return the distribution of new contacts at places and depths."""
+    start = at_rest(model.priors)
+    for i, (place, depth) in enumerate(contacts):
+        start = start.added(i, 0, np.array([place]), np.array([depth]), new_deviations(Motion()))
+    return start
+
+
+def cycle_of(model, presses):
+    """Return the baseband of a cycle, and weights with an error of the model of 3 %."""
+    samples, noise = model.base.of_cycles(counts(presses)[None])
+    places, depths = np.array(presses).T[:, None]
+    nuisances = np.zeros((1, len(model.priors.deviations)))
+    echo = echo_of(model, (0,) * len(presses), joined(places, depths, nuisances)[0])
+    return samples, weights(model, noise, 0.03, echo)
+
+
+def loss(whiten, fewer, more):
+    """Return by how much a fit's logarithm of the likelihood is below another's."""
+    rest = whiten(np.stack([fewer.rest[0], more.rest[0]]))
+    return float(np.diff(-np.sum(np.abs(rest) ** 2, axis=1))[0])
+
+
+def test_contact_that_explains_a_misplaced_one_is_worth_nothing_once_that_is_fitted_again(model):
+    """The real one half a wavelength off and another behind; without that it returns to its place.
+
+    As it stands the cycle loses by the other contact's absence: with the misplaced one alone. A
+    real second press is worth hundreds, however the first is fitted.
+    """
+    samples, whiten = cycle_of(model, [(0.62, 4.5e-3)])
+    start = of_contacts(model, [(0.616, 3.9e-3), (0.66, 3e-3)])
+    both = updated(model, start, samples, whiten, iterations=5)
+    best = both.branches.take(np.arange(1))
+    assert best.mean[0, 0] == pytest.approx(0.616, abs=0.3e-3)
+    alone = refitted(model, best.without(1), samples, whiten)
+    as_it_stands = updated(model, best.without(1), samples, whiten, iterations=0)
+    assert loss(whiten, as_it_stands, both) > 10
+    assert loss(whiten, alone, both) < 0
+    assert alone.branches.mean[0, 0] == pytest.approx(0.62, abs=0.3e-3)
+
+    samples, whiten = cycle_of(model, [(0.62, 4.5e-3), (0.95, 5e-3)])
+    both = updated(model, of_contacts(model, [(0.62, 4.5e-3), (0.95, 5e-3)]), samples, whiten)
+    alone = refitted(model, both.branches.take(np.arange(1)).without(1), samples, whiten)
+    assert loss(whiten, alone, both) > 100
+
+
+def test_one_contact_takes_the_place_of_two_at_any_depth(model):
+    """Two that tell of one press at too small a depth: the one is found at its own."""
+    samples, whiten = cycle_of(model, [(0.62, 4.5e-3)])
+    proposals = [Proposals(model, 0, model.base.noise(1))]
+    start = of_contacts(model, [(0.612, 3e-3), (0.65, 2.5e-3)])
+    both = updated(model, start, samples, whiten, iterations=5)
+    best = both.branches.take(np.arange(1))
+    alone = one_for_two(proposals, Motion(), best, 0, samples, whiten)
+    assert alone.branches.tools == (0,)
+    assert alone.branches.mean[0, 0] == pytest.approx(0.62, abs=0.3e-3)
+    assert alone.branches.mean[0, 1] == pytest.approx(4.5e-3, rel=0.05)  # gain, as above
+    assert loss(whiten, alone, both) < 0
+    silent, quiet = cycle_of(model, [(1.4, 1e-3)])
+    assert one_for_two(proposals, Motion(), best, 0, silent, quiet) is None
+
+
+def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
+    """Three quarters of a second after a press is told by two contacts it is told by one."""
+    tracker = ContactTracker(model)
+    for i in range(20):
+        tracker.update(counts([(0.62, 4.5e-3)], i))
+    track = tracker.track
+    wrong = of_contacts(model, [(0.616, 3.9e-3), (0.66, 3e-3)])
+    track.branches, track.known = wrong, [Known(0, 12.0, age=5), Known(1, 12.0, age=2)]
+    for i in range(20, 35):
+        contacts = tracker.update(counts([(0.62, 4.5e-3)], i)).contacts
+    assert [one.distance.value for one in contacts] == pytest.approx([0.62], abs=0.3e-3)
 
 
 def test_cycle_of_another_length_is_refused(model):

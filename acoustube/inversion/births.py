@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
-from acoustube.inversion.motion import Branches, Motion
+from acoustube.inversion.motion import Branches, Motion, Update, updated
 from acoustube.inversion.parameters import CLOSEST, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import Front, front_of
@@ -80,6 +82,41 @@ def uniform(model: ForwardModel, tool: int) -> float:
 def half_wavelength(model: ForwardModel) -> float:
     """Return half a wavelength at the middle of the band, in m."""
     return model.base.air.sound_speed / (2 * float(np.mean(model.base.frequency)))
+
+
+def with_shifts(
+    model: ForwardModel,
+    motion: Motion,
+    fewer: Branches,
+    best: Update,
+    rank: int,
+    samples: Complex,
+    whiten: Weights,
+) -> Update:
+    """Return fits of a new contact and of the same half wavelengths away, the best first.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    motion : Motion
+    fewer : Branches
+        Without the contact.
+    best : Update
+        With it.
+    rank : int
+        Its index along the tube.
+    samples : ndarray
+        Baseband of the cycle, (n_time,).
+    whiten : Weights
+    """
+    steps = half_wavelength(model) * np.array([-2, -1, 1, 2])
+    place, depth = best.branches.mean[0, 2 * rank : 2 * rank + 2]
+    start = fewer.added(
+        rank, best.branches.tools[rank], place + steps, np.full(4, depth), new_deviations(motion)
+    )
+    tried = updated(model, start, samples, whiten, iterations=3)
+    level = tried.branches.level + tried.evidence[0] - best.evidence[0]
+    return best.joined(replace(tried, branches=replace(tried.branches, level=level)))
 
 
 def rank_of(fewer: Branches, more: Branches) -> int:

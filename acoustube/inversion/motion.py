@@ -37,6 +37,8 @@ CONVERGED = 0.1
 """Decrease of the cost in an iteration that ends the iterations."""
 LOST = 60.0
 """Cost over the least from which a branch is not refined further after its second iteration."""
+DISTINCT = 0.5e-3, 0.05e-3
+"""Differences of place and depth in m up to which two branches are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,6 +301,27 @@ def updated(
     order = np.argsort(-level)
     found = Update(branches, evidence, known.rest, known.slopes, known.information)
     return found.take(order)
+
+
+def likely(found: Update, worst: float, most: int) -> Update:
+    """Return the likely branches that differ, the best first.
+
+    Parameters
+    ----------
+    found : Update
+    worst : float
+        Logarithm of the odds to the best branch below which one is left out.
+    most : int
+        Largest number of branches.
+    """
+    branches, m = found.branches, 2 * len(found.branches.tools)
+    at = branches.mean[:, :m] / np.tile(DISTINCT, m // 2)
+    kept: list[int] = []
+    for i in range(len(at)):
+        same = any(np.all(np.abs(at[i] - at[j]) < 1) for j in kept)
+        if not kept or (branches.level[i] > branches.level[0] + worst and not same):
+            kept.append(i)
+    return found.take(np.array(kept[:most]))
 
 
 class _Quadratic:

@@ -20,9 +20,11 @@ from acoustube.inversion.births import (
     new_deviations,
     rank_of,
     uniform,
+    with_shifts,
 )
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.fewer import one_for_two, refitted, widened
 from acoustube.inversion.likelihood import Echo, Weights, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
@@ -30,6 +32,7 @@ from acoustube.inversion.motion import (
     Branches,
     Motion,
     Update,
+    likely,
     predicted,
     updated,
 )
@@ -60,6 +63,8 @@ NEW = 2, 4, 7
 """Cycles after its first at which the place of a new contact is searched again."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 """Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
+MERGED = 3
+"""Cycles between tests of whether a young contact and its neighbour are one."""
 LOUD = 3.0
 """Level of whitened samples, smoothed, that is tested for a new contact at once."""
 BAD = 3.0
@@ -75,13 +80,9 @@ is wrapped."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
 second one at a time; all contacts are shifted by half wavelengths together too."""
-WIDER = 0.5e-3, 0.15e-3
-"""Standard deviations in m that are added to those of a shifted place and depth."""
 UNUSUAL, RESTARTED = -4.0, -3.0
 """Logarithms of the prior odds of another maximum than the one followed, and of a contact that has
 jumped."""
-DISTINCT = 0.5e-3, 0.05e-3
-"""Differences of place and depth in m up to which two branches are one."""
 
 
 class Track:
@@ -115,7 +116,7 @@ class Track:
         self.known: list[Known] = []
         self.echo: Echo | None = None
         self.error, self.residual, self.score = ERROR, 1.0, 0.0
-        self.n_cycles, self.n_bad, self.numbers = 0, 0, 0
+        self.n_cycles, self.n_bad, self.n_shifts, self.numbers = 0, 0, 0, 0
         self.rests: deque[Complex] = deque(maxlen=MEAN)
         self.whiten, self.untouched = quiet, np.zeros(0, complex)
         self.spread = BENT_SPREAD if model.path.converts else SPREAD
@@ -126,9 +127,11 @@ class Track:
         self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
         found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
-        new = any(one.age in NEW for one in self.known)
+        new = any(one.age in NEW for one in self.known) or (self._young() and self._loud(found))
         if self.known and (new or self._bad(found, cycle)):
             found = self._sought_near(prior, found, cycle)
+        if cycle.number % MERGED == 0:
+            found = self._merged(found, cycle)
         self._judge(found, cycle)
         found = self._without_gone(found, cycle)
         self.rests.append(found.rest[0])
@@ -150,6 +153,9 @@ class Track:
     ) -> Update:
         whiten = whiten or self.whiten
         return updated(self.model, prior, samples, whiten, iterations=iterations, forget=forget)
+
+    def _young(self) -> bool:
+        return any(one.age < YOUNG for one in self.known)
 
     def _judge(self, found: Update, cycle: Cycle) -> None:
         """Adapt the model's error to the residual, and count cycles that are explained badly."""
@@ -191,13 +197,12 @@ class Track:
     def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches after a look for new contacts or for other maxima."""
         turn, room = cycle.number, len(self.known) < self.most
-        young = any(one.age < YOUNG for one in self.known)
         if room and self._loud(found) and (not self.known or self.n_bad or turn % 2 == 0):
             return self._born(found, cycle, prior)
         if room and turn % SELDOM == 3:
             return self._born(found, cycle)
         same = found.branches.tools == prior.tools
-        often = OFTEN if young or self.n_bad else RARELY
+        often = OFTEN if self._young() or self.n_bad else RARELY
         if self.known and same and turn % often == 1:
             return self._shifted(prior, found, cycle)
         return found
@@ -241,7 +246,7 @@ class Track:
             return found
         best, fewer = max(tried, key=lambda one: float(one[0].evidence[0]))
         rank = rank_of(fewer, best.branches)
-        best = self._with_shifts(fewer, best, rank, samples, whiten)
+        best = with_shifts(self.model, self.motion, fewer, best, rank, samples, whiten)
         odds = float(best.evidence[0]) + plain - RARE
         odds -= uniform(self.model, best.branches.tools[rank])
         if odds < 0:
@@ -273,24 +278,11 @@ class Track:
                 rank, best.branches.tools[rank], place, depth, new_deviations(self.motion)
             )
             alone = self._updated(start, samples, 5, whiten=whiten)
-            alone = self._with_shifts(others, alone, rank, samples, whiten)
+            alone = with_shifts(self.model, self.motion, others, alone, rank, samples, whiten)
             if alone.evidence[0] + RARE > best.evidence[0]:
                 del self.known[i]
                 return alone
         return best
-
-    def _with_shifts(
-        self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
-    ) -> Update:
-        """Return fits of a new contact and of the same half wavelengths away, the best first."""
-        steps = half_wavelength(self.model) * np.array([-2, -1, 1, 2])
-        place = best.branches.mean[0, 2 * rank] + steps
-        depth = np.full(4, best.branches.mean[0, 2 * rank + 1])
-        deviations = new_deviations(self.motion)
-        start = fewer.added(rank, best.branches.tools[rank], place, depth, deviations)
-        tried = self._updated(start, samples, 3, whiten=whiten)
-        level = tried.branches.level + tried.evidence[0] - best.evidence[0]
-        return best.joined(replace(tried, branches=replace(tried.branches, level=level)))
 
     def _sought_near(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches and those with a contact at any depth, near its place."""
@@ -322,7 +314,8 @@ class Track:
 
     def _shifted(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches and those half a wavelength or some depth from the best."""
-        turn, best = cycle.number // OFTEN, found.branches
+        turn, best = self.n_shifts, found.branches
+        self.n_shifts += 1
         among = [i for i, one in enumerate(self.known) if one.age < YOUNG]
         young, among = bool(among), among or list(range(len(self.known)))
         i = among[turn % len(among)]
@@ -330,18 +323,12 @@ class Track:
         n = len(moves)
         mean = np.repeat(best.mean[:1], n, axis=0)
         mean[:, 2 * i : 2 * i + 2] += moves * [half_wavelength(self.model), 1.0]
-        covariance = np.repeat(prior.covariance[:1], n, axis=0)
-        for k, deviation in enumerate(WIDER):
-            covariance[:, 2 * i + k, 2 * i + k] += deviation**2
         if len(self.known) > 1 and moves[0, 0]:  # all together: the first is placed before others
             joint = np.repeat(best.mean[:1], n, axis=0)
             joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * half_wavelength(self.model)
-            wide = np.repeat(prior.covariance[:1], n, axis=0)
-            for k in range(0, 2 * len(self.known), 2):
-                wide[:, k, k] += WIDER[0] ** 2
-            mean, covariance = np.concatenate([mean, joint]), np.concatenate([covariance, wide])
-            n = len(mean)
-        start = Branches(best.tools, mean, covariance, np.zeros(n))
+            mean = np.concatenate([mean, joint])
+        wide = np.repeat(widened(prior, self.model.priors), len(mean), axis=0)
+        start = Branches(best.tools, mean, wide, np.zeros(len(mean)))
         return self._with_others(found, start, cycle, UNUSUAL if young else UNLIKELY)
 
     def _with_others(
@@ -357,29 +344,22 @@ class Track:
         return self._pruned(found.joined(others))
 
     def _pruned(self, found: Update) -> Update:
-        """Return the likely branches that differ, the best first."""
-        branches, m = found.branches, 2 * len(found.branches.tools)
-        at = branches.mean[:, :m] / np.tile(DISTINCT, m // 2)
-        kept: list[int] = []
-        for i in range(len(at)):
-            same = any(np.all(np.abs(at[i] - at[j]) < 1) for j in kept)
-            if not kept or (branches.level[i] > branches.level[0] + UNLIKELY and not same):
-                kept.append(i)
-        young = any(one.age < YOUNG for one in self.known)
-        return found.take(np.array(kept[: YOUNG_BRANCHES if young else BRANCHES]))
+        return likely(found, UNLIKELY, YOUNG_BRANCHES if self._young() else BRANCHES)
 
     def _without_gone(self, found: Update, cycle: Cycle) -> Update:
-        """Return the branches after a test of one contact: whether the cycle is likely without."""
+        """Return the branches after a test of one contact: whether the cycle is likely without.
+
+        The others are fitted again without it.
+        """
         if not self.known:
             return found
         i = cycle.number % len(self.known)
         fewer = found.branches.take(np.arange(1)).without(i)
-        value, _ = self.model.baseband(fewer.tools, *split(fewer.mean[:, : fewer.parameters]))
-        rest = self.whiten(np.stack([cycle.samples - value[0], found.rest[0]]))
-        costs = np.sum(np.abs(rest) ** 2, axis=1)
+        refit = refitted(self.model, fewer, cycle.samples, self.whiten)
+        gained = self._gained(found, refit)
         one = self.known[i]
         there = self.motion.survival * one.probability
-        odds = np.log(there / (1 - there)) + costs[0] - costs[1] - 1.0
+        odds = np.log(there / (1 - there)) + gained - 1.0
         one.odds = float(min(odds, SURE))
         least = self.model.tables[found.branches.tools[i]].range[0]
         faint = found.branches.mean[0, 2 * i + 1] < least + FAINT
@@ -388,4 +368,27 @@ class Track:
             return found
         del self.known[i]
         self.rests.clear()
+        if self.known:
+            return self._pruned(refit)
         return self._updated(found.branches.without(i), cycle.samples, 1)
+
+    def _gained(self, found: Update, fewer: Update) -> float:
+        """Return by how much the logarithm of a cycle's likelihood exceeds that of another fit."""
+        rest = self.whiten(np.stack([fewer.rest[0], found.rest[0]]))
+        without, with_all = np.sum(np.abs(rest) ** 2, axis=1)
+        return float(without - with_all)
+
+    def _merged(self, found: Update, cycle: Cycle) -> Update:
+        """Return fits of one contact in place of two neighbours, if the cycle is as likely."""
+        ages = [one.age for one in self.known]
+        pairs = [i for i in range(len(ages) - 1) if min(ages[i : i + 2]) < YOUNG]
+        if not pairs:
+            return found
+        i = pairs[cycle.number // MERGED % len(pairs)]
+        best = found.branches.take(np.arange(1))
+        alone = one_for_two(self.proposals, self.motion, best, i, cycle.samples, self.whiten)
+        if alone is None or self._gained(found, alone) > RARE:
+            return found
+        del self.known[i + 1]
+        self.known[i].age = min(self.known[i].age, NEW[-1] + 1)
+        return self._pruned(alone)

@@ -339,7 +339,7 @@ def _of_estimation() -> dict[str, Spec]:
 
 def _of_walls() -> dict[str, Spec]:
     from acoustube import lumen as w
-    from acoustube.indentation import Indenter, Layer, MeshSize
+    from acoustube.indentation import USUAL_MESH, Indenter, Layer, MeshSize
     from acoustube.runs.sweep.cycles import Recipe
 
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
@@ -357,7 +357,7 @@ def _of_walls() -> dict[str, Spec]:
                          "z": np.linspace(0.01, 0.04, 3)}),
             (Indenter, {f.name: f.default for f in dataclasses.fields(Indenter)}),
             (Layer, {"thickness": 0.01, "modulus": 1e5}),
-            (MeshSize, {f.name: f.default for f in dataclasses.fields(MeshSize)}),
+            (MeshSize, dataclasses.asdict(USUAL_MESH)),
             (Recipe, {"n_cycles": 50, "n_tubes": 1, "n_sessions": 1, "seed": 0}),
         ],
     )  # fmt: skip
