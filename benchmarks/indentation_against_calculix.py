@@ -22,7 +22,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Iterable
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from pathlib import Path
 from time import process_time, sleep
 from typing import Any
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from acoustube.indentation import USUAL_MESH, Indenter, MeshSize, indent
 from acoustube.indentation.contact import CONTACT_STIFFNESS
 from acoustube.indentation.mesh import Mesh, sweep
+from acoustube.runs.config.si import MESH_SIZES
 from acoustube.tube import Tube
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ OTHERS = (
     MeshSize(through_wall=2, around=12, along=12),
     MeshSize(through_wall=2, around=24, along=18),
 )
-GRADED = (USUAL_MESH, replace(USUAL_MESH, around=28, along=24, grading=3.2))
+GRADED = (USUAL_MESH, MESH_SIZES["fine"])
 """Default and fine mesh, by acoustube alone."""
 ORDER = 3
 """Assumed order of convergence of the force; 2 and 4 differ by 0.8 of the last difference, which is

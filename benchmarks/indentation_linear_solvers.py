@@ -48,8 +48,8 @@ CASES = {
     "quarter": (SIZE, (True, True)),
     "half": (SIZE, (True, False)),
     "whole": (SIZE, (False, False)),
-    "quarter, 3 layers": (MeshSize(through_wall=3, around=24, along=21), (True, True)),
-    "quarter, 4 layers": (MeshSize(through_wall=4, around=32, along=28), (True, True)),
+    "quarter, 3 x 24 x 21": (MeshSize(through_wall=3, around=24, along=21), (True, True)),
+    "quarter, 4 x 32 x 28": (MeshSize(through_wall=4, around=32, along=28), (True, True)),
 }
 LARGEST_FOR_SUPERLU = 7.5e7
 """Numbers in the band beyond which SuperLU, at half a minute a time, is left out."""

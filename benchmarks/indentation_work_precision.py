@@ -24,6 +24,7 @@ from acoustube.indentation import USUAL_MESH, Indentation, Indenter, MeshSize, i
 from acoustube.indentation.mesh import Mesh, sweep
 from acoustube.indentation.reference_element import FACE, HEX20, QUAD8, Reference, gauss
 from acoustube.lumen import measure
+from acoustube.runs.config.si import MESH_SIZES
 from acoustube.tube import Tube
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
@@ -35,7 +36,7 @@ MESHES = (
     MeshSize(through_wall=2, around=24, along=18),
     MeshSize(through_wall=3, around=18, along=14),
     USUAL_MESH,
-    replace(USUAL_MESH, around=28, along=24, grading=3.2),
+    MESH_SIZES["fine"],
 )
 REACH = pressed_reach(Tube().outer_diameter, 25e-3)
 BARRIER_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)

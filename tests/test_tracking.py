@@ -152,7 +152,7 @@ def test_contact_that_is_added_and_taken_away_leaves_the_others():
 
 
 def of_contacts(model, contacts):
-    """Return the distribution of new contacts at places and depths."""
+    """Return the distribution of new contacts (place, depth)."""
     start = at_rest(model.priors)
     for i, (place, depth) in enumerate(contacts):
         start = start.added(i, 0, np.array([place]), np.array([depth]), new_deviations(Motion()))
@@ -220,10 +220,14 @@ def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
         tracker.update(counts([(0.62, 4.5e-3)], i))
     track = tracker.track
     wrong = of_contacts(model, [(0.616, 3.9e-3), (0.66, 3e-3)])
-    track.branches, track.known = wrong, [Known(0, 12.0, age=5), Known(1, 12.0, age=2)]
+    track.branches, track.known = wrong, [Known(0, 12.0, age=2), Known(1, 12.0, age=5)]
+    track.numbers = 2
     for i in range(20, 35):
-        contacts = tracker.update(counts([(0.62, 4.5e-3)], i)).contacts
-    assert [one.distance.value for one in contacts] == pytest.approx([0.62], abs=0.3e-3)
+        found = tracker.update(counts([(0.62, 4.5e-3)], i))
+    assert [one.distance.value for one in found.contacts] == pytest.approx([0.62], abs=0.3e-3)
+    assert [one.depth.value for one in found.contacts] == pytest.approx([4.5e-3], rel=0.05)
+    assert found.numbers == [1]  # of the one that had been there for longer
+    assert len(tracker.track.known) == 1
 
 
 def test_cycle_of_another_length_is_refused(model):

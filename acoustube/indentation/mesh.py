@@ -57,7 +57,7 @@ class MeshSize:
 
 
 USUAL_MESH = MeshSize(through_wall=3, around=20, along=16, grading=3.0, fold=0.65, inner=0.5)
-"""Default mesh size: the force of a 25 mm rod to 7 mm is within 0.5 % of the converged one."""
+"""Default mesh: the force of a 25 mm rod is within 0.4 % of the converged one to 6 mm."""
 
 
 class Sweep(NamedTuple):
@@ -166,7 +166,7 @@ def sweep(
     reach : float
         Length of the modelled part to each side of z = 0, in m.
     size : MeshSize, optional
-        Numbers of elements.
+        Numbers of elements; ``USUAL_MESH`` by default.
     halved : tuple of bool
         True if only x >= 0, and if only z >= 0, is meshed.
     presses : sequence of float

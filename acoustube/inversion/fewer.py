@@ -1,12 +1,14 @@
-"""Fits of a cycle by fewer contacts, by which those that are none are told.
+"""Fits of a cycle by fewer contacts, which reveal spurious ones (ghosts).
 
-A contact that is none explains what the others, misplaced, leave of a cycle. Its worth is therefore
+A spurious contact explains what the others, misplaced, leave of a cycle. Its worth is therefore
 what the cycle loses where the others are fitted again without it. A press that deepens fast may be
 followed at too small a depth half a wavelength off, and what is left seem a contact just behind: so
 one contact is also sought in place of two neighbours.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,12 +17,14 @@ from acoustube.inversion.births import fronts_of, half_wavelength, new_deviation
 from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Branches, Motion, Update, updated
-from acoustube.inversion.parameters import split
+from acoustube.inversion.parameters import CLOSEST, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.waves.scattering import Complex
 
 WIDER = 0.5e-3, 0.15e-3
-"""Standard deviations in m that are added to those of place and depth in another fit."""
+"""Standard deviations in m that are added to those of places and depths in a fit from elsewhere."""
+ELSEWHERE = -4.0
+"""Logarithm of the prior odds of a maximum half a wavelength away."""
 BEFORE, BEHIND = 0.03, 0.01
 """Reach in m in front of two neighbours and behind, within which one is sought in their place."""
 ITERATIONS = 4, 5
@@ -28,7 +32,7 @@ ITERATIONS = 4, 5
 
 
 def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Weights) -> Update:
-    """Return fits of the contacts left, also with one of them half a wavelength away.
+    """Return fits of the contacts left, also from half a wavelength away, the best first.
 
     Parameters
     ----------
@@ -45,7 +49,8 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
     mean[1 + contact, 2 * contact] -= half_wavelength(model)
     mean[1 + m + contact, 2 * contact] += half_wavelength(model)
     wide = np.repeat(widened(fewer, model.priors), 1 + 2 * m, axis=0)
-    start = Branches(fewer.tools, mean, wide, np.zeros(1 + 2 * m))
+    level = np.append(0.0, np.full(2 * m, ELSEWHERE))
+    start = Branches(fewer.tools, mean, wide, level)
     return updated(model, start, samples, whiten, iterations=ITERATIONS[0])
 
 
@@ -91,15 +96,21 @@ def one_for_two(
     whiten : Weights
     """
     model = proposals[0].model
-    ends = best.mean[0, [2 * first, 2 * first + 2]]
+    places = best.mean[0, : 2 * len(best.tools) : 2]
+    low, high = places[first] - BEFORE, places[first + 1] + BEHIND
+    if first:
+        low = max(low, places[first - 1] + CLOSEST)
+    if first + 2 < len(places):
+        high = min(high, places[first + 2] - CLOSEST)
     others = best.without(first + 1).without(first)
+    others = replace(others, covariance=widened(others, model.priors))
     value, _ = model.baseband(others.tools, *split(others.mean[:, : others.parameters]))
     fronts, _, warm = fronts_of(model, others)
     found = []
     for tool in sorted({*best.tools[first : first + 2]}):
         given = proposals[tool].search(
             samples - value[0], whiten, fronts, number=1,
-            within=(ends[0] - BEFORE, ends[1] + BEHIND), temperature=warm,
+            within=(low, high), temperature=warm,
         )  # fmt: skip
         if len(given.gain):
             start = others.added(first, tool, given.place, given.depth, new_deviations(motion))

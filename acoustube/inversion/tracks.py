@@ -60,7 +60,7 @@ FAINT, FAINT_TESTS = 0.1e-3, 3
 """Depth in m beyond the library's first up to which a contact is not detectable, and tests until it
 is given up."""
 NEW = 2, 4, 7
-"""Cycles after its first at which the place of a new contact is searched again."""
+"""Cycles after its first at which the place of a new contact is sought again, besides loud ones."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 """Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
 MERGED = 3
@@ -368,9 +368,7 @@ class Track:
             return found
         del self.known[i]
         self.rests.clear()
-        if self.known:
-            return self._pruned(refit)
-        return self._updated(found.branches.without(i), cycle.samples, 1)
+        return self._pruned(refit)
 
     def _gained(self, found: Update, fewer: Update) -> float:
         """Return by how much the logarithm of a cycle's likelihood exceeds that of another fit."""
@@ -389,6 +387,8 @@ class Track:
         alone = one_for_two(self.proposals, self.motion, best, i, cycle.samples, self.whiten)
         if alone is None or self._gained(found, alone) > RARE:
             return found
-        del self.known[i + 1]
-        self.known[i].age = min(self.known[i].age, NEW[-1] + 1)
+        kept = max(self.known[i : i + 2], key=lambda one: one.age)
+        kept.age = min(kept.age, NEW[-1] + 1)
+        self.known[i : i + 2] = [kept]
+        self.rests.clear()
         return self._pruned(alone)
