@@ -51,7 +51,7 @@ class Priors:
     place, depth : float
         Of the offsets in m between a press and the library's press of the same echo: errors
         of mesh and solver that no recording shows; no parameters either. Defaults 0.03 mm and
-        0.011 mm, those of two meshes and solvers; 0 if there are none.
+        0.018 mm, those of two meshes and solvers; 0 if there are none.
     bore : float
         Of the bore's diameter, relative, from the library's. A press of a wider bore sounds like
         one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
@@ -73,7 +73,7 @@ class Priors:
     losses: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.03e-3
-    depth: float = 0.011e-3
+    depth: float = 0.018e-3
     bore: float = 0.0
     length: float = 2e-3
     modulus: float = 0.0
