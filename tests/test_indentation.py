@@ -102,14 +102,15 @@ def test_shallow_press_agrees_with_calculix(depth_mm):
         (5, 0.01, 0.02),
         (6, 0.012, 0.02),
         (6.5, 0.02, 0.03),
-        (7, 0.02, 0.04),
+        (7, 0.02, 0.05),
     ],
 )
 def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolerance):
     """Force within the reference's own accuracy: 0.5 % to 5 mm, 1 % at 6 mm and 2 % at 7 mm.
 
     With what the mesh itself may be off. Measured 0.06, 0.15, 0.6, 0.7, 1.3 and 1.4 %. The width
-    across the lateral folds differs by 0.04 mm at 7 mm, where finer meshes differ by 0.06 mm.
+    across the lateral folds is 0.04 mm larger at 7 mm, and 0.06 mm larger on the fine mesh, so that
+    the tolerance there is the reference's error.
     """
     assert_reference(pressed(*DEEP), depth_mm, force_tolerance, width_tolerance)
 
