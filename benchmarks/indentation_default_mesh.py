@@ -18,6 +18,7 @@ from acoustube.air import air_at
 from acoustube.base.units import MM
 from acoustube.indentation import USUAL_MESH, Indenter, MeshSize, indent
 from acoustube.lumen import pressed_part
+from acoustube.runs.config.si import MESH_SIZES
 from acoustube.tube import Tube
 from acoustube.waves.spectral import scatter_spectral, wall_of
 
@@ -36,7 +37,7 @@ MESHES = (
         replace(USUAL_MESH, along=along, grading=grading)
         for along, grading in ((12, 3.4), (14, 3.0), (14, 2.2), (15, 3.0), (16, 3.0), (16, 2.6))
     ),
-    replace(USUAL_MESH, around=28, along=24, grading=3.2),
+    MESH_SIZES["fine"],
 )
 
 

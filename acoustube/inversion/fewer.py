@@ -23,8 +23,8 @@ from acoustube.waves.scattering import Complex
 
 WIDER = 0.5e-3, 0.15e-3
 """Standard deviations in m that are added to those of places and depths in a fit from elsewhere."""
-ELSEWHERE = -4.0
-"""Logarithm of the prior odds of a maximum half a wavelength away."""
+UNUSUAL = -4.0
+"""Logarithm of the prior odds of another maximum than the one followed."""
 BEFORE, BEHIND = 0.03, 0.01
 """Reach in m in front of two neighbours and behind, within which one is sought in their place."""
 ITERATIONS = 4, 5
@@ -49,7 +49,7 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
     mean[1 + contact, 2 * contact] -= half_wavelength(model)
     mean[1 + m + contact, 2 * contact] += half_wavelength(model)
     wide = np.repeat(widened(fewer, model.priors), 1 + 2 * m, axis=0)
-    level = np.append(0.0, np.full(2 * m, ELSEWHERE))
+    level = np.append(0.0, np.full(2 * m, UNUSUAL))
     start = Branches(fewer.tools, mean, wide, level)
     return updated(model, start, samples, whiten, iterations=ITERATIONS[0])
 

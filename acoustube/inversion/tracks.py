@@ -24,7 +24,7 @@ from acoustube.inversion.births import (
 )
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
-from acoustube.inversion.fewer import one_for_two, refitted, widened
+from acoustube.inversion.fewer import UNUSUAL, one_for_two, refitted, widened
 from acoustube.inversion.likelihood import Echo, Weights, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
@@ -80,9 +80,8 @@ is wrapped."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
 second one at a time; all contacts are shifted by half wavelengths together too."""
-UNUSUAL, RESTARTED = -4.0, -3.0
-"""Logarithms of the prior odds of another maximum than the one followed, and of a contact that has
-jumped."""
+RESTARTED = -3.0
+"""Logarithm of the prior odds of a contact that has jumped."""
 
 
 class Track:
