@@ -6,7 +6,8 @@ tolerance that is): random places and depths, air of 20 +- 0.3 degC, one tube wh
 learned from 200 untouched cycles. Their scattering is computed at depths of its own, off the
 library's, by the spectral solver, by it from a wall on another mesh, or by the time-domain method,
 or read from the files of `acoustube scatter` or of ``spectral_presses.py`` whose names end in
-``_MM.nc``, MM the depth. With ``--changed`` tube, tool or sensor differ from what the inversion is
+``_MM.nc``, MM the depth. Presses that are missed are compared with the limit of detection that the
+inversion tells. With ``--changed`` tube, tool or sensor differ from what the inversion is
 told. Every recording is a row of a CSV file; rows that are there are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
@@ -47,7 +48,7 @@ TOLD = "", "_sd", "_low68", "_high68", "_low", "_high"
 COLUMNS = (
     "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
     "found", *(name + what for name, _, _ in QUANTITIES for what in TOLD), "n_contacts", "ghosts",
-    "misfit", "error", "residual", "probability", "seconds", "peak_cm",
+    "misfit", "error", "residual", "probability", "seconds", "peak_cm", "limit_mm",
 )  # fmt: skip
 NEAR = 0.05
 """Distance in m within which a press counts as found."""
@@ -184,14 +185,14 @@ def rows(case, how, cycles, found, seconds, peak):
         if near:
             matched[i] = min(near, key=lambda j: abs(given[j] - places[i]))
             free.remove(matched[i])
-    best = found.near.best
+    best, limit = found.near.best, found.detection_limit(np.array(places))
     for i in range(len(places)):
         row = {
             "truth": how, "number": number, "cycles": cycles, "presses": len(places),
             "found": int(i in matched), "n_contacts": len(given), "ghosts": len(free),
             "misfit": f"{found.misfit:.4g}", "error": best.error,
             "residual": f"{best.residual:.3g}", "seconds": f"{seconds:.3f}",
-            "peak_cm": f"{100 * peak:.4f}",
+            "peak_cm": f"{100 * peak:.4f}", "limit_mm": f"{1e3 * limit[i]:.4f}",
         }  # fmt: skip
         for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
             row[f"true_{name}"] = f"{scale * values[i]:.6f}"
@@ -232,7 +233,7 @@ def together(rows):
     told = {}
     for row in rows:
         told.setdefault(row["number"], []).append(row)
-    apart, right, flagged = [], [], []
+    apart, right, flagged, told_of = [], [], [], []
     for one in told.values():
         places = sorted(float(row["true_cm"]) / 100 for row in one)
         near = [
@@ -244,7 +245,11 @@ def together(rows):
         apart.append(min(np.diff(places)))
         right.append(all(near) and int(one[0]["ghosts"]) == 0)
         flagged.append(not float(one[0]["misfit"]) <= MISFIT)
+        missed = [row for row in one if row["found"] == "0"]
+        hidden = [float(row["true_mm"]) < float(row["limit_mm"]) for row in missed]
+        told_of.append(flagged[-1] or (missed != [] and all(hidden)))
     apart, right, flagged = np.array(apart), np.array(right), np.array(flagged)
+    told_of = np.array(told_of)
     for low, high in ((0.0, 0.1), (0.1, 0.2), (0.1, 9.0), (0.2, 9.0)):
         part = (apart >= low) & (apart < high)
         if part.any():
@@ -252,7 +257,8 @@ def together(rows):
             print(
                 f"  nearest {100 * low:.0f} to {100 * min(high, 0.6):.0f} cm apart: "
                 f"{right[part].sum()} of {part.sum()} right; of {wrong.sum()} others "
-                f"{flagged[wrong].sum()} have a misfit over {MISFIT}"
+                f"{flagged[wrong].sum()} have a misfit over {MISFIT}, {told_of[wrong].sum()} that "
+                "or only presses missed that are shallower than the limit of detection told"
             )
 
 
@@ -281,6 +287,11 @@ def in_words(part):
     words.append(f"misfit over {MISFIT} in {100 * speaks:.0f} %")
     off = 10 * np.abs([float(row["peak_cm"]) - float(row["true_cm"]) for row in part])
     near = off < 1e3 * NEAR
+    limit, depth = (
+        np.array([float(row[name]) for row in part]) for name in ("limit_mm", "true_mm")
+    )
+    missed, deep = np.array([row["found"] == "0" for row in part]), depth >= limit
+    words.append(f"{np.sum(missed & deep)} of {np.sum(missed)} missed were over the limit told")
     median = np.median(off[near]) if near.any() else np.nan
     words.append(
         f"highest peak: found {100 * np.mean(near):.0f} %, median of these {median:.1f} mm"

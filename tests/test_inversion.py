@@ -425,6 +425,39 @@ def test_error_of_the_model_is_no_further_contact(inverter):
     assert found.number[1] > 0.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("before", "place"), [([], 1.7), ([(6e-3, 0.6)], 0.9), ([(6e-3, 0.6)], 1.7)]
+)
+def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
+    """All of three are found 0.3 mm deeper, and none 0.4 mm shallower.
+
+    Measured: all at the limit, which noise exceeds in one of ten, and one in six 0.3 mm above it.
+    """
+
+    def found(*presses, seed):
+        cycles = record([press(*one) for one in presses], n_cycles=20, tube_seed=7, seed=seed)
+        return inverter(cycles["signal"].values)
+
+    (limit,) = found(*before, seed=5).detection_limit([place])
+    for off, told in ((0.3e-3, True), (-0.4e-3, False)):
+        for seed in (30, 31, 32):
+            contacts = found(*before, (limit + off, place), seed=seed).contacts
+            assert any(abs(one.distance.value - place) < 0.02 for one in contacts) == told
+
+
+def test_limit_of_detection_rises_with_distance_and_ends(inverter):
+    """Of one cycle no press is found near the end; none is sought at a contact or off the tube."""
+    cycles = record([press(6e-3, 0.6)], n_cycles=1, tube_seed=7, seed=5)["signal"].values
+    found = inverter(cycles)
+    limit = found.detection_limit([0.3, 0.5, 2.3, 0.61, 0.01, 2.6])
+    assert limit[0] < limit[1] < 3e-3
+    assert limit[2] == np.inf
+    assert np.all(np.isnan(limit[3:]))
+    with pytest.raises(ValueError, match="the library has 1"):
+        found.detection_limit([0.3], tool=1)
+
+
 def test_untouched_tube_has_no_contact(inverter):
     for seed in (21, 22):
         cycles = record([], n_cycles=20, tube_seed=7, seed=seed, temperature=19.9)
@@ -502,9 +535,20 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
     done = run_here(
         "invert", folder / "p0.nc", folder / "p1.nc", "--library", folder / "lib", "--untouched",
         folder / "free.nc", "--group", 10, "--out", tmp_path / "c.csv", "--figure",
-        tmp_path / "c.png",
+        tmp_path / "c.png", "--limits", tmp_path / "l.csv",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    with (tmp_path / "l.csv").open(newline="") as file:
+        limits = list(csv.DictReader(file))
+    assert {(row["recording"][-5:], row["group"]) for row in limits} == {
+        (name, group) for name in ("p0.nc", "p1.nc") for group in "01"
+    }
+    first = {float(row["distance_cm"]): row for row in limits if row["recording"].endswith("p0.nc")}
+    assert 55 not in first  # at the contact
+    assert 1 <= float(first[30]["depth_mm"]) < float(first[150]["depth_mm"]) <= 7
+    assert float(first[150]["force_n"]) == pytest.approx(
+        2 * float(first[150]["depth_mm"]) ** 2, rel=1e-2
+    )
     with (tmp_path / "c.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [

@@ -25,6 +25,7 @@ from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.two_ends import EndsContacts
 
 LENGTH = 1.6
 
@@ -70,6 +71,24 @@ def contact(places, depths, spread, weights=(0.7, 0.3), tool_number=0):
     place, depth = (mixture(share, np.array(x), np.full(len(x), s))
                     for x, s in zip((places, depths), spread, strict=True))  # fmt: skip
     return Contact(probability=0.9, distance=place, depth=depth, force=depth, tool=tool_number)
+
+
+@pytest.mark.slow
+def test_limit_of_detection_behind_a_press_is_that_of_the_other_end(ends):
+    """Of both ends together the lower one, each at its own distance."""
+    near, far = (
+        one(recorded([press(6.5e-3, 0.6)], end)["signal"].values) for end, one in enumerate(ends)
+    )
+    both_ends = EndsContacts([], 0.0, True, near, (far, LENGTH))
+    (here, behind), (there, beyond) = (
+        near.detection_limit([0.4, 1.1]),
+        far.detection_limit([LENGTH - 0.4, LENGTH - 1.1]),
+    )
+    assert here < there
+    assert beyond < behind
+    assert list(both_ends.detection_limit(np.array([0.4, 1.1]))) == [here, beyond]
+    alone = EndsContacts([], 0.0, True, near)
+    assert list(alone.detection_limit(np.array([0.4, 1.1]))) == [here, behind]
 
 
 def test_contact_that_both_tell_has_the_product_of_their_distributions():

@@ -277,10 +277,14 @@ def check_files(**files: Path | None) -> None:
     Raises
     ------
     ConfigError
-        If a file exists, cannot be written, or is not a picture.
+        If a file exists, cannot be written, or is not a picture, or two options name one file.
     """
+    named: dict[Path, str] = {}
     for name, path in files.items():
         if path is not None:
+            other = named.setdefault(path.absolute(), name)
+            if other != name:
+                raise ConfigError(f"{other} and {name} name the same file, {path}; name two files")
             check_new_file(path, name)
             if name == "figure":
                 check_picture(path, name)

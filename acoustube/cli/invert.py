@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import Reporter
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Recording, check_files
+
+if TYPE_CHECKING:
+    from acoustube.inversion import Inversion, Library
+    from acoustube.runs.two_ends import EndsContacts
 
 
 @Parameter(name="*")
@@ -81,6 +87,7 @@ def invert(
     recording: Recording = Recording(),
     out: Path | None = None,
     figure: Path | None = None,
+    limits: Path | None = None,
     output: Output = Output(),
 ) -> int:
     """Find the contacts in recordings: number, distance, depth, force and tool, with uncertainty.
@@ -99,10 +106,13 @@ def invert(
     out : Path
         Table to write (CSV), one row a contact; standard output if not given.
     figure : Path
-        Picture to write (PNG, PDF or SVG): the posterior along the tube, from the near end, of the
-        first group with a contact.
+        Picture to write (PNG, PDF or SVG): the posterior along the tube and the limit of detection,
+        from the near end, of the first group with a contact.
+    limits : Path
+        Table to write (CSV): depth and force from which on a further contact would have been found,
+        every 5 cm along the tube, for each group and tool; inf where none would.
     """
-    _check(files, out, figure)
+    _check(files, out, figure, limits)
     far_end.check_pairs(files)
     from acoustube.recordings import read_all
     from acoustube.runs import inversion
@@ -118,8 +128,9 @@ def invert(
     near = inversion.RecordingInverter(known, own, free, search.most)
     inverter, others = EndsInverter(near, far_free), read_all(far_end.far or [], **options)
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
-    pictures: dict[Path, bytes | str] = {}
-    with watched_interrupts() as check, opened(out, pictures) as file:
+    written: dict[Path, bytes | str] = {}
+    wanted = _Files(near.tool_library, figure, limits, written)
+    with watched_interrupts() as check, opened(out, written) as file:
         writer = csv.writer(file, lineterminator="\n")
         header: list[list[object]] = [list(inversion.COLUMNS)]
         for path, data in read_all(files, **options):
@@ -132,9 +143,8 @@ def invert(
                     for group, found in inverter.groups(path, data, other, search.group, check):
                         table += inversion.rows_of(path, group, found.contacts, known)
                         misfits += [] if found.fits else [found.misfit]
+                        wanted.add(path, group, found)
                         show(path.name, count := count + 1, total)
-                        if figure is not None and not pictures and found.near.contacts:
-                            pictures[figure] = _drawn(found.near, known, figure)
             except (ConfigError, ValueError) as error:
                 failures += 1
                 failure(about(path, error), "not inverted")
@@ -145,22 +155,54 @@ def invert(
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
-    if figure is not None and not pictures:
-        report.note("no contact is told from the near end, so no picture is drawn")
+        wanted.finish(report)
     failed = f"; {failures} files could not be inverted" if failures else ""
     report.line(f"{n_contacts} contacts in {n_groups} groups of cycles{failed}")
     return 1 if failures else 0
 
 
-def _check(files: Sequence[Path], out: Path | None, figure: Path | None) -> None:
+@dataclass(frozen=True)
+class _Files:
+    """The picture and the table of limits, as far as they are wanted; contents in `written`."""
+
+    library: Library
+    figure: Path | None
+    limits: Path | None
+    written: dict[Path, bytes | str]
+    rows: list[list[object]] = field(default_factory=list)
+
+    def add(self, path: Path, group: int, found: EndsContacts) -> None:
+        """Add what a group of cycles contributes."""
+        from acoustube.runs.two_ends import limit_rows
+
+        if self.limits is not None:
+            self.rows.extend(limit_rows(path, group, found, self.library))
+        if self.figure is not None and self.figure not in self.written and found.near.contacts:
+            self.written[self.figure] = _drawn(found.near, self.library, self.figure)
+
+    def finish(self, report: Reporter) -> None:
+        """Put the table of limits beside the picture, and say so if there is none."""
+        from acoustube.runs.two_ends import LIMIT_COLUMNS
+
+        if self.limits is not None:
+            table = io.StringIO()
+            csv.writer(table, lineterminator="\n").writerows([LIMIT_COLUMNS, *self.rows])
+            self.written[self.limits] = table.getvalue()
+        if self.figure is not None and self.figure not in self.written:
+            report.note("no contact is told from the near end, so no picture is drawn")
+
+
+def _check(
+    files: Sequence[Path], out: Path | None, figure: Path | None, limits: Path | None
+) -> None:
     if not files:
         raise ConfigError("invert needs a file or a folder; name one or more")
-    check_files(out=out, figure=figure)
+    check_files(out=out, figure=figure, limits=limits)
 
 
-def _drawn(found: object, library: object, figure: Path) -> bytes:
+def _drawn(found: Inversion, library: Library, figure: Path) -> bytes:
     """Return a picture of the posterior along the tube."""
     from acoustube.reports.figures.posterior import posterior_figure
     from acoustube.reports.figures.run import picture
 
-    return picture(posterior_figure(found, library), figure)  # type: ignore[arg-type]
+    return picture(posterior_figure(found, library), figure)

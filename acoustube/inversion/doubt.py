@@ -14,7 +14,8 @@ from math import sqrt
 
 from acoustube.inversion.fit import evidence, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
-from acoustube.inversion.likelihood import echo_of, weights
+from acoustube.inversion.likelihood import Weights, echo_of, weights
+from acoustube.inversion.model import ForwardModel
 
 SAMPLES = 10
 """Samples of an echo over which its error is correlated: 0.8 ms, by trapped sound."""
@@ -27,6 +28,25 @@ SMALL_ERROR = 0.01
 larger without was the missing press."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
+
+
+def doubting(model: ForwardModel, known: Hypothesis, noise: float, seen: float) -> Weights:
+    """Return the weights by which one press more is credited.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    known : Hypothesis
+        Of one press or more.
+    noise : float
+        Variance of a sample of the mean of cycles.
+    seen : float
+        Relative error of the model that was found.
+    """
+    least = BENT_LEAST if model.path.converts else LEAST
+    error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
+    echo = echo_of(model, known.tools, known.best)
+    return weights(model, noise, error, echo, known.whiten.spread)
 
 
 def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis:
@@ -47,11 +67,8 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         the change of deviance with the weights stated above.
     """
     model = builder.model
-    least = BENT_LEAST if model.path.converts else LEAST
     seen = more.error if more.error <= SMALL_ERROR else fewer.error
-    error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
-    echo = echo_of(model, fewer.tools, fewer.best)
-    whiten = weights(model, builder.noise, error, echo, fewer.whiten.spread)
+    whiten = doubting(model, fewer, builder.noise, seen)
     deviance = []
     for one in (fewer, more):
         start = one.fits.parameters[:1]

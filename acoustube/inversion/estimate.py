@@ -13,6 +13,7 @@ from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
+from acoustube.inversion.detection import detection_limit
 from acoustube.inversion.doubt import doubted
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -89,6 +90,10 @@ class Inversion:
     measured, explained : ndarray
         Baseband without what the untouched tube sounds, of the cycles and of the contacts found,
         (n_time,), in counts.
+    noise : float
+        Variance of a sample of the mean of cycles in the baseband, in counts squared.
+    model : ForwardModel
+        Of the sensor that recorded the cycles.
     """
 
     contacts: list[Contact]
@@ -102,11 +107,43 @@ class Inversion:
     place: Array
     measured: Complex
     explained: Complex
+    noise: float
+    model: ForwardModel
 
     @property
     def best(self) -> Hypothesis:
         """The most likely hypothesis."""
         return self.hypotheses[max(self.number, key=lambda n: self.number[n])]
+
+    @checked(places=Reals(ndim=1), tool=Number(0, 1000, whole=True))
+    def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
+        """Return the depths from which on a further contact would have been found.
+
+        Parameters
+        ----------
+        places : ndarray
+            Distances in m, (n,).
+        tool : int, optional
+            Number of its tool in the library, from 0.
+
+        Returns
+        -------
+        ndarray
+            In m, (n,): inf where no press of the library would have been found, nan nearer to a
+            contact than presses can be and outside of the tube; see
+            :func:`acoustube.inversion.detection.detection_limit`.
+
+        Raises
+        ------
+        ConfigError
+            If the library has no such tool.
+        """
+        if tool >= len(self.model.tables):
+            raise ConfigError(
+                f"tool = {tool}: the library has {len(self.model.tables)}, counted from 0; give a "
+                "smaller number"
+            )
+        return detection_limit(self.model, self.best, self.noise, tool, np.asarray(places, float))
 
 
 class Inverter:
@@ -228,7 +265,8 @@ class Inverter:
         return Inversion(
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
             number={i: float(p) for i, p in enumerate(probability)},
-            place=base.places, measured=measured, explained=explained,
+            place=base.places, measured=measured, explained=explained, noise=builder.noise,
+            model=self.model,
             **nuisance,
         )  # fmt: skip
 

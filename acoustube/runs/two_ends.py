@@ -6,12 +6,19 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError, about
-from acoustube.inversion import Contact, Inversion, joined_contacts
+from acoustube.base.types import Array
+from acoustube.base.units import CM, MM
+from acoustube.inversion import Contact, Inversion, Library, joined_contacts
 from acoustube.inversion.estimate import MISFIT
 from acoustube.runs.inversion import RecordingInverter
+
+LIMIT_COLUMNS = "recording", "group", "distance_cm", "indenter_mm", "depth_mm", "force_n"
+LIMIT_STEP = 0.05
+"""Distance in m of the places whose limits of detection are told."""
 
 
 class EndsContacts(NamedTuple):
@@ -28,12 +35,26 @@ class EndsContacts(NamedTuple):
         Whether all contacts are told by an end whose echo is explained.
     near : Inversion
         Of the near end alone.
+    far : (Inversion, float) or None
+        Of the far end alone, and the tube's length in m; None if there is only one end.
     """
 
     contacts: list[tuple[Contact, float]]
     misfit: float
     fits: bool
     near: Inversion
+    far: tuple[Inversion, float] | None = None
+
+    def detection_limit(self, places: Array, tool: int = 0) -> Array:
+        """Return the depths from which on a further contact would have been found from an end.
+
+        Parameters and result are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
+        """
+        found = self.near.detection_limit(places, tool)
+        if self.far is None:
+            return found
+        far, length = self.far
+        return np.fmin(found, far.detection_limit(length - places, tool))
 
 
 class EndsInverter:
@@ -108,4 +129,39 @@ class EndsInverter:
             # Ends that contradict each other explain nothing.
             pairs.append((one.contact, min(misfits) if one.agree else max(1.0, *misfits)))
         misfit = max((value for _, value in pairs), default=float("nan"))
-        return EndsContacts(pairs, misfit, not misfit > MISFIT, near)
+        return EndsContacts(pairs, misfit, not misfit > MISFIT, near, (far, length))
+
+
+def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
+    """Return rows of :data:`LIMIT_COLUMNS`, from which depth and force on a contact is found.
+
+    Parameters
+    ----------
+    path : Path
+        Of the recording.
+    group : int
+        Number of its group of cycles.
+    found : EndsContacts
+        Of the group.
+    library : Library
+
+    Returns
+    -------
+    list of list
+        For each tool and place; inf where no contact would be found. Places next to a contact,
+        which have no limit, are left out.
+    """
+    places = np.arange(LIMIT_STEP, found.near.model.base.length, LIMIT_STEP)
+    rows: list[list[object]] = []
+    for number, tool in enumerate(library.tools):
+        depths = found.detection_limit(places, number)
+        known = np.isfinite(depths)
+        forces = np.full(len(depths), np.inf)
+        forces[known] = tool.force_at(depths[known])
+        cells = zip(CM * places, MM * depths, forces, strict=True)
+        rows += [
+            [str(path), group, f"{place:.6g}", f"{MM * tool.diameter:g}", f"{d:.4g}", f"{f:.4g}"]
+            for place, d, f in cells
+            if not np.isnan(d)
+        ]
+    return rows

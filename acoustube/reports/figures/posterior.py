@@ -14,17 +14,21 @@ from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 SPAN = 4.0
 """Half the width of a panel in standard deviations."""
 POINTS = 400
+LIMIT_STEP = 0.02
+"""Distance in m of the places whose limits of detection are drawn."""
 
 
 def posterior_figure(found: Inversion, library: Library) -> Figure:
     """Draw the echo along the tube, recorded and modelled, and each contact's distributions."""
     rows = len(found.contacts)
-    sheet = Figure(figsize=(9.0, 3.2 + 2.2 * rows), layout="constrained")
-    grid = sheet.add_gridspec(1 + rows, 3, height_ratios=[1.4, *[1.0] * rows])
-    _draw_echo(sheet.add_subplot(grid[0, :]), found)
+    sheet = Figure(figsize=(9.0, 5.4 + 2.2 * rows), layout="constrained")
+    grid = sheet.add_gridspec(2 + rows, 3, height_ratios=[1.4, *[1.0] * (1 + rows)])
+    echo = sheet.add_subplot(grid[0, :])
+    _draw_echo(echo, found)
+    _draw_limit(sheet.add_subplot(grid[1, :], sharex=echo), found, library)
     for row, contact in enumerate(found.contacts):
         tool = library.tools[contact.tool].name
-        panels = [sheet.add_subplot(grid[1 + row, i]) for i in range(3)]
+        panels = [sheet.add_subplot(grid[2 + row, i]) for i in range(3)]
         _draw_contact(panels, contact, tool)
     return sheet
 
@@ -45,6 +49,26 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     count = "1 contact, " if len(found.contacts) == 1 else f"{len(found.contacts)} contacts, "
     axes.set_title((count if found.contacts else "") + words, fontsize=10)
     axes.legend(fontsize=8)
+
+
+def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
+    """Draw the contacts' depths, over those that would not be found."""
+    tool = found.contacts[0].tool if found.contacts else 0
+    places = np.arange(*found.model.span, LIMIT_STEP)
+    limit = MM * found.detection_limit(places, tool)
+    deepest = MM * library.tools[tool].depth[-1]
+    hidden = np.where(np.isinf(limit), 1.1 * deepest, limit)
+    # Behind a press its modes beat along the tube: the worst of each place and the next to it.
+    hidden[1:-1] = np.max([hidden[:-2], hidden[1:-1], hidden[2:]], axis=0)
+    axes.fill_between(CM * places, 0.0, hidden, color="0.85", lw=0)
+    for contact in found.contacts:
+        depth, half = MM * contact.depth.value, MM * np.ptp(contact.depth.intervals[0.9]) / 2
+        axes.errorbar(CM * contact.distance.value, depth, half, fmt="o", ms=4, color=RETURN)
+    axes.set_ylim(0, 1.1 * deepest)
+    axes.set_xlabel("distance from the face (cm)")
+    axes.set_ylabel("depth (mm)")
+    words = f"grey: depths at which a further {library.tools[tool].name} would not be found"
+    axes.set_title(words, fontsize=9, loc="left")
 
 
 def _draw_contact(panels: list[Axes], contact: Contact, tool: str) -> None:

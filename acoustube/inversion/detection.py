@@ -1,0 +1,140 @@
+"""Limit of detection: how deep a further press must be, along the tube, to be told.
+
+Behind a deep press little sound arrives, and an error of the model of its echo hides what is
+fainter. A press that is not told is either not there or shallower than this limit.
+
+References
+----------
+* Limit of detection: Currie, L. A. (1968). Analytical Chemistry 40, 586-593.
+  doi:10.1021/ac60259a007
+* Evidence by Laplace's approximation: see :mod:`acoustube.inversion.fit`.
+"""
+
+from __future__ import annotations
+
+from math import log, pi
+
+import numpy as np
+
+from acoustube.base.types import Array
+from acoustube.inversion.doubt import doubting
+from acoustube.inversion.hypotheses import Hypothesis
+from acoustube.inversion.likelihood import Weights
+from acoustube.inversion.model import NUISANCES, ForwardModel
+from acoustube.inversion.parameters import CLOSEST, odds_of, split
+from acoustube.waves.scattering import Complex
+
+STEP = 0.5e-3
+"""Distance in m of the depths that are tried; between them the evidence is interpolated."""
+CERTAINTY = 1.28
+"""Standard deviations by which the evidence of a press at the limit exceeds what is needed: one in
+ten such presses is missed for the noise."""
+
+
+def detection_limit(
+    model: ForwardModel, known: Hypothesis, noise: float, tool: int, places: Array
+) -> Array:
+    """Return the depths from which on a further press would be told.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    known : Hypothesis
+        The presses found, none or more.
+    noise : float
+        Variance of a sample of the mean of cycles.
+    tool : int
+        Number of the further press's tool in the library.
+    places : ndarray
+        Distances in m, (n,).
+
+    Returns
+    -------
+    ndarray
+        In m, (n,): inf where even the deepest press of the library would not be told, and the
+        shallowest depth of the library where all would. nan nearer to a press that is known than
+        :data:`.CLOSEST`, and outside of the model's span.
+
+    Notes
+    -----
+    The echo that a further press adds is projected on what no change of the known parameters
+    explains, in the least favourable phase. Its squared norm, with the weights by which
+    :mod:`acoustube.inversion.doubt` credits a press more, is the deviance that the press explains.
+    It is told where that exceeds what the prior odds and the two further parameters cost. Where the
+    reflection falls again with depth, the limit is the depth beyond which all are told.
+    """
+    table = model.tables[tool]
+    depths = np.linspace(*table.range, 2 + int(np.diff(table.range)[0] / STEP))
+    own, _, _ = split(known.best[None])
+    found = np.full(len(places), np.nan)
+    apart = np.abs(places[:, None] - own).min(axis=1, initial=np.inf) > CLOSEST
+    apart &= (places >= model.span[0]) & (places <= model.span[1])
+    whiten = known.whiten
+    if known.tools:
+        whiten = doubting(model, known, noise, known.error)
+    for i in np.flatnonzero(apart):
+        surplus = _surplus(model, known, whiten, (tool, float(places[i])), depths)
+        found[i] = _limit(depths, surplus)
+    return found
+
+
+def _surplus(
+    model: ForwardModel, known: Hypothesis, whiten: Weights, press: tuple[int, float], depths: Array
+) -> Array:
+    """Return by how much the deviance that a further press explains exceeds its cost, (n,).
+
+    Less what noise takes from it, :data:`CERTAINTY` standard deviations.
+    """
+    tool, place = press
+    own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.best[None]))
+    rank = int(np.searchsorted(own[0], place))
+    tools = (*known.tools[:rank], tool, *known.tools[rank:])
+    given = np.insert(own, rank, place, axis=1), np.insert(deep, rank, depths, axis=1), nuisances
+    value, slopes = model.baseband(tools, *given)
+    before, known_slopes = model.baseband(known.tools, own[:1], deep[:1], nuisances[:1])
+    change, slopes = whiten(value - before), whiten(slopes)
+    fewer, more = (_information(model, one) for one in (whiten(known_slopes), slopes))
+    explained = 2 * np.sum(np.abs(change) ** 2, axis=1)
+    toward = 2 * (whiten(known_slopes).conj() @ change[:, :, None])[..., 0]
+    explained -= _absorbed(fewer[0], toward)
+    length, span = model.span[1] - model.span[0], float(np.diff(model.tables[tool].range)[0])
+    cost = np.linalg.slogdet(more)[1] - np.linalg.slogdet(fewer)[1]
+    cost += 2 * log(length * span) - 2 * log(2 * pi) + odds_of(len(tools))
+    explained = np.maximum(explained, 0.0)
+    return np.asarray(explained - CERTAINTY * 2 * np.sqrt(explained) - cost)
+
+
+def _absorbed(information: Array, toward: Complex) -> Array:
+    """Return the deviance that a change of the known parameters takes off an echo, (n,).
+
+    The largest over the echo's phase, which turns once within half a wavelength along the tube.
+
+    Parameters
+    ----------
+    information : ndarray
+        Of the known parameters, (p, p).
+    toward : ndarray
+        Twice the products of the slopes' conjugates with the echo, whitened, (n, p).
+    """
+    parts = np.stack([toward.real, toward.imag], axis=1)
+    absorbed = parts @ np.linalg.solve(information, parts.swapaxes(1, 2))
+    return np.asarray(np.linalg.eigvalsh(absorbed)[:, -1])
+
+
+def _information(model: ForwardModel, slopes: Complex) -> Array:
+    """Return half the second derivatives of the cost, (n, p, p), of whitened slopes."""
+    found = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real
+    own = np.arange(found.shape[1])[-len(NUISANCES) :]
+    found[:, own, own] += 1 / model.priors.deviations**2
+    return np.asarray(found)
+
+
+def _limit(depths: Array, surplus: Array) -> float:
+    """Return the depth beyond which the surplus stays positive."""
+    hidden = np.flatnonzero(surplus <= 0)
+    if not len(hidden):
+        return float(depths[0])
+    i = int(hidden[-1])
+    if i == len(depths) - 1:
+        return np.inf
+    return float(np.interp(0.0, surplus[i : i + 2], depths[i : i + 2]))
