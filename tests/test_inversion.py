@@ -535,7 +535,7 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
     done = run_here(
         "invert", folder / "p0.nc", folder / "p1.nc", "--library", folder / "lib", "--untouched",
         folder / "free.nc", "--group", 10, "--out", tmp_path / "c.csv", "--figure",
-        tmp_path / "c.png", "--limits", tmp_path / "l.csv",
+        tmp_path / "c.png", "--detection", tmp_path / "l.csv",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     with (tmp_path / "l.csv").open(newline="") as file:

@@ -87,7 +87,7 @@ def invert(
     recording: Recording = Recording(),
     out: Path | None = None,
     figure: Path | None = None,
-    limits: Path | None = None,
+    detection: Path | None = None,
     output: Output = Output(),
 ) -> int:
     """Find the contacts in recordings: number, distance, depth, force and tool, with uncertainty.
@@ -106,13 +106,13 @@ def invert(
     out : Path
         Table to write (CSV), one row a contact; standard output if not given.
     figure : Path
-        Picture to write (PNG, PDF or SVG): the posterior along the tube and the limit of detection,
-        from the near end, of the first group with a contact.
-    limits : Path
-        Table to write (CSV): depth and force from which on a further contact would have been found,
-        every 5 cm along the tube, for each group and tool; inf where none would.
+        Picture to write (PNG, PDF or SVG): posterior and limit of detection along the tube, from
+        the near end, of the first group with a contact.
+    detection : Path
+        Table to write (CSV), for each group and tool: the limit of detection every 5 cm, depth and
+        force from which on a further contact would have been found; inf where none would.
     """
-    _check(files, out, figure, limits)
+    _check(files, out, figure, detection)
     far_end.check_pairs(files)
     from acoustube.recordings import read_all
     from acoustube.runs import inversion
@@ -129,7 +129,7 @@ def invert(
     inverter, others = EndsInverter(near, far_free), read_all(far_end.far or [], **options)
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     written: dict[Path, bytes | str] = {}
-    wanted = _Files(near.tool_library, figure, limits, written)
+    wanted = _Files(near.tool_library, figure, detection, written)
     with watched_interrupts() as check, opened(out, written) as file:
         writer = csv.writer(file, lineterminator="\n")
         header: list[list[object]] = [list(inversion.COLUMNS)]
@@ -167,7 +167,7 @@ class _Files:
 
     library: Library
     figure: Path | None
-    limits: Path | None
+    detection: Path | None
     written: dict[Path, bytes | str]
     rows: list[list[object]] = field(default_factory=list)
 
@@ -175,7 +175,7 @@ class _Files:
         """Add what a group of cycles contributes."""
         from acoustube.runs.two_ends import limit_rows
 
-        if self.limits is not None:
+        if self.detection is not None:
             self.rows.extend(limit_rows(path, group, found, self.library))
         if self.figure is not None and self.figure not in self.written and found.near.contacts:
             self.written[self.figure] = _drawn(found.near, self.library, self.figure)
@@ -184,20 +184,20 @@ class _Files:
         """Put the table of limits beside the picture, and say so if there is none."""
         from acoustube.runs.two_ends import LIMIT_COLUMNS
 
-        if self.limits is not None:
+        if self.detection is not None:
             table = io.StringIO()
             csv.writer(table, lineterminator="\n").writerows([LIMIT_COLUMNS, *self.rows])
-            self.written[self.limits] = table.getvalue()
+            self.written[self.detection] = table.getvalue()
         if self.figure is not None and self.figure not in self.written:
             report.note("no contact is told from the near end, so no picture is drawn")
 
 
 def _check(
-    files: Sequence[Path], out: Path | None, figure: Path | None, limits: Path | None
+    files: Sequence[Path], out: Path | None, figure: Path | None, detection: Path | None
 ) -> None:
     if not files:
         raise ConfigError("invert needs a file or a folder; name one or more")
-    check_files(out=out, figure=figure, limits=limits)
+    check_files(out=out, figure=figure, detection=detection)
 
 
 def _drawn(found: Inversion, library: Library, figure: Path) -> bytes:
