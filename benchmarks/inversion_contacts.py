@@ -290,8 +290,12 @@ def in_words(part):
     limit, depth = (
         np.array([float(row[name]) for row in part]) for name in ("limit_mm", "true_mm")
     )
-    missed, deep = np.array([row["found"] == "0" for row in part]), depth >= limit
-    words.append(f"{np.sum(missed & deep)} of {np.sum(missed)} missed were over the limit told")
+    missed, known = np.array([row["found"] == "0" for row in part]), np.isfinite(limit)
+    deep = known & (depth >= limit)
+    words.append(
+        f"{np.sum(missed & deep)} of {np.sum(missed)} missed were over the limit told, "
+        f"{np.sum(missed & np.isnan(limit))} had none"
+    )
     median = np.median(off[near]) if near.any() else np.nan
     words.append(
         f"highest peak: found {100 * np.mean(near):.0f} %, median of these {median:.1f} mm"
@@ -305,6 +309,9 @@ def finished(path):
     if not path.is_file():
         path.write_text(",".join(COLUMNS) + "\n")
     with path.open(newline="") as file:
+        if tuple(next(csv.reader(file), ())) != COLUMNS:
+            raise SystemExit(f"{path} has other columns; name a new file")
+        file.seek(0)
         names = "truth", "number", "cycles", "presses"
         return {tuple(row[name] for name in names) for row in csv.DictReader(file)}
 

@@ -20,6 +20,7 @@ from acoustube.inversion import (
     measured_clutter,
 )
 from acoustube.inversion.coupled_network import coupled_echo
+from acoustube.inversion.detection import _limit, limits_along
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import Weights, deviance_of, echo_of
 from acoustube.inversion.model_error import restricted_deviance
@@ -432,7 +433,7 @@ def test_error_of_the_model_is_no_further_contact(inverter):
 def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
     """All of three are found 0.3 mm deeper, and none 0.4 mm shallower.
 
-    Measured: all at the limit, which noise exceeds in one of ten, and one in six 0.3 mm above it.
+    Measured, of six each: all at the limit, and 0 or 1 of those 0.3 mm shallower.
     """
 
     def found(*presses, seed):
@@ -444,6 +445,41 @@ def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
         for seed in (30, 31, 32):
             contacts = found(*before, (limit + off, place), seed=seed).contacts
             assert any(abs(one.distance.value - place) < 0.02 for one in contacts) == told
+
+
+@pytest.mark.parametrize(
+    ("surplus", "limit"),
+    [([1, 1, 1], 1.0), ([-1, 1, 1], 1.5), ([1, -1, 3], 2.25), ([-1, 1, 0], np.inf),
+     ([-1, 1, np.nan], np.inf)],
+)  # fmt: skip
+def test_limit_is_the_depth_beyond_which_all_are_found(surplus, limit):
+    depths = np.array([1.0, 2.0, 3.0])
+    assert _limit(depths, np.array(surplus, float)) == limit
+
+
+def test_limits_along_the_tube_are_the_worst_of_neighbours():
+    """Of places 2 cm apart; there is none where the place itself has none."""
+    limit = {0.04: np.nan, 0.06: 2.0, 0.08: 1.0, 0.1: 3.0, 0.12: np.inf}
+    places, depths = limits_along(
+        lambda at: np.array([limit[round(z, 3)] for z in at]), (0.03, 0.13)
+    )
+    assert places == pytest.approx(list(limit))
+    assert np.array_equal(depths, [np.nan, 2.0, 3.0, np.inf, np.inf], equal_nan=True)
+
+
+def test_press_without_an_echo_is_not_found(base, untouched):
+    """Where no press of the library reflects or converts, its limit is infinite."""
+    still = tool(s=matrices(np.full(61, 1e-6), FREQUENCY))
+    model = ForwardModel(Library((still,)), base, measured_clutter(base, untouched))
+    cycles = record([], n_cycles=20, tube_seed=7, seed=21)["signal"].values
+    assert np.all(Inverter(model)(cycles).detection_limit([0.5, 1.0, 2.0]) == np.inf)
+
+
+def test_no_further_contact_is_found_where_none_is_sought(model):
+    cycles = record([press(6e-3, 0.6)], n_cycles=20, tube_seed=7, seed=5)["signal"].values
+    found = Inverter(model, most=1)(cycles)
+    assert list(found.detection_limit([0.4, 1.2])) == [np.inf, np.inf]
+    assert np.isnan(found.detection_limit([0.6])[0])
 
 
 def test_limit_of_detection_rises_with_distance_and_ends(inverter):
@@ -535,7 +571,7 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
     done = run_here(
         "invert", folder / "p0.nc", folder / "p1.nc", "--library", folder / "lib", "--untouched",
         folder / "free.nc", "--group", 10, "--out", tmp_path / "c.csv", "--figure",
-        tmp_path / "c.png", "--detection", tmp_path / "l.csv",
+        tmp_path / "c.png", "--detection-limits", tmp_path / "l.csv",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     with (tmp_path / "l.csv").open(newline="") as file:
@@ -544,8 +580,10 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         (name, group) for name in ("p0.nc", "p1.nc") for group in "01"
     }
     first = {float(row["distance_cm"]): row for row in limits if row["recording"].endswith("p0.nc")}
-    assert 55 not in first  # at the contact
+    assert 52 not in first  # at the contact
+    assert not {54.0, 20.0, 250.0} & set(first)
     assert 1 <= float(first[30]["depth_mm"]) < float(first[150]["depth_mm"]) <= 7
+    assert float(first[150]["misfit"]) < 0.15
     assert float(first[150]["force_n"]) == pytest.approx(
         2 * float(first[150]["depth_mm"]) ** 2, rel=1e-2
     )

@@ -80,15 +80,17 @@ def test_limit_of_detection_behind_a_press_is_that_of_the_other_end(ends):
         one(recorded([press(6.5e-3, 0.6)], end)["signal"].values) for end, one in enumerate(ends)
     )
     both_ends = EndsContacts([], 0.0, True, near, (far, LENGTH))
+    known = EndsContacts([(near.contacts[0], 0.0)], 0.0, True, near, (far, LENGTH))
+    assert np.isnan(known.detection_limit([0.62])[0])
     (here, behind), (there, beyond) = (
         near.detection_limit([0.4, 1.1]),
         far.detection_limit([LENGTH - 0.4, LENGTH - 1.1]),
     )
     assert here < there
     assert beyond < behind
-    assert list(both_ends.detection_limit(np.array([0.4, 1.1]))) == [here, beyond]
+    assert list(both_ends.detection_limit([0.4, 1.1])) == [here, beyond]
     alone = EndsContacts([], 0.0, True, near)
-    assert list(alone.detection_limit(np.array([0.4, 1.1]))) == [here, behind]
+    assert list(alone.detection_limit([0.4, 1.1])) == [here, behind]
 
 
 def test_contact_that_both_tell_has_the_product_of_their_distributions():
@@ -205,8 +207,18 @@ def test_command_joins_recordings_of_both_ends(folder, tmp_path):
         "invert", folder / "near.nc", "--far", folder / "far.nc", "--library", folder / "lib",
         "--untouched", folder / "near_free.nc", "--far-untouched", folder / "far_free.nc",
         "--sensor", folder / "sensor.toml", "--group", 20, "--out", tmp_path / "c.csv",
+        "--detection-limits", tmp_path / "l.csv",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    with (tmp_path / "l.csv").open(newline="") as file:
+        limits = {float(row["distance_cm"]): row["depth_mm"] for row in csv.DictReader(file)}
+    # Near each end, which is not heard from there; no limit at the contacts.
+    assert min(limits) < 10
+    assert max(limits) > 100 * LENGTH - 10
+    assert not [z for z in limits if abs(z - 45) < 2.5 or abs(z - 95) < 2.5]
+    # Behind the first from either end, where one of them hears nothing else: from the other.
+    assert float(limits[70]) < 3
+    assert float(limits[120]) < 3
     with (tmp_path / "c.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     for row, (place, depth) in zip(rows, [(45, 6.8), (95, 2.5)], strict=True):

@@ -15,7 +15,6 @@ from cyclopts import Parameter
 from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
-from acoustube.base.report import Reporter
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Recording, check_files
 
@@ -87,7 +86,7 @@ def invert(
     recording: Recording = Recording(),
     out: Path | None = None,
     figure: Path | None = None,
-    detection: Path | None = None,
+    detection_limits: Path | None = None,
     output: Output = Output(),
 ) -> int:
     """Find the contacts in recordings: number, distance, depth, force and tool, with uncertainty.
@@ -107,12 +106,12 @@ def invert(
         Table to write (CSV), one row a contact; standard output if not given.
     figure : Path
         Picture to write (PNG, PDF or SVG): posterior and limit of detection along the tube, from
-        the near end, of the first group with a contact.
-    detection : Path
-        Table to write (CSV), for each group and tool: the limit of detection every 5 cm, depth and
+        the near end, of the first group with a contact, or of the first.
+    detection_limits : Path
+        Table to write (CSV), for each group and tool: the limits of detection every 2 cm, depth and
         force from which on a further contact would have been found; inf where none would.
     """
-    _check(files, out, figure, detection)
+    _check(files, out, figure, detection_limits)
     far_end.check_pairs(files)
     from acoustube.recordings import read_all
     from acoustube.runs import inversion
@@ -126,78 +125,98 @@ def invert(
     named = untouched, far_end.far_untouched
     free, far_free = (list(read_cycles(paths or [], **options)) for paths in named)
     near = inversion.RecordingInverter(known, own, free, search.most)
+    wanted = _Files(near.tool_library, figure, detection_limits)
     inverter, others = EndsInverter(near, far_free), read_all(far_end.far or [], **options)
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     written: dict[Path, bytes | str] = {}
-    wanted = _Files(near.tool_library, figure, detection, written)
     with watched_interrupts() as check, opened(out, written) as file:
-        writer = csv.writer(file, lineterminator="\n")
-        header: list[list[object]] = [list(inversion.COLUMNS)]
+        writer, header = csv.writer(file, lineterminator="\n"), [list[object](inversion.COLUMNS)]
         for path, data in read_all(files, **options):
             table, misfits, count, other = [], [], 0, next(others, None)
             try:
                 if isinstance(data, ConfigError):
                     raise data
-                total = -(-data.sizes["cycle"] // search.group)
                 with report.progress(check) as show:
                     for group, found in inverter.groups(path, data, other, search.group, check):
                         table += inversion.rows_of(path, group, found.contacts, known)
                         misfits += [] if found.fits else [found.misfit]
                         wanted.add(path, group, found)
-                        show(path.name, count := count + 1, total)
+                        show(path.name, count := count + 1, -(-data.sizes["cycle"] // search.group))
             except (ConfigError, ValueError) as error:
                 failures += 1
                 failure(about(path, error), "not inverted")
+                wanted.drop()
                 continue
+            wanted.keep()
             writer.writerows([*header, *table])
-            header = []
+            header.clear()
             inversion.note_misfit(path, misfits, count, report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
-        wanted.finish(report)
+        written |= wanted.contents()
     failed = f"; {failures} files could not be inverted" if failures else ""
     report.line(f"{n_contacts} contacts in {n_groups} groups of cycles{failed}")
-    return 1 if failures else 0
+    return int(failures > 0)
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Files:
-    """The picture and the table of limits, as far as they are wanted; contents in `written`."""
+    """The picture and the table of limits of detection, as far as they are wanted."""
 
     library: Library
     figure: Path | None
-    detection: Path | None
-    written: dict[Path, bytes | str]
+    limits: Path | None
     rows: list[list[object]] = field(default_factory=list)
+    shown: Inversion | None = None
+    pending: list[list[object]] = field(default_factory=list)
+    candidate: Inversion | None = None
 
     def add(self, path: Path, group: int, found: EndsContacts) -> None:
-        """Add what a group of cycles contributes."""
+        """Add what a group of cycles contributes, if its file is kept."""
         from acoustube.runs.two_ends import limit_rows
 
-        if self.detection is not None:
-            self.rows.extend(limit_rows(path, group, found, self.library))
-        if self.figure is not None and self.figure not in self.written and found.near.contacts:
-            self.written[self.figure] = _drawn(found.near, self.library, self.figure)
+        if self.limits is not None:
+            self.pending += limit_rows(path, group, found, self.library)
+        self.candidate = _rather(self.candidate, found.near)
 
-    def finish(self, report: Reporter) -> None:
-        """Put the table of limits beside the picture, and say so if there is none."""
+    def keep(self) -> None:
+        """Keep what the groups of a file have contributed."""
+        self.rows += self.pending
+        self.shown = _rather(self.shown, self.candidate)
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget what a file has contributed."""
+        self.pending, self.candidate = [], None
+
+    def contents(self) -> dict[Path, bytes | str]:
+        """Return the contents of the files."""
         from acoustube.runs.two_ends import LIMIT_COLUMNS
 
-        if self.detection is not None:
+        found: dict[Path, bytes | str] = {}
+        if self.limits is not None:
             table = io.StringIO()
             csv.writer(table, lineterminator="\n").writerows([LIMIT_COLUMNS, *self.rows])
-            self.written[self.detection] = table.getvalue()
-        if self.figure is not None and self.figure not in self.written:
-            report.note("no contact is told from the near end, so no picture is drawn")
+            found[self.limits] = table.getvalue()
+        if self.figure is not None and self.shown is not None:
+            found[self.figure] = _drawn(self.shown, self.library, self.figure)
+        return found
+
+
+def _rather(known: Inversion | None, new: Inversion | None) -> Inversion | None:
+    """Return the first inversion with a contact, or the first."""
+    if known is None or (new is not None and new.contacts and not known.contacts):
+        return new
+    return known
 
 
 def _check(
-    files: Sequence[Path], out: Path | None, figure: Path | None, detection: Path | None
+    files: Sequence[Path], out: Path | None, figure: Path | None, limits: Path | None
 ) -> None:
     if not files:
         raise ConfigError("invert needs a file or a folder; name one or more")
-    check_files(out=out, figure=figure, detection=detection)
+    check_files(out=out, figure=figure, detection_limits=limits)
 
 
 def _drawn(found: Inversion, library: Library, figure: Path) -> bytes:

@@ -1,7 +1,8 @@
-"""Limit of detection: how deep a further press must be, along the tube, to be told.
+"""Limit of detection: how deep a further press must be, along the tube, to be found.
 
 Behind a deep press little sound arrives, and an error of the model of its echo hides what is
-fainter. A press that is not told is either not there or shallower than this limit.
+fainter. A press that is not found is either not there or shallower than this limit. What decides is
+the evidence with its prior odds, not a rate of false positives.
 
 References
 ----------
@@ -12,6 +13,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import log, pi
 
 import numpy as np
@@ -26,15 +28,18 @@ from acoustube.waves.scattering import Complex
 
 STEP = 0.5e-3
 """Distance in m of the depths that are tried; between them the evidence is interpolated."""
+ALONG = 0.02
+"""Distance in m of places whose limits are told together: behind a press its modes beat over as
+much."""
 CERTAINTY = 1.28
-"""Standard deviations by which the evidence of a press at the limit exceeds what is needed: one in
-ten such presses is missed for the noise."""
+"""Standard deviations of the explained deviance that a press at the limit has to spare, so that its
+probability of detection is 0.9 if errors are normal with the covariance of the weights."""
 
 
 def detection_limit(
     model: ForwardModel, known: Hypothesis, noise: float, tool: int, places: Array
 ) -> Array:
-    """Return the depths from which on a further press would be told.
+    """Return the depths from which on a further press would be found.
 
     Parameters
     ----------
@@ -51,17 +56,17 @@ def detection_limit(
     Returns
     -------
     ndarray
-        In m, (n,): inf where even the deepest press of the library would not be told, and the
-        shallowest depth of the library where all would. nan nearer to a press that is known than
-        :data:`.CLOSEST`, and outside of the model's span.
+        In m, (n,): inf where even the deepest press of the library would not be found, and the
+        shallowest depth of the library, an upper bound, where all would. nan nearer to a press that
+        is known than :data:`.CLOSEST`, and outside of the model's span.
 
     Notes
     -----
     The echo that a further press adds is projected on what no change of the known parameters
-    explains, in the least favourable phase. Its squared norm, with the weights by which
-    :mod:`acoustube.inversion.doubt` credits a press more, is the deviance that the press explains.
-    It is told where that exceeds what the prior odds and the two further parameters cost. Where the
-    reflection falls again with depth, the limit is the depth beyond which all are told.
+    explains, in the least favourable phase. Its squared norm, with the weights of
+    :mod:`acoustube.inversion.doubt`, is the deviance that the press explains. It is found where
+    that exceeds what the prior odds and the two further parameters cost. Where the reflection falls
+    again with depth, the limit is the depth beyond which all are found.
     """
     table = model.tables[tool]
     depths = np.linspace(*table.range, 2 + int(np.diff(table.range)[0] / STEP))
@@ -78,12 +83,36 @@ def detection_limit(
     return found
 
 
+def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> tuple[Array, Array]:
+    """Return places along the tube, and the largest limit at each and at the two next to it.
+
+    Parameters
+    ----------
+    limit : callable
+        Returns the limits in m at places in m, both (n,).
+    span : (float, float)
+        Nearest and farthest place in m.
+
+    Returns
+    -------
+    places : ndarray
+        Multiples of :data:`ALONG` in m, (n,).
+    depths : ndarray
+        In m, (n,); nan where there is no limit at the place itself.
+    """
+    places = ALONG * np.arange(np.ceil(span[0] / ALONG), np.floor(span[1] / ALONG) + 1)
+    depths = limit(places)
+    padded = np.pad(depths, 1, constant_values=np.nan)
+    worst = np.fmax(np.fmax(padded[:-2], padded[1:-1]), padded[2:])
+    return places, np.where(np.isnan(depths), np.nan, worst)
+
+
 def _surplus(
     model: ForwardModel, known: Hypothesis, whiten: Weights, press: tuple[int, float], depths: Array
 ) -> Array:
     """Return by how much the deviance that a further press explains exceeds its cost, (n,).
 
-    Less what noise takes from it, :data:`CERTAINTY` standard deviations.
+    Less :data:`CERTAINTY` of its standard deviations.
     """
     tool, place = press
     own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.best[None]))
@@ -99,7 +128,9 @@ def _surplus(
     explained -= _absorbed(fewer[0], toward)
     length, span = model.span[1] - model.span[0], float(np.diff(model.tables[tool].range)[0])
     cost = np.linalg.slogdet(more)[1] - np.linalg.slogdet(fewer)[1]
-    cost += 2 * log(length * span) - 2 * log(2 * pi) + odds_of(len(tools))
+    cost += 2 * log(length * span) - 2 * log(2 * pi)
+    # What a press without an echo leaves open, its place and depth, is no evidence for it.
+    cost = np.maximum(cost, 0.0) + odds_of(len(tools))
     explained = np.maximum(explained, 0.0)
     return np.asarray(explained - CERTAINTY * 2 * np.sqrt(explained) - cost)
 
@@ -131,7 +162,7 @@ def _information(model: ForwardModel, slopes: Complex) -> Array:
 
 def _limit(depths: Array, surplus: Array) -> float:
     """Return the depth beyond which the surplus stays positive."""
-    hidden = np.flatnonzero(surplus <= 0)
+    hidden = np.flatnonzero(~(surplus > 0))
     if not len(hidden):
         return float(depths[0])
     i = int(hidden[-1])

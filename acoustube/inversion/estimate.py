@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
@@ -94,6 +94,8 @@ class Inversion:
         Variance of a sample of the mean of cycles in the baseband, in counts squared.
     model : ForwardModel
         Of the sensor that recorded the cycles.
+    most : int
+        Largest number of presses that was tried.
     """
 
     contacts: list[Contact]
@@ -109,6 +111,7 @@ class Inversion:
     explained: Complex
     noise: float
     model: ForwardModel
+    most: int
 
     @property
     def best(self) -> Hypothesis:
@@ -129,9 +132,10 @@ class Inversion:
         Returns
         -------
         ndarray
-            In m, (n,): inf where no press of the library would have been found, nan nearer to a
-            contact than presses can be and outside of the tube; see
-            :func:`acoustube.inversion.detection.detection_limit`.
+            In m, (n,): inf where no press of the library would have been found, or none was sought
+            since `most` contacts were; nan nearer to a contact than presses can be, and where the
+            model has no place; see :func:`acoustube.inversion.detection.detection_limit`. They hold
+            if the model does (:attr:`fits`).
 
         Raises
         ------
@@ -143,7 +147,11 @@ class Inversion:
                 f"tool = {tool}: the library has {len(self.model.tables)}, counted from 0; give a "
                 "smaller number"
             )
-        return detection_limit(self.model, self.best, self.noise, tool, np.asarray(places, float))
+        at = np.asarray(places, float)
+        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+            found = detection_limit(self.model, self.best, self.noise, tool, at)
+        full = len(self.best.tools) >= self.most
+        return np.where(np.isnan(found) | (not full), found, np.inf)
 
 
 class Inverter:
@@ -266,7 +274,7 @@ class Inverter:
             contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
             number={i: float(p) for i, p in enumerate(probability)},
             place=base.places, measured=measured, explained=explained, noise=builder.noise,
-            model=self.model,
+            model=self.model, most=self.most,
             **nuisance,
         )  # fmt: skip
 

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Contact, Inversion, Library, joined_contacts
+from acoustube.inversion.detection import limits_along
 from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.parameters import CLOSEST
 from acoustube.runs.inversion import RecordingInverter
 
-LIMIT_COLUMNS = "recording", "group", "distance_cm", "indenter_mm", "depth_mm", "force_n"
-LIMIT_STEP = 0.05
-"""Distance in m of the places whose limits of detection are told."""
+LIMIT_COLUMNS = (
+    "recording", "group", "distance_cm", "indenter_mm", "depth_mm", "force_n", "misfit",
+)  # fmt: skip
 
 
 class EndsContacts(NamedTuple):
@@ -45,16 +49,22 @@ class EndsContacts(NamedTuple):
     near: Inversion
     far: tuple[Inversion, float] | None = None
 
-    def detection_limit(self, places: Array, tool: int = 0) -> Array:
+    def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
         """Return the depths from which on a further contact would have been found from an end.
 
-        Parameters and result are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
+        Of the ends whose echo is explained, if it is that of one alone. Parameters and result are
+        those of :meth:`acoustube.inversion.Inversion.detection_limit`.
         """
-        found = self.near.detection_limit(places, tool)
+        at = np.asarray(places, float)
         if self.far is None:
-            return found
+            return self.near.detection_limit(at, tool)
         far, length = self.far
-        return np.fmin(found, far.detection_limit(length - places, tool))
+        ends = (self.near, at), (far, length - at)
+        limits = [one.detection_limit(z, tool) for one, z in ends if one.fits or not self.fits]
+        found = np.fmin.reduce(limits)
+        for contact, _ in self.contacts:
+            found[np.abs(at - contact.distance.value) <= CLOSEST] = np.nan
+        return np.asarray(found)
 
 
 class EndsInverter:
@@ -148,20 +158,24 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
     Returns
     -------
     list of list
-        For each tool and place; inf where no contact would be found. Places next to a contact,
-        which have no limit, are left out.
+        For each tool and place, as :func:`acoustube.inversion.detection.limits_along`; inf where no
+        contact would be found. Places without a limit are left out.
     """
-    places = np.arange(LIMIT_STEP, found.near.model.base.length, LIMIT_STEP)
     rows: list[list[object]] = []
+    span = found.near.model.span
+    if found.far is not None:
+        far, length = found.far
+        span = min(span[0], length - far.model.span[1]), max(span[1], length - far.model.span[0])
     for number, tool in enumerate(library.tools):
-        depths = found.detection_limit(places, number)
+        places, depths = limits_along(partial(found.detection_limit, tool=number), span)
         known = np.isfinite(depths)
         forces = np.full(len(depths), np.inf)
         forces[known] = tool.force_at(depths[known])
-        cells = zip(CM * places, MM * depths, forces, strict=True)
+        start, diameter = [str(path), group], f"{MM * tool.diameter:g}"
         rows += [
-            [str(path), group, f"{place:.6g}", f"{MM * tool.diameter:g}", f"{d:.4g}", f"{f:.4g}"]
-            for place, d, f in cells
+            [*start, f"{CM * place:.6g}", diameter, f"{MM * d:.4g}", f"{f:.4g}",
+             f"{found.misfit:.4g}"]
+            for place, d, f in zip(places, depths, forces, strict=True)
             if not np.isnan(d)
-        ]
+        ]  # fmt: skip
     return rows

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Inversion, Library
+from acoustube.inversion.detection import limits_along
 from acoustube.inversion.estimate import Contact
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 
 SPAN = 4.0
 """Half the width of a panel in standard deviations."""
 POINTS = 400
-LIMIT_STEP = 0.02
-"""Distance in m of the places whose limits of detection are drawn."""
 
 
 def posterior_figure(found: Inversion, library: Library) -> Figure:
@@ -52,14 +53,11 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
 
 
 def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
-    """Draw the contacts' depths, over those that would not be found."""
+    """Draw the contacts' depths, and those at which one more would not have been found."""
     tool = found.contacts[0].tool if found.contacts else 0
-    places = np.arange(*found.model.span, LIMIT_STEP)
-    limit = MM * found.detection_limit(places, tool)
-    deepest = MM * library.tools[tool].depth[-1]
-    hidden = np.where(np.isinf(limit), 1.1 * deepest, limit)
-    # Behind a press its modes beat along the tube: the worst of each place and the next to it.
-    hidden[1:-1] = np.max([hidden[:-2], hidden[1:-1], hidden[2:]], axis=0)
+    deepest = MM * max(one.depth[-1] for one in library.tools)
+    places, depths = limits_along(partial(found.detection_limit, tool=tool), found.model.span)
+    hidden = np.where(np.isinf(depths), 1.1 * deepest, MM * depths)
     axes.fill_between(CM * places, 0.0, hidden, color="0.85", lw=0)
     for contact in found.contacts:
         depth, half = MM * contact.depth.value, MM * np.ptp(contact.depth.intervals[0.9]) / 2
@@ -67,7 +65,7 @@ def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
     axes.set_ylim(0, 1.1 * deepest)
     axes.set_xlabel("distance from the face (cm)")
     axes.set_ylabel("depth (mm)")
-    words = f"grey: depths at which a further {library.tools[tool].name} would not be found"
+    words = f"grey: depths at which a further {library.tools[tool].name} may have been missed"
     axes.set_title(words, fontsize=9, loc="left")
 
 
