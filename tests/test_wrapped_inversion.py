@@ -230,7 +230,7 @@ def test_press_on_an_arm_is_found_at_its_place_and_depth(model):
 
 @pytest.mark.slow
 def test_press_on_an_arm_is_found_from_the_limit_of_detection_on(model):
-    """Behind a hard one, as measured from 0.6 mm less on: errors of the model of 6 % are allowed for.
+    """Behind a hard one, as measured from 0.6 mm less on: errors of 6 % are allowed for.
 
     There is no limit in the lead, where no press is sought.
     """
