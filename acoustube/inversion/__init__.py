@@ -6,9 +6,9 @@ interpolation), `paths` and `wrap` (propagation along straight and wrapped tubes
 (rounded samples), `baseband` and `folded` (cycles of the rangefinder), `clutter`, `model` (the
 forward model), `fit` (its likelihood), `search` (candidates), `hypotheses` (sets of presses),
 `peeling` (presses in the order of time), `doubt` (whether one more is real), `other_depths`,
-`model_error`, `posterior` and `estimate`; `two_ends` (a rangefinder at each end). For streams:
-`motion` (the filter), `proposals` and `births` (new contacts), `cycle` and `tracks` (one
-explanation of the cycles) and `tracking`.
+`model_error`, `posterior`, `detection` (limit of detection) and `estimate`; `two_ends` (a
+rangefinder at each end). For streams: `motion` (the filter), `proposals` and `births` (new
+contacts), `cycle` and `tracks` (one explanation of the cycles) and `tracking`.
 """
 
 from acoustube.inversion.baseband import Baseband
