@@ -451,6 +451,7 @@ def test_command_writes_the_page(sweep, capsys):
     assert main(["show", str(sweep), "--html", "study.html"]) == 2
 
 
+DESKTOP = {"width": 1440, "height": 900}
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 DRAWN = "() => document.body.dataset.drawn === '%d %d'"
 FITTED = """() => [...document.querySelectorAll('.js-plotly-plot')].every(
@@ -469,24 +470,40 @@ def browser():
         yield driver.chromium.launch(executable_path=path, args=switches)
 
 
-@pytest.fixture
-def opened(browser, page):
-    """Open the page; at the end nothing has been asked for and nothing has gone wrong."""
+@pytest.fixture(scope="module")
+def shared_tab(browser, page):
+    """Open the page once; return the tab, what it has asked for, and what has gone wrong."""
     asked, wrong = [], []
 
     def route(route):
         asked.append(route.request.url)
         route.abort()
 
-    tab = browser.new_page(viewport={"width": 1440, "height": 900})
+    tab = browser.new_page(viewport=DESKTOP)
     tab.set_default_timeout(120_000)
     tab.route(lambda url: not url.startswith(("file:", "data:", "blob:")), route)
     tab.on("pageerror", lambda error: wrong.append(str(error)))
     tab.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
     tab.goto(page.as_uri())
     tab.wait_for_function("() => document.body.dataset.drawn")
-    yield tab
+    yield tab, asked, wrong
     tab.close()
+
+
+@pytest.fixture
+def opened(shared_tab):
+    """The open page at its first tool and second depth.
+
+    At the end nothing is asked for or has gone wrong.
+    """
+    tab, asked, wrong = shared_tab
+    if tab.viewport_size != DESKTOP:
+        tab.set_viewport_size(DESKTOP)
+    tab.locator("#same").uncheck()
+    tab.locator("#tool").select_option(index=0)
+    tab.locator("#depth").fill("1")
+    tab.wait_for_function(DRAWN % (0, 1))
+    yield tab
     assert not asked
     assert not wrong
 
@@ -596,6 +613,8 @@ def test_indenter_is_chosen_and_the_depth_stays(opened):
 
 @slow
 def test_controls_are_reached_by_tab_and_show_the_focus(opened):
+    opened.reload()  # the keys go on from where the focus was
+    opened.wait_for_function("() => document.body.dataset.drawn")
     reached = []
     for _ in range(4):
         opened.keyboard.press("Tab")
@@ -631,7 +650,7 @@ def test_page_fits_phone_tablet_and_desktop(opened, size):
 def test_chart_fills_its_figure_where_a_run_has_no_reflection(browser, press, tmp_path):
     """The figure of the area takes the whole row then, before the chart is drawn in it."""
     page = write.write_page(press, tmp_path / "press.html")
-    tab = browser.new_page(viewport={"width": 1440, "height": 900})
+    tab = browser.new_page(viewport=DESKTOP)
     tab.goto(page.as_uri())
     tab.wait_for_function("() => document.body.dataset.drawn")
     wide, figure = (

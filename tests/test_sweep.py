@@ -149,7 +149,7 @@ def test_pieces_are_computed_once_ever(tmp_path, capsys):
 SHARES = [[*SMALL, "--workers", "1", "--shard", f"{i}/2"] for i in (2, 1)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_do_not_matter(finished, tmp_path, monkeypatch):
     """Two processes compute all pieces anew."""
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
