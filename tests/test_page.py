@@ -488,6 +488,8 @@ def shared_tab(browser, page):
     tab.wait_for_function("() => document.body.dataset.drawn")
     yield tab, asked, wrong
     tab.close()
+    assert not asked
+    assert not wrong
 
 
 @pytest.fixture
@@ -499,13 +501,16 @@ def opened(shared_tab):
     tab, asked, wrong = shared_tab
     if tab.viewport_size != DESKTOP:
         tab.set_viewport_size(DESKTOP)
+        tab.wait_for_function(FITTED)
     tab.locator("#same").uncheck()
     tab.locator("#tool").select_option(index=0)
     tab.locator("#depth").fill("1")
     tab.wait_for_function(DRAWN % (0, 1))
     yield tab
-    assert not asked
-    assert not wrong
+    found = [*asked], [*wrong]
+    asked.clear()
+    wrong.clear()
+    assert found == ([], [])
 
 
 def curves(tab):

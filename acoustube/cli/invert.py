@@ -108,8 +108,8 @@ def invert(
         Picture to write (PNG, PDF or SVG): posterior and limit of detection along the tube, from
         the near end, of the first group with a contact, or of the first.
     detection_limits : Path
-        Table to write (CSV), for each group and tool: the limits of detection every 2 cm, depth and
-        force from which on a further contact would have been found; inf where none would.
+        Table to write (CSV), for each group and tool: the limits of detection along the tube, depth
+        and force from which on a further contact would have been found; inf if not at the deepest.
     """
     _check(files, out, figure, detection_limits)
     far_end.check_pairs(files)

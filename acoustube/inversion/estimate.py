@@ -132,10 +132,11 @@ class Inversion:
         Returns
         -------
         ndarray
-            In m, (n,): inf where no press of the library would have been found, or none was sought
-            since `most` contacts were; nan nearer to a contact than presses can be, and where the
-            model has no place; see :func:`acoustube.inversion.detection.detection_limit`. They hold
-            if the model does (:attr:`fits`).
+            In m, (n,): inf where the deepest press of the library would not have been found, or
+            none was sought since `most` contacts were; nan nearer to a contact than presses can be,
+            and where the model has no place; see
+            :func:`acoustube.inversion.detection.detection_limit`. They hold if the model does: with
+            contacts, if :attr:`fits`.
 
         Raises
         ------

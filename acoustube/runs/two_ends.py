@@ -21,7 +21,7 @@ from acoustube.inversion.parameters import CLOSEST
 from acoustube.runs.inversion import RecordingInverter
 
 LIMIT_COLUMNS = (
-    "recording", "group", "distance_cm", "indenter_mm", "depth_mm", "force_n", "misfit",
+    "recording", "group", "distance_cm", "shape", "indenter_mm", "depth_mm", "force_n", "misfit",
 )  # fmt: skip
 
 
@@ -52,16 +52,16 @@ class EndsContacts(NamedTuple):
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
         """Return the depths from which on a further contact would have been found from an end.
 
-        Of the ends whose echo is explained, if it is that of one alone. Parameters and result are
-        those of :meth:`acoustube.inversion.Inversion.detection_limit`.
+        Of the ends whose echo is explained, and of both where neither is. Parameters and result
+        are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
         """
         at = np.asarray(places, float)
         if self.far is None:
             return self.near.detection_limit(at, tool)
         far, length = self.far
-        ends = (self.near, at), (far, length - at)
-        limits = [one.detection_limit(z, tool) for one, z in ends if one.fits or not self.fits]
-        found = np.fmin.reduce(limits)
+        ends = [(self.near, at), (far, length - at)]
+        explained = [end for end in ends if end[0].fits] or ends
+        found = np.fmin.reduce([one.detection_limit(z, tool) for one, z in explained])
         for contact, _ in self.contacts:
             found[np.abs(at - contact.distance.value) <= CLOSEST] = np.nan
         return np.asarray(found)
@@ -158,8 +158,8 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
     Returns
     -------
     list of list
-        For each tool and place, as :func:`acoustube.inversion.detection.limits_along`; inf where no
-        contact would be found. Places without a limit are left out.
+        For each tool and place, as :func:`acoustube.inversion.detection.limits_along`. Places
+        without a limit are left out.
     """
     rows: list[list[object]] = []
     span = found.near.model.span
@@ -171,10 +171,9 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
         known = np.isfinite(depths)
         forces = np.full(len(depths), np.inf)
         forces[known] = tool.force_at(depths[known])
-        start, diameter = [str(path), group], f"{MM * tool.diameter:g}"
+        start, kind = [str(path), group], [tool.shape, f"{MM * tool.diameter:g}"]
         rows += [
-            [*start, f"{CM * place:.6g}", diameter, f"{MM * d:.4g}", f"{f:.4g}",
-             f"{found.misfit:.4g}"]
+            [*start, f"{CM * place:.6g}", *kind, f"{MM * d:.4g}", f"{f:.4g}", f"{found.misfit:.4g}"]
             for place, d, f in zip(places, depths, forces, strict=True)
             if not np.isnan(d)
         ]  # fmt: skip

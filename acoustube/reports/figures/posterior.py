@@ -60,8 +60,9 @@ def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
     hidden = np.where(np.isinf(depths), 1.1 * deepest, MM * depths)
     axes.fill_between(CM * places, 0.0, hidden, color="0.85", lw=0)
     for contact in found.contacts:
-        depth, half = MM * contact.depth.value, MM * np.ptp(contact.depth.intervals[0.9]) / 2
-        axes.errorbar(CM * contact.distance.value, depth, half, fmt="o", ms=4, color=RETURN)
+        place = CM * contact.distance.value
+        axes.plot([place, place], MM * np.array(contact.depth.intervals[0.9]), color=RETURN)
+        axes.plot(place, MM * contact.depth.value, "o", ms=4, color=RETURN)
     axes.set_ylim(0, 1.1 * deepest)
     axes.set_xlabel("distance from the face (cm)")
     axes.set_ylabel("depth (mm)")
