@@ -581,15 +581,21 @@ def folder(tmp_path_factory):
     return where
 
 
-def test_command_writes_a_row_a_contact(folder, tmp_path):
+def inverted(folder, tmp_path, *names, group):
+    """Run the command with all its outputs; return the rows of its table of limits."""
     done = run_here(
-        "invert", folder / "p0.nc", folder / "p1.nc", "--library", folder / "lib", "--untouched",
-        folder / "free.nc", "--group", 10, "--out", tmp_path / "c.csv", "--figure",
+        "invert", *(folder / name for name in names), "--library", folder / "lib", "--untouched",
+        folder / "free.nc", "--group", group, "--out", tmp_path / "c.csv", "--figure",
         tmp_path / "c.png", "--detection-limits", tmp_path / "l.csv",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    assert (tmp_path / "c.png").read_bytes()[1:4] == b"PNG"
     with (tmp_path / "l.csv").open(newline="") as file:
-        limits = list(csv.DictReader(file))
+        return list(csv.DictReader(file))
+
+
+def test_command_writes_a_row_a_contact(folder, tmp_path):
+    limits = inverted(folder, tmp_path, "p0.nc", "p1.nc", group=10)
     assert {(row["recording"][-5:], row["group"]) for row in limits} == {
         (name, group) for name in ("p0.nc", "p1.nc") for group in "01"
     }
@@ -612,21 +618,12 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         assert float(row["depth_mm"]) == pytest.approx(depth, abs=0.05)
         assert float(row["force_n"]) == pytest.approx(2 * depth**2, rel=0.05)
         assert row["indenter_mm"] == "25"
-    assert (tmp_path / "c.png").read_bytes()[1:4] == b"PNG"
 
 
 def test_command_tells_the_limit_of_an_untouched_tube_and_draws_it(folder, tmp_path):
-    done = run_here(
-        "invert", folder / "free.nc", "--library", folder / "lib", "--untouched",
-        folder / "free.nc", "--group", 100, "--out", tmp_path / "c.csv", "--figure",
-        tmp_path / "c.png", "--detection-limits", tmp_path / "l.csv",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    with (tmp_path / "l.csv").open(newline="") as file:
-        limits = list(csv.DictReader(file))
+    limits = inverted(folder, tmp_path, "free.nc", group=100)
     assert {row["misfit"] for row in limits} == {"nan"}
     assert float(limits[-1]["depth_mm"]) > float(limits[0]["depth_mm"])
-    assert (tmp_path / "c.png").read_bytes()[1:4] == b"PNG"
 
 
 @pytest.mark.parametrize(

@@ -178,12 +178,12 @@ class _Files:
 
         if self.limits is not None:
             self.pending += limit_rows(path, group, found, self.library)
-        self.candidate = _rather(self.candidate, found.near)
+        self.candidate = _preferred(self.candidate, found.near)
 
     def keep(self) -> None:
         """Keep what the groups of a file have contributed."""
         self.rows += self.pending
-        self.shown = _rather(self.shown, self.candidate)
+        self.shown = _preferred(self.shown, self.candidate)
         self.drop()
 
     def drop(self) -> None:
@@ -204,7 +204,7 @@ class _Files:
         return found
 
 
-def _rather(known: Inversion | None, new: Inversion | None) -> Inversion | None:
+def _preferred(known: Inversion | None, new: Inversion | None) -> Inversion | None:
     """Return the first inversion with a contact, or the first."""
     if known is None or (new is not None and new.contacts and not known.contacts):
         return new

@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import log, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.doubt import doubting
+from acoustube.inversion.doubt import doubt_weights
 from acoustube.inversion.hypotheses import Hypothesis
 from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -31,7 +32,7 @@ STEP = 0.5e-3
 ALONG = 0.013
 """Distance in m of places, of which three in turn share the largest limit: behind a press its modes
 beat over 2 and 4 cm, of which the three have phases 110 to 130 degrees apart."""
-CERTAINTY = 1.28
+NORMAL_QUANTILE = 1.28
 """Standard deviations of the explained deviance that a press at the limit has to spare, so that its
 probability of detection is 0.9 if errors are normal with the covariance of the weights."""
 
@@ -39,7 +40,7 @@ probability of detection is 0.9 if errors are normal with the covariance of the 
 def detection_limit(
     model: ForwardModel, known: Hypothesis, noise: float, tool: int, places: Array
 ) -> Array:
-    """Return the depths from which on a further press would be found.
+    """Return the limits of detection: depths from which on a further press would be found.
 
     Parameters
     ----------
@@ -74,13 +75,45 @@ def detection_limit(
     found = np.full(len(places), np.nan)
     apart = np.abs(places[:, None] - own).min(axis=1, initial=np.inf) > CLOSEST
     apart &= (places >= model.span[0]) & (places <= model.span[1])
-    whiten = known.whiten
-    if known.tools:
-        whiten = doubting(model, known, noise, known.error)
+    state = _linearised(model, known, noise)
     for i in np.flatnonzero(apart):
-        surplus = _surplus(model, known, whiten, (tool, float(places[i])), depths)
+        surplus = _surplus(model, state, (tool, float(places[i])), depths)
         found[i] = _limit(depths, surplus)
     return found
+
+
+class _Known(NamedTuple):
+    """The presses found, linearised about their best fit.
+
+    Attributes
+    ----------
+    tools : tuple of int
+    parameters : ndarray
+        (1, n_parameters).
+    whiten : Weights
+        Of one press more.
+    value : ndarray
+        Baseband, (1, n_time).
+    slopes : ndarray
+        Its derivatives, whitened, (1, n_parameters, n_time).
+    information : ndarray
+        (n_parameters, n_parameters).
+    """
+
+    tools: tuple[int, ...]
+    parameters: Array
+    whiten: Weights
+    value: Complex
+    slopes: Complex
+    information: Array
+
+
+def _linearised(model: ForwardModel, known: Hypothesis, noise: float) -> _Known:
+    whiten = doubt_weights(model, known, noise, known.error) if known.tools else known.whiten
+    parameters = known.best[None]
+    value, slopes = model.baseband(known.tools, *split(parameters))
+    slopes = whiten(slopes)
+    return _Known(known.tools, parameters, whiten, value, slopes, _information(model, slopes)[0])
 
 
 def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> tuple[Array, Array]:
@@ -107,32 +140,29 @@ def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> 
     return places, np.where(np.isnan(depths), np.nan, worst)
 
 
-def _surplus(
-    model: ForwardModel, known: Hypothesis, whiten: Weights, press: tuple[int, float], depths: Array
-) -> Array:
+def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depths: Array) -> Array:
     """Return by how much the deviance that a further press explains exceeds its cost, (n,).
 
-    Less :data:`CERTAINTY` of its standard deviations.
+    Less :data:`NORMAL_QUANTILE` of its standard deviations.
     """
     tool, place = press
-    own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.best[None]))
+    own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.parameters))
     rank = int(np.searchsorted(own[0], place))
     tools = (*known.tools[:rank], tool, *known.tools[rank:])
     given = np.insert(own, rank, place, axis=1), np.insert(deep, rank, depths, axis=1), nuisances
     value, slopes = model.baseband(tools, *given)
-    before, known_slopes = model.baseband(known.tools, own[:1], deep[:1], nuisances[:1])
-    change, slopes = whiten(value - before), whiten(slopes)
-    fewer, more = (_information(model, one) for one in (whiten(known_slopes), slopes))
+    change = known.whiten(value - known.value)
     explained = 2 * np.sum(np.abs(change) ** 2, axis=1)
-    toward = 2 * (whiten(known_slopes).conj() @ change[:, :, None])[..., 0]
-    explained -= _absorbed(fewer[0], toward)
+    toward = 2 * (known.slopes.conj() @ change[:, :, None])[..., 0]
+    explained -= _absorbed(known.information, toward)
     length, span = model.span[1] - model.span[0], float(np.diff(model.tables[tool].range)[0])
-    cost = np.linalg.slogdet(more)[1] - np.linalg.slogdet(fewer)[1]
+    cost = np.linalg.slogdet(_information(model, known.whiten(slopes)))[1]
+    cost -= np.linalg.slogdet(known.information)[1]
     cost += 2 * log(length * span) - 2 * log(2 * pi)
     # What a press without an echo leaves open, its place and depth, is no evidence for it.
     cost = np.maximum(cost, 0.0) + odds_of(len(tools))
     explained = np.maximum(explained, 0.0)
-    return np.asarray(explained - CERTAINTY * 2 * np.sqrt(explained) - cost)
+    return np.asarray(explained - NORMAL_QUANTILE * 2 * np.sqrt(explained) - cost)
 
 
 def _absorbed(information: Array, toward: Complex) -> Array:

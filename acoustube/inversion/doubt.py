@@ -30,7 +30,7 @@ ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
 
-def doubting(model: ForwardModel, known: Hypothesis, noise: float, seen: float) -> Weights:
+def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: float) -> Weights:
     """Return the weights by which one press more is credited.
 
     Parameters
@@ -68,7 +68,7 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     """
     model = builder.model
     seen = more.error if more.error <= SMALL_ERROR else fewer.error
-    whiten = doubting(model, fewer, builder.noise, seen)
+    whiten = doubt_weights(model, fewer, builder.noise, seen)
     deviance = []
     for one in (fewer, more):
         start = one.fits.parameters[:1]

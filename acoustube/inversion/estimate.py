@@ -120,7 +120,7 @@ class Inversion:
 
     @checked(places=Reals(ndim=1), tool=Number(0, 1000, whole=True))
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
-        """Return the depths from which on a further contact would have been found.
+        """Return the limits of detection: depths from which on another would be found.
 
         Parameters
         ----------

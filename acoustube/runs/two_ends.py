@@ -50,7 +50,7 @@ class EndsContacts(NamedTuple):
     far: tuple[Inversion, float] | None = None
 
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
-        """Return the depths from which on a further contact would have been found from an end.
+        """Return the limits of detection, at each place the lower one of the ends.
 
         Of the ends whose echo is explained, and of both where neither is. Parameters and result
         are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
