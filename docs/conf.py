@@ -3,9 +3,13 @@
 import os
 import pkgutil
 import shutil
+from collections import defaultdict
+from functools import cached_property
 from pathlib import Path
 
 import pyvista
+from numpydoc import docscrape_sphinx
+from sphinx.domains.python import PythonDomain
 from sphinx_gallery.sorting import ExplicitOrder
 
 import acoustube
@@ -63,7 +67,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": "forearm_markers",
     "within_subsection_order": ExplicitOrder([*EXAMPLES, "*"]),
     "image_scrapers": ("matplotlib", pyvista.Scraper()),
-    "matplotlib_animations": True,
+    "matplotlib_animations": GALLERY == "all",  # drawing one takes longer than its script
     "abort_on_example_error": True,
     "show_memory": False,
     "write_computation_times": False,
@@ -113,3 +117,48 @@ def write_reference(folder):
 
 
 write_reference(Path(__file__).parent / "_generated" / "reference")
+
+
+class IndexedPythonDomain(PythonDomain):
+    """Python's objects, found by the last part of their names.
+
+    Sphinx compares each reference with all of them, a fifth of the build.
+    """
+
+    @cached_property
+    def by_last_part(self):
+        """Objects by the last part of their names: references are resolved when all are read."""
+        found = defaultdict(dict)
+        for name, entry in self.objects.items():
+            found[name.rpartition(".")[2]][name] = entry
+        return found
+
+    def find_obj(self, env, modname, classname, name, *how):
+        """Return the names and entries that a reference may mean; see the base class."""
+        everything = self.data["objects"]
+        last = name.removesuffix("()").rpartition(".")[2]
+        self.data["objects"] = self.by_last_part.get(last, {})
+        try:
+            return super().find_obj(env, modname, classname, name, *how)
+        finally:
+            self.data["objects"] = everything
+
+
+def keep_first_result(function):
+    """Return a function that is called once, and hands out that result ever after."""
+    results = []
+
+    def kept(*args, **kwargs):
+        results.extend([] if results else [function(*args, **kwargs)])
+        return results[0]
+
+    return kept
+
+
+# numpydoc compiles its one template anew for each of 12,000 docstrings, a sixth of the build.
+docscrape_sphinx.SandboxedEnvironment = keep_first_result(docscrape_sphinx.SandboxedEnvironment)
+
+
+def setup(app):
+    """Give Sphinx the domain with an index."""
+    app.add_domain(IndexedPythonDomain, override=True)

@@ -500,7 +500,7 @@ def test_tube_is_pressed_and_sounded(monkeypatch):
     assert np.abs(found.reflection[:, at]).max() < 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_reflection_between_the_depths_of_a_design_is_that_of_a_tube_with_losses():
     """Near 7 mm of a bore of 10.5 mm sound is trapped, for longer without losses."""
     design = DesignGoal(variables=Variables(carrier_khz=17.5))

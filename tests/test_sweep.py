@@ -167,18 +167,18 @@ def test_pieces_computed_anew_are_the_same(finished, tmp_path, monkeypatch, comm
 
 
 @contextmanager
-def cluster(tmp_path, port):
-    """A scheduler and two workers, processes of their own, and the command of a sweep on them."""
+def cluster(tmp_path, port, count):
+    """A scheduler and workers, processes of their own, and the command of a sweep on them."""
     own = {"ACOUSTUBE_CACHE": str(tmp_path / "cluster's"), "OMP_NUM_THREADS": "1"}
     start = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": os.environ | own}
     address, dask = f"tcp://127.0.0.1:{port}", [sys.executable, "-m", "dask"]
     place = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
     scheduler = subprocess.Popen([*dask, "scheduler", *place], **start)
     worker = [*dask, "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
-    workers = [subprocess.Popen(worker, **start) for _ in range(2)]
+    workers = [subprocess.Popen(worker, **start) for _ in range(count)]
     command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--dask", address]
     try:
-        _await_workers(address, 2)
+        _await_workers(address, count)
         yield scheduler, workers, command
     finally:
         for process in (scheduler, *workers):
@@ -187,7 +187,7 @@ def cluster(tmp_path, port):
 
 @pytest.mark.long
 def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_path):
-    with cluster(tmp_path, 18786) as (_, workers, command):
+    with cluster(tmp_path, 18786, 2) as (_, workers, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"])
         _await_first_press(tmp_path)
         workers[0].kill()
@@ -197,7 +197,7 @@ def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_pa
 
 @pytest.mark.slow
 def test_a_sweep_whose_scheduler_is_killed_is_finished_by_another(finished, tmp_path):
-    with cluster(tmp_path, 18788) as (scheduler, _, command):
+    with cluster(tmp_path, 18788, 1) as (scheduler, _, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"], stderr=subprocess.PIPE, text=True)
         _await_first_press(tmp_path)
         scheduler.kill()

@@ -1,6 +1,7 @@
 """Inversion of wrapped tubes: bent modes, forward model, Jacobian, presses found again, files."""
 
 import dataclasses
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +29,7 @@ from acoustube.runs.inversion import read_sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.wrap import wrap_of
-from acoustube.sleeve import design, windings, wrapped
+from acoustube.sleeve import between_bends, design, windings
 from acoustube.waves import Bent, PlacedScatterer, axial_wavenumber, joined_bends
 from acoustube.waves.bent_modes import bent_modes
 from acoustube.waves.modes.grid_modes import mode_numbers
@@ -166,28 +167,35 @@ def masked(depth, frequency):
     )
 
 
+FREQUENCY = np.arange(20e3, 62e3, 100.0)
+
+
+@cache
+def bends_between(*places):
+    """The bends of the arm before, between and behind presses at places."""
+    return windings(HELIX, AIR, FREQUENCY, places, reach=WRAP.reach, radius=RADIUS, modes=MODES)
+
+
 def wrapped_presses(*contacts):
     """Presses of depths at places on the arm, between bends."""
-    frequency = np.arange(20e3, 62e3, 100.0)
     placed = [
         PlacedScatterer(
             ModalScattering(
-                frequency=frequency, modes=MODES, s=masked(depth, frequency)[0], cut_ons=CUT_ONS,
-                propagates=frequency[:, None] > CUT_ONS, sound_speed=AIR.sound_speed,
+                frequency=FREQUENCY, modes=MODES, s=masked(depth, FREQUENCY)[0], cut_ons=CUT_ONS,
+                propagates=FREQUENCY[:, None] > CUT_ONS, sound_speed=AIR.sound_speed,
                 extent=(-WRAP.reach, WRAP.reach),
             ),
             place,
         )
         for depth, place in contacts
     ]  # fmt: skip
-    return wrapped(HELIX, placed, AIR, radius=RADIUS, reach=WRAP.reach)
+    found = bends_between(*(place for _, place in contacts))
+    return found + [between_bends(press, WRAP.reach) for press in placed]
 
 
 def untouched():
     """The bends of the arm without a press."""
-    return windings(
-        HELIX, AIR, np.arange(20e3, 62e3, 100.0), [], reach=WRAP.reach, radius=RADIUS, modes=MODES
-    )
+    return bends_between()
 
 
 def wrapped_cycles(depth, place, seed, n_cycles=20):
