@@ -45,6 +45,12 @@ MOST_BYTES = 15e6
 slow = pytest.mark.slow
 
 
+def page_of(folder, path):
+    """Write the page of a run, and return its path."""
+    path.write_text(write.assembled(read(folder), write.plotly_js()), encoding="utf-8")
+    return path
+
+
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages") / "study"
@@ -54,7 +60,7 @@ def sweep(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def page(sweep, tmp_path_factory):
-    return write.write_page(sweep, tmp_path_factory.mktemp("pages") / "study.html")
+    return page_of(sweep, tmp_path_factory.mktemp("pages") / "study.html")
 
 
 @pytest.fixture(scope="module")
@@ -654,7 +660,7 @@ def test_page_fits_phone_tablet_and_desktop(opened, size):
 
 def test_chart_fills_its_figure_where_a_run_has_no_reflection(browser, press, tmp_path):
     """The figure of the area takes the whole row then, before the chart is drawn in it."""
-    page = write.write_page(press, tmp_path / "press.html")
+    page = page_of(press, tmp_path / "press.html")
     tab = browser.new_page(viewport=DESKTOP)
     tab.goto(page.as_uri())
     tab.wait_for_function("() => document.body.dataset.drawn")

@@ -65,7 +65,7 @@ class Record:
         def failed(reason):
             self.failures[name] = reason
 
-        return Task("test", work, arguments, then, failed, 1.0)
+        return Task(work, arguments, then, failed, 1.0)
 
 
 @pytest.fixture

@@ -15,5 +15,3 @@ MPA = 1e-6
 """For stresses in Pa."""
 PERCENT = 100
 """For fractions."""
-GIGABYTES = 1e-9
-"""For numbers of bytes."""

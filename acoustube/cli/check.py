@@ -40,7 +40,7 @@ PURPOSES = {
     "serial": "reads the board of `acoustube live`",
 }
 """Purposes of the optional extras."""
-FOR_OTHERS = ("test", "docs", "page")
+FOR_OTHERS = ("test", "docs")
 DRAWING = """\
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])

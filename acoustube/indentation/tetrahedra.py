@@ -110,7 +110,6 @@ def tetrahedral_mesh(
     *,
     reach: float,
     halved: tuple[bool, bool] = (False, False),
-    presses: Sequence[float] = (0.0,),
     size: TetrahedronSize | None = None,
     note: Callable[[str], None] | None = None,
 ) -> Mesh:
@@ -125,10 +124,8 @@ def tetrahedral_mesh(
     halved : tuple of bool
         Symmetry of the load about x = 0, and about z = 0; where the wall is symmetric too, only
         x >= 0 or z >= 0 is meshed.
-    presses : sequence of float
-        Positions z of the indenters in m, around which the mesh is fine.
     size : TetrahedronSize, optional
-        Edge lengths of the elements.
+        Edge lengths of the elements, the smallest about z = 0.
     note : callable, optional
         Called with a sentence where more than :data:`MAX_OFF_SURFACE` of the nodes of the best mesh
         are off the wall's surface.
@@ -157,7 +154,7 @@ def tetrahedral_mesh(
     planes += [Plane(2, 0.0, 1), both[1]] if symmetric[1] else both
     piece = _cut(surface, planes)
     z = np.linspace(piece.bounds[0, 2], piece.bounds[1, 2], SIZE_STATIONS)
-    edge = whole.thickness * _edge_lengths(z, presses, size, whole.outer.extents[1])
+    edge = whole.thickness * _edge_lengths(z, size, whole.outer.extents[1])
     check_thickness(piece, whole, edge)
     best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never accepted
     for _ in range(ATTEMPTS):
@@ -194,12 +191,9 @@ def _cut(surface: trimesh.Trimesh, planes: Sequence[Plane]) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.asarray(cut.points, float), cut.regular_faces)
 
 
-def _edge_lengths(
-    z: Array, presses: Sequence[float], size: TetrahedronSize, height: float
-) -> Array:
+def _edge_lengths(z: Array, size: TetrahedronSize, height: float) -> Array:
     """Return the requested edge lengths at stations along the tube, in wall thicknesses."""
-    distance = np.min(np.abs(z[:, None] - np.asarray(presses)), axis=1)
-    return np.interp(distance / height, [size.near, size.far], [size.fine, size.coarse])
+    return np.interp(np.abs(z) / height, [size.near, size.far], [size.fine, size.coarse])
 
 
 def _tetrahedralised(

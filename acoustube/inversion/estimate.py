@@ -254,7 +254,7 @@ class Inverter:
             contacts.append(
                 Contact(
                     probability=float(sum(seen)),
-                    distance=posterior.estimate(2 * i, self._scale_error(place)),
+                    distance=posterior.estimate(2 * i, self.model.scale_error(place)),
                     depth=posterior.estimate(2 * i + 1),
                     force=posterior.mapped(
                         2 * i + 1, known.force_at, partial(self.model.priors.force_deviation, known)
@@ -278,14 +278,6 @@ class Inverter:
             model=self.model, most=self.most,
             **nuisance,
         )  # fmt: skip
-
-    def _scale_error(self, place: float) -> float:
-        """Return the standard deviation of a place by the error of the thermometer."""
-        base = self.model.base
-        if self.model.clutter.behind is None:  # the temperature is estimated with that error
-            return 0.0
-        relative = base.speed_by_temperature / base.speed
-        return place * relative * self.model.priors.thermometer
 
     def _echoes(self, best: Hypothesis, builder: Builder) -> tuple[Complex, Complex]:
         """Return the baseband of the cycles and of a hypothesis, without the untouched tube's."""

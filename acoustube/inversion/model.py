@@ -291,3 +291,9 @@ class ForwardModel:
         """Return the baseband of the untouched tube, (n, n_time)."""
         empty = np.zeros((len(nuisances), 0))
         return self.baseband((), empty, empty, nuisances)[0]
+
+    def scale_error(self, place: float) -> float:
+        """Return the standard deviation in m of a place in m by the error of the thermometer."""
+        if self.clutter.behind is None:  # the temperature is estimated with that error
+            return 0.0
+        return place * self.base.speed_by_temperature / self.base.speed * self.priors.thermometer

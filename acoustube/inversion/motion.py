@@ -239,7 +239,6 @@ def updated(
     *,
     iterations: int = 3,
     forget: float = 1.0,
-    start: Array | None = None,
     limit: float = np.inf,
 ) -> Update:
     """Return the distribution after a cycle, by Gauss-Newton steps about each branch.
@@ -255,15 +254,13 @@ def updated(
     iterations : int
     forget : float
         Factor of the levels before this cycle's evidence is added.
-    start : ndarray, optional
-        Parameters from which the steps begin, (n, n_parameters); those predicted by default.
     limit : float
         Cost from which a branch is not refined after its first iteration.
     """
     p, n = prior.parameters, len(prior.mean)
     expected, covariance = prior.mean[:, :p], prior.covariance[:, :p, :p]
     precision = np.asarray(np.linalg.inv(covariance), float)
-    at = bounded(model, prior.tools, expected if start is None else start)
+    at = bounded(model, prior.tools, expected)
     known = _Quadratic(model, prior.tools, at, samples, whiten, expected, precision)
     damping, active = np.full(n, 1e-4), np.ones(n, bool)
     for number in range(iterations):

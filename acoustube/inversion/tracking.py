@@ -208,7 +208,7 @@ class ContactTracker:
             slope = known.force_at(depth, 1) * np.sqrt(variance[:, 2 * i + 1])
             own = model.priors.force_deviation(known, depth)
             force = mixture(weight, known.force_at(depth), np.hypot(slope, own))
-            distance = told(2 * i, self._scale_error(places[0, i]))
+            distance = told(2 * i, self.model.scale_error(places[0, i]))
             contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))
             numbers.append(one.number)
         first = 2 * len(best.tools)
@@ -235,13 +235,6 @@ class ContactTracker:
         power = (back @ back.conj().swapaxes(1, 2)).real
         own = found.information - 2 / self.model.base.freedom * noise * power
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
-
-    def _scale_error(self, place: float) -> float:
-        """Return the standard deviation of a place by the error of the thermometer."""
-        base = self.model.base
-        if self.model.clutter.behind is None:
-            return 0.0
-        return place * base.speed_by_temperature / base.speed * self.model.priors.thermometer
 
     def _misfit(self, rest: Complex, explained: Complex) -> float:
         """Return the fraction of the echo that the model does not explain, nan without contacts."""

@@ -104,7 +104,6 @@ class BentModes:
     radius=BORE,
     modes=Several(str, 1),
     count=Number(1, 50, whole=True),
-    highest=Number(1, 50),
 )
 def bent_modes(
     air: Air,
@@ -114,10 +113,10 @@ def bent_modes(
     radius: float,
     modes: Sequence[str],
     count: int,
-    lossy: bool = True,
-    highest: float = LARGEST_ZERO,
 ) -> BentModes:
     """Return the first modes of a bent bore, and the scattering of its joint with a straight one.
+
+    With the losses of the straight bore.
 
     Parameters
     ----------
@@ -132,24 +131,20 @@ def bent_modes(
         The m_s straight modes at the joint, power-normalised; zero below cut-on.
     count : int
         Number m of bent modes.
-    lossy : bool
-        With the losses of the straight bore.
-    highest : float
-        Largest j'mn of the modes in the sums.
 
     Raises
     ------
     ConfigError
         If a mode is not among those in the sums.
     """
-    bore = bore_modes(highest)
+    bore = bore_modes(LARGEST_ZERO)
     place = mode_places(modes, bore)
-    generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
+    generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy=True)
     n, (_, size) = len(frequency), admittance.shape
     if count > size:
         raise ConfigError(
             "is larger than the number of modes computed", setting="count", value=count,
-            allowed=(1, size), advice="raise highest",
+            allowed=(1, size),
         )  # fmt: skip
     growth, vectors = np.linalg.eig(generator)
     beta = 1j * growth
@@ -176,7 +171,7 @@ def bent_modes(
     if np.iscomplexobj(frequency):
         # Its analytic continuation, as scattering of power-normalised modes is continued.
         f = np.conj(frequency)
-        mirrored = wavenumbers(modes, f, radius, air, lossy=lossy) * air.sound_speed
+        mirrored = wavenumbers(modes, f, radius, air, lossy=True) * air.sound_speed
         magnitude = np.sqrt(admittance[:, place] * np.conj(mirrored / (2 * np.pi * f[:, None])))
     root = np.where(propagates, np.sqrt(magnitude), 0.0)
     inverse = np.where(propagates, 1 / np.where(propagates, root, 1), 0.0)

@@ -83,17 +83,17 @@ class PressedTube:
     @cached_property
     def _spline(self) -> CubicSpline:
         """Reflection over depth; the untouched tube reflects nothing."""
-        none = np.zeros((1, len(self.frequency)), complex)
-        depth = np.concatenate([[0.0], self.depth])
-        return CubicSpline(depth, np.concatenate([none, self.reflection]))
+        return self._over_depth(0.0, self.reflection)
 
     @cached_property
     def _transmission_spline(self) -> CubicSpline:
         """Transmission over depth; the untouched tube transmits all."""
-        whole = np.ones((1, len(self.frequency)), complex)
-        depth = np.concatenate([[0.0], self.depth])
         assert self.transmission is not None
-        return CubicSpline(depth, np.concatenate([whole, self.transmission]))
+        return self._over_depth(1.0, self.transmission)
+
+    def _over_depth(self, untouched: float, values: Complex) -> CubicSpline:
+        first = np.full((1, len(self.frequency)), untouched, complex)
+        return CubicSpline([0.0, *self.depth], np.concatenate([first, values]))
 
     @cached_property
     def _depth_of(self) -> PchipInterpolator:

@@ -306,11 +306,11 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
     mine = replace(prior, local=prior.local[few])
     maxima: dict[float, tuple[float, Point]] = {}
 
-    def refine(start: Point | None, iterations: int) -> None:
+    def refine(start: Point | None) -> None:
         if start is None:
             return
         cycles = float(start.shared[SHARED.index("drive_cycles")])
-        point, _, value = maximise(own, seen, _frozen(mine, cycles), start, iterations)
+        point, _, value = maximise(own, seen, _frozen(mine, cycles), start, 20)
         if cycles not in maxima or value < maxima[cycles][0]:
             maxima[cycles] = value, point
 
@@ -318,11 +318,11 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
     for i, start in enumerate(starts):
         show(0.2 + 0.5 * i / len(starts))
         for step in WHOLE_CYCLES:
-            refine(_other_burst(own, seen, mine, start, step), 20)
+            refine(_other_burst(own, seen, mine, start, step))
     for _ in range(ROUNDS):
         for cycles in sorted(maxima, key=lambda one: maxima[one][0])[:BEST]:
             for step in HALF_CYCLES:
-                refine(_other_burst(own, seen, mine, maxima[cycles][1], step), 20)
+                refine(_other_burst(own, seen, mine, maxima[cycles][1], step))
     show(0.9)
     # Closer to the noise the wrong ones stand out.
     seen = replace(seen, variances=seen.variances / SHARPER)

@@ -4,6 +4,6 @@ Read `content` (the states of presses), `runs` and `cases` (from files), `shapes
 (surfaces), `encoded` (JSON) and `write`.
 """
 
-from acoustube.reports.page.write import read, write_page
+from acoustube.reports.page.write import read
 
-__all__ = ["read", "write_page"]
+__all__ = ["read"]

@@ -8,10 +8,8 @@ from pathlib import Path
 from string import Template
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_new_file
 from acoustube.base.names import PATH
 from acoustube.base.version import __version__
-from acoustube.base.writing import write
 from acoustube.reports.page.cases import read_sweep
 from acoustube.reports.page.content import Content
 from acoustube.reports.page.encoded import encoded
@@ -48,35 +46,6 @@ def read(where: str | Path) -> Content:
     raise ConfigError(
         f"{where}{cycles} name a folder that acoustube simulate, indent or sweep wrote"
     )
-
-
-def write_page(where: str | Path, out: str | Path) -> Path:
-    """Write a page that shows a run.
-
-    Parameters
-    ----------
-    where : str or path
-        A folder that ``acoustube simulate``, ``indent`` or ``sweep`` wrote.
-    out : str or path
-        The HTML file, which must be new.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    ConfigError
-        If there is nothing to show, or the file cannot be made.
-    """
-    PATH.check("out", out)
-    out = Path(out)
-    check_new_file(out, "html")
-    library = plotly_js()
-    page = assembled(read(where), library)
-    write(out, page)
-    return out
 
 
 def plotly_js() -> str:

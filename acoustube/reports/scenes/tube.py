@@ -77,10 +77,10 @@ def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
 
 def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
     """Triangulate an open sheet of points (n, m, 3)."""
+    from acoustube.reports.page.shapes import strip
+
     number = np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[:2])
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
-    return sheet.reshape(-1, 3), faces
+    return sheet.reshape(-1, 3), strip(number)
 
 
 def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:

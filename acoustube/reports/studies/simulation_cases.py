@@ -48,9 +48,9 @@ def only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
     return cases.isel(press=np.flatnonzero(np.isclose(cases[label].values, value)))
 
 
-def late_fraction(cases: xr.Dataset, end: str = "absorbing") -> Array:
+def late_fraction(cases: xr.Dataset) -> Array:
     """Return the fraction of the echo's energy later than :data:`TRAPPED_AFTER_S`."""
-    signal = np.nan_to_num(cases["pressure"].sel(source_end=end).values.astype(float)) ** 2
+    signal = np.nan_to_num(cases["pressure"].sel(source_end="absorbing").values.astype(float)) ** 2
     time = cases["time"].values
     path = 2 * cases["true_distance"].values - PROBE
     middle = DEFAULT.pulse.duration / 2 + path / signals.speed_of_sound(cases["temperature"].values)

@@ -196,7 +196,7 @@ def tasks_of(
             board.count("tubes", cost)
             found[spec] = reason
 
-        return Task("tubes", sounded, (plan,), then, failed, cost)
+        return Task(sounded, (plan,), then, failed, cost)
 
     return [task(spec, tool) for spec in specs for tool in tools]
 

@@ -315,7 +315,7 @@ class _Builder:
             self.refinement = Refinement(self.plan.tolerance, reached)
             return self._scatter(reached)
 
-        return Task("press", press_rows, (self.plan,), then, self._failed("press", cost), cost)
+        return Task(press_rows, (self.plan,), then, self._failed("press", cost), cost)
 
     def _scatter(self, depths: Sequence[float]) -> list[Task]:
         """Return the tasks of a level of depths."""
@@ -342,7 +342,7 @@ class _Builder:
 
         arguments = self.plan, depth, part
         failed = self._failed("scattering", cost)
-        return Task("scattering", scattering_at, arguments, then, failed, cost)
+        return Task(scattering_at, arguments, then, failed, cost)
 
     def _go_on(self) -> list[Task]:
         """Return the tasks of the next level of depths; at the end write the tool."""

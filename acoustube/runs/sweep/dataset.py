@@ -243,7 +243,7 @@ def _task(
     def failed(reason: str) -> None:
         raise SimulationError(f"{name}: {reason}")
 
-    return Task("files", record_cases, (cases, folder / name, recipe), then, failed, cost)
+    return Task(record_cases, (cases, folder / name, recipe), then, failed, cost)
 
 
 def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:

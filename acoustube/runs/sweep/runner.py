@@ -69,7 +69,7 @@ class Runner:
                     self._fail(group.cases, reason, group)
 
         arguments = path.settings, path.depths
-        return Task("path", sweep_tasks.press, arguments, then, failed, path_cost(path))
+        return Task(sweep_tasks.press, arguments, then, failed, path_cost(path))
 
     def _scatter(self, path: LoadPath, group: Group, pressed: sweep_tasks.Pressed) -> list[Task]:
         if group.band is None or pressed.part is None:
@@ -90,7 +90,7 @@ class Runner:
         press, wall = press_runs.press_in_words(settings), press_runs.wall_in_words(settings)
         label = f"sound of {press}; {wall}"
         arguments = settings, name, group.band, pressed.part, label
-        return [Task("scattering", sweep_tasks.scattering, arguments, then, failed, cost)]
+        return [Task(sweep_tasks.scattering, arguments, then, failed, cost)]
 
     def _simulate(
         self, group: Group, pressed: sweep_tasks.Pressed, matrix: StoredScattering | None
@@ -122,7 +122,7 @@ class Runner:
         def failed(reason: str) -> None:
             self._fail(cases, reason, None)
 
-        return Task("cases", simulate_cases, (configs, pressed, matrix), then, failed, cost)
+        return Task(simulate_cases, (configs, pressed, matrix), then, failed, cost)
 
     def _count(self, stage: str, reused: bool, cost: float) -> None:
         self.done[f"{stage} reused" if reused else f"{stage} computed"] += 1

@@ -105,8 +105,6 @@ class Task:
 
     Attributes
     ----------
-    stage : str
-        Kind of task.
     work : callable
         A function of a module, which a worker can import.
     arguments : tuple
@@ -118,7 +116,6 @@ class Task:
         Seconds that it is expected to take.
     """
 
-    stage: str
     work: Callable[..., Any]
     arguments: tuple[Any, ...]
     then: Callable[[Any], Iterable[Task]]

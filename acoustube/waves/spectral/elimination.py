@@ -75,8 +75,6 @@ class Factors(NamedTuple):
     Attributes
     ----------
     chain : Chain
-    shift : float
-        k^2 in 1/m2.
     inside : ndarray
         Inverses of the inner diagonals, (n_elements, n_inner, 1).
     coupling : ndarray
@@ -88,7 +86,6 @@ class Factors(NamedTuple):
     """
 
     chain: Chain
-    shift: float
     inside: Array
     coupling: Array
     nodes: Array
@@ -167,7 +164,7 @@ def factor(chain: Chain, shift: float) -> Factors:
         coupled = ends[number, :n, n:]
         onwards[number] = nodes[number + 1] @ coupled.T
         nodes[number] = np.linalg.inv(nodes[number] - coupled @ onwards[number])
-    return Factors(chain, shift, inside, coupling, nodes, onwards)
+    return Factors(chain, inside, coupling, nodes, onwards)
 
 
 def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:

@@ -39,14 +39,11 @@ class SurfaceRings:
         z in m of the origin of heights.
     symmetric : bool
         True if symmetric about x = 0.
-    same : float
-        Distance in m up to which rings count as equal.
     """
 
     rings: Array
     position: float
     symmetric: bool
-    same: float
 
 
 def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> SurfaceRings:
@@ -86,7 +83,7 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
     if symmetric:
         rings = (rings + mirrored) / 2
     rings[[0, 1]], rings[[-2, -1]] = _straightened(rings, ALIKE * size)
-    return SurfaceRings(rings, position, symmetric, ALIKE * size)
+    return SurfaceRings(rings, position, symmetric)
 
 
 def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:
