@@ -110,10 +110,10 @@ def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
 
 @pytest.mark.parametrize("lossy_band", [pytest.param(None, marks=pytest.mark.long), BAND])
 def test_a_march_goes_on_from_either_form(pinched, lossy_band):
-    """An odd number of steps, of which the rest is marched in the other form, or in the same."""
+    """Half of the steps, an odd number, in one form and half in the other, or in the same."""
     with jax.enable_x64(True):
         setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=lossy_band, dtype=jnp.float64)
-        source = np.sin(0.3 * np.arange(211))
+        source = np.sin(0.3 * np.arange(202))
         whole, _ = march(setup, noisy(setup), source, compiled=False)
         for first in (True, False):
             middle, _ = march(setup, noisy(setup), source[:101], compiled=first)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,7 +52,7 @@ def drawing(walls: xr.Dataset) -> AbstractContextManager[Callable[[], dict[str, 
 
 
 def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
-    """Return the tube cut open at x = 0: points and triangles of its parts with x < 0.
+    """Return the tube cut open at x = 0: points and triangles of its parts with x >= 0.
 
     Parameters
     ----------
@@ -68,8 +67,8 @@ def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
     """
     inner, outer = dataset["inner_wall"].values, dataset["outer_wall"].values
     middle = inner.shape[1] // 2
-    # Rings run up on the side x > 0; the rest of each, closed by its first point, is x < 0.
-    behind = [np.concatenate([wall[:, middle:], wall[:, :1]], axis=1) for wall in (inner, outer)]
+    # Rings run up on the side x > 0.
+    behind = [wall[:, : middle + 1] for wall in (inner, outer)]
     edges = [np.stack([inner[:, i], outer[:, i]], axis=1) for i in (0, middle)]
     parts = {"inner": behind[:1], "outer": behind[1:], "cut": edges}
     return {name: _joined([_strip(sheet) for sheet in sheets]) for name, sheets in parts.items()}
@@ -128,7 +127,7 @@ def close_up(
     points, faces = tool_behind(press, outer)
     moved = [0.0, 0.0, position]
     tool = Mesh(points=points + moved, faces=faces, look={"color": ROD, "ambient": 0.35, **shaded})
-    side, far = (-1.4 * size, 0.4 * size), 6 * size
+    side, far = (-0.4 * size, 1.4 * size), 6 * size
     if layer is None:
         points, faces = _slab(*side, -0.56 * size, -0.5 * size, far)
         look: dict[str, Any] = {"color": GROUND}
@@ -139,7 +138,7 @@ def close_up(
     floor = Mesh(points=points + moved, faces=faces, look=look)
     camera = {
         "focal_point": (0, 0.25 * size, position),
-        "position": (6.0 * size, 2.6 * size, position - 3.6 * size),
+        "position": (-6.0 * size, 2.6 * size, position - 3.6 * size),
         "up": (0, 1, 0),
         "view_angle": 21,
         "clipping_range": (0.1 * size, 40 * size),
@@ -156,7 +155,7 @@ def _slab(left: float, right: float, bottom: float, top: float, far: float) -> t
 
 
 def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
-    """Return points and triangles of an indenter's half with x <= 0, where it touches the wall.
+    """Return points and triangles of an indenter's half with x >= 0, where it touches the wall.
 
     Parameters
     ----------
@@ -166,12 +165,8 @@ def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
     """
     from acoustube.reports.page.shapes import tool, tool_height
 
-    # `tool` makes the half x >= 0, hence the mirror image.
-    mirrored = replace(press, x=-press.x, yaw=-press.yaw)
-    made = tool(mirrored, float(np.ptp(outer[0, :, 1])))
-    raised = made.points * [-1.0, 1.0, 1.0]
-    raised[:, 1] += tool_height(press, outer.reshape(-1, 3))
-    return raised, made.faces[:, ::-1]
+    made = tool(press, float(np.ptp(outer[0, :, 1])))
+    return made.points + np.array([0, tool_height(press, outer.reshape(-1, 3)), 0]), made.faces
 
 
 def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: float) -> list[Any]:
@@ -198,18 +193,21 @@ def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: floa
         y = np.minimum(np.interp(x, lower[:, 0], lower[:, 1], np.inf, np.inf), unloaded)
         sheet.append(np.stack([x, y, np.full_like(x, ring[0, 2])], axis=-1))
     top = np.array(sheet)
-    below = top[:, -1] * [1.0, 0.0, 1.0] + [0.0, bottom, 0.0]
-    return [top, np.stack([top[:, -1], below])]
+    below = top[:, 0] * [1.0, 0.0, 1.0] + [0.0, bottom, 0.0]
+    return [top, np.stack([top[:, 0], below])]
 
 
 def strip(walls: dict[str, tuple[Any, Any]]) -> View:
-    """Return the whole tube so that the picture's width is exactly the tube's length."""
+    """Return the whole tube so that the picture's width is exactly the tube's length.
+
+    Seen from x < 0, so that distances grow to the right, as in plots.
+    """
     length = float(walls["outer"][0][:, 2].max())
     camera = {
         "parallel_projection": True,
         "focal_point": (0, 0, length / 2),
         # From a little above, at a right angle to the axis, so that distances along it are true.
-        "position": (length * np.cos(0.35), length * np.sin(0.35), length / 2),
+        "position": (-length * np.cos(0.35), length * np.sin(0.35), length / 2),
         "up": (0, 1, 0),
         "parallel_scale": 0.5 * length * STRIP_PIXELS[1] / STRIP_PIXELS[0],
         "clipping_range": (0.01 * length, 10 * length),
