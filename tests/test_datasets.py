@@ -233,7 +233,7 @@ def test_show_draws_a_sweep(sweep, capsys):
     ("words", "parts"),
     [
         (["dataset", "--out", "new"], ["needs the folder of a sweep"]),
-        (["dataset", "none", "--out", "new"], ["none holds no sweep"]),
+        (["dataset", "none", "--out", "new"], ["none does not exist"]),
         (["dataset", "SWEEP", "--cycles", "0", "--out", "new"], ["cycles = 0 is out of range"]),
         (["dataset", "SWEEP", "--seed", "-1", "--out", "new"], ["seed = -1"]),
         (["dataset", "SWEEP", "--cycles", "9", "--out", "DATASET"], ["cycles of another sweep"]),
@@ -261,6 +261,7 @@ def test_what_cannot_be_done_is_said_in_one_sentence(words, parts, sweep, datase
     [
         ("noise = -1", "noise = -1 is out of range"),
         ("nose = 1", "nose is not a parameter; did you mean noise?"),
+        ("[prior]", "prior is not a parameter; did you mean priors?"),
         ("[drive]\ncycle = 3", "cycle is not a parameter; did you mean cycles?"),
         ("noise =", "not valid TOML"),
         ("[drive]\nkind = 'Pulse'", "kind"),

@@ -28,7 +28,7 @@ from acoustube.runs.recordings import chosen
 from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe, _reflectors, in_session
 from acoustube.runs.sweep.dataset import rangefinder_in
-from acoustube.runs.twin import _check_untouched, read_recordings
+from acoustube.runs.twin import _check_places, _check_untouched, read_recordings
 from acoustube.runs.twin_calibration import is_twin, thermometer
 from acoustube.runs.twin_file import _material_parameters
 from acoustube.runs.twin_pressed import LABELS, presses_of
@@ -653,6 +653,16 @@ def test_twin_that_gives_no_calibration_is_refused(made, tmp_path, new, part):
     (tmp_path / "wrong.toml").write_text(with_values((folder / "left.toml").read_text(), new))
     with pytest.raises(ConfigError, match=part):
         chosen(str(tmp_path / "wrong.toml"), None)
+
+
+def test_closure_beyond_the_end_of_the_tube_is_refused():
+    """By more than the thickness of a plug."""
+    closed = [Group(np.zeros((1, 9)), 20.0, place, "shut.npz") for place in (0.5, 1.6)]
+    _check_places(closed, None)
+    _check_places(closed, 1.59)
+    with pytest.raises(ConfigError) as refused:
+        _check_places(closed, 1.5)
+    assert all(part in str(refused.value) for part in ("shut.npz", "160 cm", "150 cm", "--length"))
 
 
 @pytest.mark.slow

@@ -132,6 +132,8 @@ CASES = {
     "evaluate good.npz": ["evaluate needs a file or a folder"],
     # Sleeves.
     "sleeve one.csv": ["--loops", "--pitch"],
+    "sleeve one.csv --forearm 25 17 26 --loops 9": ["takes one alone of", "--forearm"],
+    "sleeve --forearm 25 17 26 --loops 9 --pitch 4": ["takes one alone of", "--loops", "--pitch"],
     "sleeve one.csv --loops 9": ["one.csv", "named a", "--columns"],
     "sleeve empty.csv --loops 9": ["empty.csv is empty", "column, x, y, z"],
     "sleeve --forearm 25 17 --loops 9": ["--forearm", "3", "only got 2"],

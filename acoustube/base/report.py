@@ -139,6 +139,11 @@ class TimeLeft:
         return max(left - (now - end), 0.0)
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number and its noun, such as ``1 case`` or ``3 cases``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def time_in_words(seconds: float) -> str:
     """Return a duration in words, such as ``12 s``, ``5 min`` or ``1.5 h``."""
     if seconds < 90:

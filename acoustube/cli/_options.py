@@ -235,7 +235,7 @@ class Recording(Checked):
         Samples per cycle, where a file is one long record.
     """
 
-    rate: float | None = None
+    rate: Annotated[float | None, Number(1e3, 1e7, "Hz", "samples per second")] = None
     temperature: float | None = None
     channel: Annotated[int | None, WHOLE, Number(0, 1e6, "", "from 0", whole=True)] = None
     samples: Annotated[int | None, WHOLE, Number(2, 1e12, "", "per cycle", whole=True)] = None

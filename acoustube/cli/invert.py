@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import counted
 from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Recording, check_files
 
@@ -155,8 +156,9 @@ def invert(
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
         written |= wanted.contents()
-    failed = f"; {failures} files could not be inverted" if failures else ""
-    report.line(f"{n_contacts} contacts in {n_groups} groups of cycles{failed}")
+    failed = f"; {counted(failures, 'file')} could not be inverted" if failures else ""
+    groups = counted(n_groups, "group")
+    report.line(f"{counted(n_contacts, 'contact')} in {groups} of cycles{failed}")
     return int(failures > 0)
 
 

@@ -139,15 +139,20 @@ def sleeve(
     out : Path
         Folder to write, new or empty; sleeve-1, sleeve-2 and so on if not given.
     """
-    if (markers is None) == (arm.forearm is None):
-        raise ConfigError("sleeve needs a file of markers, or --forearm 25 17 26; give one of them")
-    if (winding.loops is None) == (winding.pitch is None):
-        raise ConfigError("sleeve needs --loops 9, say, or --pitch in cm; give one of them")
+    _check_one(markers, arm.forearm, ("a file of markers", "--forearm 25 17 26"))
+    _check_one(winding.loops, winding.pitch, ("--loops 9, say", "--pitch in cm"))
     if markers is not None and not markers.is_file():
         raise ConfigError(f"{markers} is not a file; give a table or C3D file of markers")
     contacts = _contacts(sensing.distance or [])
     folder = checked_folder(out, "sleeve")
     _run(markers, arm, winding, sensing, contacts, folder, output.reporter())
+
+
+def _check_one(first: object, second: object, words: tuple[str, str]) -> None:
+    """Raise unless exactly one of two values is given."""
+    if (first is None) == (second is None):
+        asked = "needs" if first is None else "takes one alone of"
+        raise ConfigError(f"sleeve {asked} {', or '.join(words)}; give one of them")
 
 
 def _run(

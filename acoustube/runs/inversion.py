@@ -276,7 +276,8 @@ def check_band(library: Library, base: Baseband) -> None:
         raise ConfigError(
             f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
             f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
-            "make one with its --frequency and --temperature"
+            "name the recordings' own rangefinder by --sensor, or make a library with its "
+            "--frequency and --temperature"
         )
 
 

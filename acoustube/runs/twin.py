@@ -36,6 +36,8 @@ MOST_CLOSURES = 200
 MOST_CLUTTER = 5e-3
 """Power reflected per length in 1/m above which a tube is not untouched: -23 dB, ordinary ones have
 -48 dB."""
+BEYOND_END = 0.02
+"""Distance in m by which a closure's label may exceed the stated length: that of a plug's face."""
 SAME_PLACE = 1e-4
 """Difference in m up to which two labels are one place."""
 
@@ -179,6 +181,7 @@ def fitted_sensor(
         source=str(free[0][0]),
     )
     stated = bench.length if bench.length is not None else _stated_length([*shut, *free])
+    _check_places(groups, stated)
     for path, data in [*shut, *free]:
         for words in str(data.attrs.get("warnings", "")).splitlines():
             # Ring-downs are clipped, and clipped echoes are named one by one.
@@ -236,7 +239,7 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
     if "true_distance" not in data:
         raise ConfigError(
             f"the closed cycles of {path} have no label true_distance; give it in the file or in a "
-            "sidecar"
+            "sidecar, and name the recordings of the closed tube before those of the untouched one"
         )
     places = np.asarray(data["true_distance"].values, float)
     if not np.any(np.isfinite(places)):
@@ -254,6 +257,16 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
             )
         )
     return found
+
+
+def _check_places(closed: Sequence[Group], length: float | None) -> None:
+    """Raise if a closure lies beyond the end of a tube of a stated length in m."""
+    for group in closed:
+        if length is not None and group.place > length + BEYOND_END:
+            raise ConfigError(
+                f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
+                f"the tube, at {CM * length:.4g} cm; correct its label, in m, or --length, in cm"
+            )
 
 
 def _stated_length(parts: Sequence[tuple[Path, xr.Dataset]]) -> float | None:

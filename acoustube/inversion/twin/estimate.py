@@ -285,7 +285,9 @@ def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, f
             f"the tube at {CM * (0.5 * SPEED * band.first + 0.02):.0f} cm or farther"
         )
     if flight + 0.8e-3 > band.last:
-        return "its echo arrives after the end of the cycle; record longer cycles"
+        return (
+            "its echo arrives after the end of the cycle; correct the label, or record longer ones"
+        )
     inside = (band.time > 0.99 * flight - 0.1e-3) & (band.time < 1.01 * flight + 1.5e-3)
     peak = float(np.abs(band.baseband(spectrum))[inside].max())
     whole = np.issubdtype(group.cycles.dtype, np.integer)
@@ -346,8 +348,8 @@ def _check_enough(used: list[int], closed: Sequence[Group], left_out: dict[int, 
         group = closed[first]
         reason = f"{group.source}, at {CM * group.place:.1f} cm: {left_out[first]}"
     raise ConfigError(
-        f"{len(used)} of {len(closed)} closures can be used, of the {FEWEST} places that are "
-        f"needed ({reason}); record the tube closed at five places or more"
+        f"{len(used)} of {len(closed)} closures can be used ({reason}), and {FEWEST} places are "
+        "the least; record the tube closed at five places or more"
     )
 
 

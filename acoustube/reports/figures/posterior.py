@@ -44,7 +44,8 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     axes.set_ylim(0.3 * floor, 2 * float(np.abs(found.measured).max()))
     for contact in found.contacts:
         axes.axvline(CM * contact.distance.value, color=RETURN, lw=0.8)
-    axes.set_xlabel("distance from the face (cm)")
+    axes.set_xlim(0.0, CM * found.model.base.length)
+    axes.set_xlabel("time as a distance from the face (cm): an echo begins at its contact")
     axes.set_ylabel("echo without clutter (counts)")
     words = f"misfit {found.misfit:.3g}" if found.contacts else "no contact"
     count = "1 contact, " if len(found.contacts) == 1 else f"{len(found.contacts)} contacts, "
@@ -59,6 +60,12 @@ def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
     places, depths = limits_along(partial(found.detection_limit, tool=tool), found.model.span)
     hidden = np.where(np.isinf(depths), 1.1 * deepest, MM * depths)
     axes.fill_between(CM * places, 0.0, hidden, color="0.85", lw=0)
+    first, last, end = CM * places[0], CM * places[-1], CM * found.model.base.length
+    axes.fill_between(
+        [0.0, first, *(CM * places), last, end], 0.0, 1.1 * deepest,
+        where=[True, True, *np.isnan(depths), True, True], facecolor="none", edgecolor="0.8",
+        hatch="///", lw=0,
+    )  # fmt: skip
     for contact in found.contacts:
         place = CM * contact.distance.value
         axes.plot([place, place], MM * np.array(contact.depth.intervals[0.9]), color=RETURN)
@@ -66,7 +73,8 @@ def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
     axes.set_ylim(0, 1.1 * deepest)
     axes.set_xlabel("distance from the face (cm)")
     axes.set_ylabel("depth (mm)")
-    words = f"grey: depths at which a further {library.tools[tool].name} may have been missed"
+    words = f"grey: depths at which a further {library.tools[tool].name} may have been missed; "
+    words += "hatched: not searched"
     axes.set_title(words, fontsize=9, loc="left")
 
 

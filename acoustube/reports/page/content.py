@@ -16,10 +16,10 @@ from acoustube.runs.config import Config, Mechanics
 
 SAMPLES = 4000
 """Approximate number of drawn samples of a signal."""
-PRESSED = "A soft tube is pressed. Move the slider to press deeper."
+PRESSED = "A soft tube is pressed."
 PULSED = (
     "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo "
-    "comes back. Move the slider to press deeper."
+    "comes back."
 )
 
 

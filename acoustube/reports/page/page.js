@@ -121,14 +121,15 @@ function numbers(state) {
 
 function captions(state) {
   const where = group.place ? ` at ${group.place}` : "", open = fixed(100 * state.area / group.bore, 0);
+  const others = group.states.length > 1 ? " Pale: the other depths." : "";
   const said = {
     tube: `The silicone tube (beige), its lumen (blue) and the indenter (grey), in true proportions; the half towards you is cut away. ${cap(group.tool)}, ${depthOf(state)} deep${where}.`,
     section: `The tube across its axis, in the middle of the press: the lumen is ${fixed(state.height, 2)} mm high and ${fixed(state.width, 2)} mm wide.`,
     area: state.along
-      ? `Cross-section of the lumen along the tube; at the press ${open} % of ${fixed(group.bore, 1)} mm² is open. Pale: the other depths.`
+      ? `Cross-section of the lumen along the tube; at the press ${open} % of ${fixed(group.bore, 1)} mm² is open.${others}`
       : `Cross-section of the lumen at the press for all depths; ${open} % of ${fixed(group.bore, 1)} mm² is open.`,
     spectrum: state.spectrum
-      ? "Reflected fraction of the plane wave's amplitude, by frequency. Dashed: cut-on frequencies of higher duct modes (nodal diameters, nodal circles). Open circles: the computation was still ringing. Pale: the other depths."
+      ? `Reflected fraction of the plane wave's amplitude, by frequency. Dashed: cut-on frequencies of higher duct modes (nodal diameters, nodal circles). Open circles: the computation was still ringing.${others}`
       : "",
     signal: state.signal
       ? `Sound pressure ${fixed(state.signal.probe, 1)} cm from the source end, its envelope and the peaks found in it, each drawn where an echo of that delay would come from. Source end: ${state.signal.sourceEnd}.`

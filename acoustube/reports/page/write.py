@@ -17,6 +17,8 @@ from acoustube.reports.page.runs import RUN, read_run
 from acoustube.runs.sweep.store import PLAN
 
 PARTS = {"style": "page.css", "charts": "charts.js", "script": "page.js"}
+DEEPER = " Move the slider to press deeper."
+"""Added to a page's lead where there are several depths."""
 
 
 def read(where: str | Path) -> Content:
@@ -70,10 +72,11 @@ def assembled(content: Content, library: str) -> str:
         HTML.
     """
     folder = files("acoustube.reports.page")
+    several = any(len(group.states) > 1 for group in content.groups)
     parts = {slot: folder.joinpath(name).read_text("utf-8") for slot, name in PARTS.items()}
     parts |= {
         "title": html.escape(content.title),
-        "lead": html.escape(content.lead),
+        "lead": html.escape(content.lead + DEEPER * several),
         "version": html.escape(__version__),
         # In a string of the library this sequence would end the script element.
         "library": library.replace("</script", "<\\/script"),

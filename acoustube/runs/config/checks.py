@@ -141,8 +141,8 @@ def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings
     coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
     if waves.resolution < coarsest:
         raise ConfigError(
-            f"is too coarse for {highest:.4g} kHz in a {bore:g} mm bore "
-            f"({CELLS_PER_WAVELENGTH} cells per wavelength are needed)",
+            f"is too coarse for the pulse's highest frequency, {highest:.4g} kHz, in a {bore:g} mm "
+            f"bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed)",
             setting="resolution", value=waves.resolution, allowed=(coarsest, math.inf),
             advice=f"use at least {coarsest}",
         )  # fmt: skip

@@ -18,7 +18,7 @@ from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
-from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.report import SILENT, Reporter, counted, time_in_words
 from acoustube.base.rules import nearest
 from acoustube.base.units import KHZ
 from acoustube.base.version import __version__
@@ -137,9 +137,10 @@ def run_dataset(
     n_cycles, n_workers = n_cases * recipe.per_case, count_of(workers)
     seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) / n_workers
     report.line(
-        f"{n_cases} cases, {recipe.per_case} cycles of each, {n_cycles} in all; {len(there)} of "
-        f"{len(parts)} files are there; about {time_in_words(seconds * len(todo) / len(parts))} on "
-        f"{n_workers} workers, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
+        f"{counted(n_cases, 'case')}, {recipe.per_case} cycles of each, {n_cycles} in all; "
+        f"{len(there)} of {len(parts)} files are there; about "
+        f"{time_in_words(seconds * len(todo) / len(parts))} on "
+        f"{counted(n_workers, 'worker')}, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
     )
     if todo:
         _record(todo, folder, recipe, workers, report, executor)
@@ -158,7 +159,8 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
     found: dict[str, Path] = {}
     for folder in sweep:
         if not (folder / store.PLAN).is_file():
-            raise ConfigError(f"{folder} holds no sweep; make one with acoustube sweep")
+            what = "holds no sweep" if folder.is_dir() else "does not exist"
+            raise ConfigError(f"{folder} {what}; make one with acoustube sweep")
         contents = store.contents(folder)
         if contents.damaged:
             raise ConfigError(
@@ -283,7 +285,8 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
         known = [field.name for field in dataclasses.fields(of)]
         for name in names:
             if name not in known:
-                raise ConfigError(f"{path}: {name} is not a parameter{nearest(name, known)}")
+                words = nearest(name, [*known, *(OF_OTHERS if of is Rangefinder else ())])
+                raise ConfigError(f"{path}: {name} is not a parameter{words}")
     try:
         parts: dict[str, Any] = {} if drive is None else {"drive": DRIVES[kind](**drive)}
         return Rangefinder(**given, **parts)

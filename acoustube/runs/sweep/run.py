@@ -15,7 +15,7 @@ from acoustube.base.checks import FLAG, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.names import PATH
-from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.report import SILENT, Reporter, counted, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write
@@ -252,7 +252,8 @@ def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None 
         cost += scale.cases * sum(case_cost(group.cases) for group in groups)
         n_paths, n_matrices, size = scale.n_paths, scale.n_matrices, scale.cases * size
     state = f"{work.finished} finished" + f", {len(work.failed)} failed" * bool(work.failed)
-    needed = f"{time_in_words(cost / workers)} on {workers} workers, {GIGABYTES * workers:.0f} GB"
+    processes = counted(workers, "worker")
+    needed = f"{time_in_words(cost / workers)} on {processes}, {GIGABYTES * workers:.0f} GB"
     report.title("a sweep")
     report.rows(
         [
