@@ -50,6 +50,7 @@ CASES = {
     "simulate --indenter 25 35": ['unexpected argument "35"', "acoustube simulate --help"],
     "simulate --indenter 25 35 36": ['unexpected arguments "35 36"'],
     "simulate --steps 5": ["--steps is not an option", "--config FILE with steps in [indentation]"],
+    "simulate --bore 6": ["--bore is not an option", "inner_diameter_mm in [tube]"],
     "sweep --mesh coarse": ["--mesh is not an option", "give --vary mesh=VALUE"],
     "simulate --depth": ["simulate needs --depth and its value", HELP],
     "simulate --depth 3mm": ["--depth", '"3mm" is not a number', "without a unit"],

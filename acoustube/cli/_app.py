@@ -135,11 +135,12 @@ def _advice_on_setting(option: str, command: str) -> str:
     ConfigError
         If it is not a setting, or the command takes none.
     """
+    from acoustube.cli._options import SETTINGS
     from acoustube.runs.config import section_of
 
     if command.split()[-1] not in SETTLED:
         raise ConfigError(f"{command} takes no settings")
-    name = option.replace("-", "_")
+    name = SETTINGS.get(option.replace("-", "_"), option.replace("-", "_"))
     file = f"--config FILE with {name} in [{section_of(name)}]"
     how = f"--vary {name}=VALUE" if command.endswith("sweep") else file
     return f"--{option} is not an option, but {name} is a setting; give {how}"

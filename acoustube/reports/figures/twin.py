@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from acoustube.base.units import CM, MM, MS, PERCENT
 from acoustube.inversion.twin.estimate import SPEED
-from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SIGNAL
+from acoustube.reports.figures.run import ENVELOPE, RETURN
 from acoustube.runs.twin import FittedSensor
 
 AROUND = (-0.2e-3, 1.6e-3)
@@ -38,7 +38,7 @@ def _draw_closure(axes: Axes, found: FittedSensor, i: int, legend: bool) -> None
     # The samples of the band between the points of the baseband, by its Fourier series.
     time = flight + np.linspace(*AROUND, 1200)
     for values, colour, label, style in (
-        (recorded, SIGNAL, "recorded", "-"), (simulated, PRESS, "simulated", "--"),
+        (recorded, ENVELOPE, "recorded", "-"), (simulated, RETURN, "simulated", "--"),
     ):  # fmt: skip
         spectrum = np.fft.fft(values) / len(values)
         turns = np.exp(2j * np.pi * np.outer(time - band.start, band.frequency))
@@ -56,13 +56,15 @@ def _draw_untouched(axes: Axes, found: FittedSensor) -> None:
     band, rest = found.twin.band, found.rest
     used = rest.recorded != 0
     place = CM * SPEED / 2 * band.time[used]
-    axes.semilogy(place, np.abs(rest.recorded[used]), color=SIGNAL, lw=1, label="recorded")
-    axes.semilogy(place, np.abs(rest.explained[used]), "--", color=PRESS, lw=1, label="simulated")
+    axes.semilogy(place, np.abs(rest.recorded[used]), color=ENVELOPE, lw=1, label="recorded")
+    axes.semilogy(place, np.abs(rest.explained[used]), "--", color=RETURN, lw=1, label="simulated")
     left = np.abs(rest.recorded - rest.explained)[used]
     axes.semilogy(place, left, color="0.6", lw=0.7, label="difference")
     noise = np.sqrt(found.twin.untouched.variance)
-    axes.axhline(noise, color=ENVELOPE, lw=0.8, ls=":", label="noise of the mean")
+    axes.axhline(noise, color="k", lw=0.8, ls=":", label="noise of the mean")
     axes.set_ylim(0.2 * noise, None)
+    if found.length is not None:
+        axes.set_xlim(0.0, 1.1 * CM * found.length)
     axes.set(xlabel="distance of the echo (cm)", ylabel="envelope (counts)")
     axes.set_title("untouched: ring-down, clutter, far end", fontsize=9)
     axes.legend(fontsize=8)
@@ -73,7 +75,7 @@ def _draw_errors(axes: Axes, found: FittedSensor) -> None:
     posterior = twin.posterior
     axes.errorbar(
         CM * twin.model.places, MM * posterior.displacement,
-        yerr=1.645 * MM * posterior.displacement_deviation, fmt=".", color=SIGNAL, capsize=2,
+        yerr=1.645 * MM * posterior.displacement_deviation, fmt=".", color=ENVELOPE, capsize=2,
     )  # fmt: skip
     axes.axhspan(-MM * posterior.placement, MM * posterior.placement, color=ENVELOPE, alpha=0.15)
     axes.axhline(0.0, color="0.6", lw=0.7)
@@ -87,7 +89,7 @@ def _draw_levels(axes: Axes, found: FittedSensor) -> None:
     inside = twin.data.segments == 1
     peak = np.where(inside, np.abs(twin.data.values), 0).max(axis=1)
     place = CM * twin.model.places
-    axes.semilogy(place, peak, "o", color=SIGNAL, ms=4, label="recorded")
+    axes.semilogy(place, peak, "o", color=ENVELOPE, ms=4, label="recorded")
     axes.semilogy(
         place, np.where(inside, simulated, 0).max(axis=1), "x", color=RETURN, ms=5,
         label="simulated",
