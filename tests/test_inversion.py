@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 from commands import run_here
 
 from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
 from acoustube.inversion import (
     Baseband,
     ForwardModel,
@@ -31,6 +33,7 @@ from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
+from acoustube.runs.inversion import RecordingInverter, Sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import PlacedScatterer, Scattering, transfer
@@ -624,6 +627,15 @@ def test_command_tells_the_limit_of_an_untouched_tube_and_draws_it(folder, tmp_p
     limits = inverted(folder, tmp_path, "free.nc", group=100)
     assert {row["misfit"] for row in limits} == {"nan"}
     assert float(limits[-1]["depth_mm"]) > float(limits[0]["depth_mm"])
+
+
+def test_recording_of_a_tube_of_another_length_than_the_sensor_s_is_refused():
+    """Contacts beyond the sensor's end would be lost."""
+    inverter = RecordingInverter(Library((tool(),)), Sensor(length=1.0))
+    assert inverter.length(xr.Dataset()) == 1.0
+    assert inverter.length(xr.Dataset(attrs={"tube_length": 1.005})) == 1.0
+    with pytest.raises(ConfigError, match="a tube of 250 cm"):
+        inverter.length(xr.Dataset(attrs={"tube_length": 2.5}))
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,8 @@ USUAL_LENGTH = 2.5
 SAME_AIR = 0.25
 """Difference of temperatures in K up to which one model serves."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
+SAME_LENGTH = 0.01
+"""Difference in m up to which two statements of the tube's length agree."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,12 +246,24 @@ class RecordingInverter:
         return rangefinder.temperature_bias if known else 0.0
 
     def length(self, data: xr.Dataset) -> float | None:
-        """Return the length of a recording's tube in m, None if it is not stated."""
-        if self.sensor.length is not None:
-            return self.sensor.length
+        """Return the length of a recording's tube in m, None if it is not stated.
+
+        Raises
+        ------
+        ConfigError
+            If the recording and the file of the sensor state different lengths.
+        """
+        own = data.attrs.get("tube_length")
         if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
-            return float(data["tube_length"].values.flat[0])
-        return float(data.attrs["tube_length"]) if "tube_length" in data.attrs else None
+            own = data["tube_length"].values.flat[0]
+        if own is None or self.sensor.length is None:
+            return self.sensor.length if own is None else float(own)
+        if abs(float(own) - self.sensor.length) > SAME_LENGTH:
+            raise ConfigError(
+                f"the recording states a tube of {CM * float(own):.4g} cm, and the file of the "
+                f"sensor length_cm = {CM * self.sensor.length:.4g}; correct the wrong one"
+            )
+        return self.sensor.length
 
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
