@@ -127,7 +127,7 @@ class IndexedPythonDomain(PythonDomain):
 
     @cached_property
     def by_last_part(self):
-        """Objects by the last part of their names: references are resolved when all are read."""
+        """Objects by the last part of their names, all of them: references are resolved last."""
         found = defaultdict(dict)
         for name, entry in self.objects.items():
             found[name.rpartition(".")[2]][name] = entry
@@ -145,7 +145,7 @@ class IndexedPythonDomain(PythonDomain):
 
 
 def keep_first_result(function):
-    """Return a function that is called once, and hands out that result ever after."""
+    """Return a function that is called once, and returns that result again for all like calls."""
     results = []
 
     def kept(*args, **kwargs):

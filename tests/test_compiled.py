@@ -114,11 +114,12 @@ def test_a_march_goes_on_from_either_form(pinched, lossy_band):
     with jax.enable_x64(True):
         setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=lossy_band, dtype=jnp.float64)
         source = np.sin(0.3 * np.arange(202))
-        whole, _ = march(setup, noisy(setup), source, compiled=False)
+        whole, heard = march(setup, noisy(setup), source, compiled=False)
         for first in (True, False):
-            middle, _ = march(setup, noisy(setup), source[:101], compiled=first)
+            middle, begun = march(setup, noisy(setup), source[:101], compiled=first)
             for second in (True, False):
-                end, _ = march(setup, middle, source[101:], compiled=second)
+                end, ended = march(setup, middle, source[101:], compiled=second)
+                assert difference(np.concatenate([begun, ended], axis=-1), heard) < 1e-12
                 assert difference(end.pressure, whole.pressure) < 1e-12
                 assert difference(end.change, whole.change) < 1e-12
 

@@ -492,6 +492,7 @@ def test_tube_is_pressed_and_sounded(monkeypatch):
     monkeypatch.setattr(making, "ROWS", 8)
     design = DesignGoal(variables=Variables(carrier_khz=10))
     plan = partial(plan_of, spec=TubeSpec(7.9, 1.6, 35.0), tool=25.0, band=band_of(design))
+    assert plan(design).settings.lossy
     found = making.sounded(plan(design)).result
     assert found.reason == ""
     assert np.all(np.diff(found.force) > 0)

@@ -11,7 +11,6 @@ import xarray as xr
 from commands import run_here
 
 from acoustube.air import air_at
-from acoustube.base.errors import ConfigError
 from acoustube.inversion import (
     Baseband,
     ForwardModel,
@@ -629,13 +628,14 @@ def test_command_tells_the_limit_of_an_untouched_tube_and_draws_it(folder, tmp_p
     assert float(limits[-1]["depth_mm"]) > float(limits[0]["depth_mm"])
 
 
-def test_recording_of_a_tube_of_another_length_than_the_sensor_s_is_refused():
+def test_length_that_a_recording_states_counts_more_than_that_of_the_sensor_s_file():
     """Contacts beyond the sensor's end would be lost."""
-    inverter = RecordingInverter(Library((tool(),)), Sensor(length=1.0))
-    assert inverter.length(xr.Dataset()) == 1.0
-    assert inverter.length(xr.Dataset(attrs={"tube_length": 1.005})) == 1.0
-    with pytest.raises(ConfigError, match="a tube of 250 cm"):
-        inverter.length(xr.Dataset(attrs={"tube_length": 2.5}))
+    library, stated = Library((tool(),)), (("cycle",), [2.5, 2.5])
+    for length in (None, 1.0):
+        inverter = RecordingInverter(library, Sensor(length=length))
+        assert inverter.length(xr.Dataset()) == length
+        assert inverter.length(xr.Dataset(attrs={"tube_length": 2.5})) == 2.5
+        assert inverter.length(xr.Dataset({"tube_length": stated})) == 2.5
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ def test_layer_yields_to_the_tube_and_is_flat_beside_it():
     assert top[:, -1, 1] == pytest.approx(-RADIUS, abs=2e-5)
     assert top[[0, -1], :, 1] == pytest.approx(-RADIUS, abs=2e-5)
     assert front[1, :, 1] == pytest.approx(-9e-3)
+    assert front[..., 0] == pytest.approx(-4e-3)  # towards the viewer
 
 
 @pytest.mark.slow
@@ -109,7 +110,9 @@ def test_distance_grows_to_the_right_in_the_strip():
         wall[..., 1] -= dent[:, None] * (wall[..., 1] > 0) * 2
         walls[name] = (("ring", "around", "xyz"), wall)
     with offscreen.rendering({"strip": scene.strip(scene.half_walls(xr.Dataset(walls)))}) as drawn:
-        image = drawn()["strip"].astype(int)
+        images = drawn()
+    assert images is not None
+    image = images["strip"].astype(int)
     tall = (np.abs(image - image[0, 0]).max(axis=-1) > 20).sum(axis=0)
     assert 0.2 < np.argmin(np.where(tall > 0, tall, 10**6)) / len(tall) < 0.3
 

@@ -195,7 +195,7 @@ def wrapped_presses(*contacts):
 
 def untouched():
     """The bends of the arm without a press."""
-    return bends_between()
+    return list(bends_between())
 
 
 def wrapped_cycles(depth, place, seed, n_cycles=20):

@@ -133,8 +133,9 @@ CASES = {
     "evaluate good.npz": ["evaluate needs a file or a folder"],
     # Sleeves.
     "sleeve one.csv": ["--loops", "--pitch"],
-    "sleeve one.csv --forearm 25 17 26 --loops 9": ["takes one alone of", "--forearm"],
-    "sleeve --forearm 25 17 26 --loops 9 --pitch 4": ["takes one alone of", "--loops", "--pitch"],
+    "twin none.npz none.npz --rate 200 --out t.toml": ["rate = 200", "1000"],
+    "sleeve one.csv --forearm 25 17 26 --loops 9": ["a file of markers or --forearm", "not both"],
+    "sleeve --forearm 25 17 26 --loops 9 --pitch 4": ["--loops 9 or --pitch", "not both"],
     "sleeve one.csv --loops 9": ["one.csv", "named a", "--columns"],
     "sleeve empty.csv --loops 9": ["empty.csv is empty", "column, x, y, z"],
     "sleeve --forearm 25 17 --loops 9": ["--forearm", "3", "only got 2"],

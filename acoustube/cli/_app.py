@@ -140,7 +140,9 @@ def _advice_on_setting(option: str, command: str) -> str:
 
     if command.split()[-1] not in SETTLED:
         raise ConfigError(f"{command} takes no settings")
-    name = SETTINGS.get(option.replace("-", "_"), option.replace("-", "_"))
+    name = option.replace("-", "_")
+    given = SETTINGS.get(name, name)
+    name = given if section_of(given) == "tube" else name
     file = f"--config FILE with {name} in [{section_of(name)}]"
     how = f"--vary {name}=VALUE" if command.endswith("sweep") else file
     return f"--{option} is not an option, but {name} is a setting; give {how}"

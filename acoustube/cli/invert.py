@@ -157,8 +157,7 @@ def invert(
             raise ConfigError("no file could be inverted, and nothing was written; see above")
         written |= wanted.contents()
     failed = f"; {counted(failures, 'file')} could not be inverted" if failures else ""
-    groups = counted(n_groups, "group")
-    report.line(f"{counted(n_contacts, 'contact')} in {groups} of cycles{failed}")
+    report.line(f"{counted(n_contacts, 'contact')} in {counted(n_groups, 'group')}{failed}")
     return int(failures > 0)
 
 

@@ -140,7 +140,7 @@ def sleeve(
         Folder to write, new or empty; sleeve-1, sleeve-2 and so on if not given.
     """
     _check_one(markers, arm.forearm, ("a file of markers", "--forearm 25 17 26"))
-    _check_one(winding.loops, winding.pitch, ("--loops 9, say", "--pitch in cm"))
+    _check_one(winding.loops, winding.pitch, ("--loops 9", "--pitch in cm"))
     if markers is not None and not markers.is_file():
         raise ConfigError(f"{markers} is not a file; give a table or C3D file of markers")
     contacts = _contacts(sensing.distance or [])
@@ -150,9 +150,10 @@ def sleeve(
 
 def _check_one(first: object, second: object, words: tuple[str, str]) -> None:
     """Raise unless exactly one of two values is given."""
-    if (first is None) == (second is None):
-        asked = "needs" if first is None else "takes one alone of"
-        raise ConfigError(f"sleeve {asked} {', or '.join(words)}; give one of them")
+    if first is None and second is None:
+        raise ConfigError(f"sleeve needs {', or '.join(words)}; give one of them")
+    if first is not None and second is not None:
+        raise ConfigError(f"sleeve takes {' or '.join(words)}, not both; leave one of them out")
 
 
 def _run(

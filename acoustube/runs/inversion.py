@@ -43,8 +43,6 @@ USUAL_LENGTH = 2.5
 SAME_AIR = 0.25
 """Difference of temperatures in K up to which one model serves."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
-SAME_LENGTH = 0.01
-"""Difference in m up to which two statements of the tube's length agree."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +54,7 @@ class Sensor:
     rangefinder : Rangefinder or None
         None for the sleeve paper's, with the recordings' sampling rate.
     length : float or None
-        Of the tube in m; None if only recordings state it.
+        Of the tube in m, where recordings do not state it.
     priors : Priors
     young_modulus : (float, float) or None
         Of the wall and its standard deviation, in Pa; None for that of the library.
@@ -248,22 +246,13 @@ class RecordingInverter:
     def length(self, data: xr.Dataset) -> float | None:
         """Return the length of a recording's tube in m, None if it is not stated.
 
-        Raises
-        ------
-        ConfigError
-            If the recording and the file of the sensor state different lengths.
+        A recording's own statement counts more than that of the sensor's file, beyond whose end
+        contacts would be lost.
         """
-        own = data.attrs.get("tube_length")
         if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
-            own = data["tube_length"].values.flat[0]
-        if own is None or self.sensor.length is None:
-            return self.sensor.length if own is None else float(own)
-        if abs(float(own) - self.sensor.length) > SAME_LENGTH:
-            raise ConfigError(
-                f"the recording states a tube of {CM * float(own):.4g} cm, and the file of the "
-                f"sensor length_cm = {CM * self.sensor.length:.4g}; correct the wrong one"
-            )
-        return self.sensor.length
+            return float(data["tube_length"].values.flat[0])
+        own = data.attrs.get("tube_length", self.sensor.length)
+        return None if own is None else float(own)
 
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder

@@ -37,7 +37,8 @@ MOST_CLUTTER = 5e-3
 """Power reflected per length in 1/m above which a tube is not untouched: -23 dB, ordinary ones have
 -48 dB."""
 BEYOND_END = 0.02
-"""Distance in m by which a closure's label may exceed the stated length: that of a plug's face."""
+"""Distance in m by which a closure's label may exceed the stated length: a plug in the far end is
+measured to the one or the other of its faces."""
 SAME_PLACE = 1e-4
 """Difference in m up to which two labels are one place."""
 
@@ -171,6 +172,8 @@ def fitted_sensor(
     rate, start = _alike([*shut, *free])
     converter = _converter([*shut, *free], bench.bits)
     groups = [group for path, data in shut for group in _groups(path, data)]
+    stated = bench.length if bench.length is not None else _stated_length([*shut, *free])
+    _check_places(groups, stated)
     if len(groups) > MOST_CLOSURES:
         report.note(f"of {len(groups)} closures {MOST_CLOSURES} are used")
         chosen = np.linspace(0, len(groups) - 1, MOST_CLOSURES).astype(int)
@@ -180,8 +183,6 @@ def fitted_sensor(
         float(np.mean(np.concatenate([data["temperature"].values for _, data in free]))),
         source=str(free[0][0]),
     )
-    stated = bench.length if bench.length is not None else _stated_length([*shut, *free])
-    _check_places(groups, stated)
     for path, data in [*shut, *free]:
         for words in str(data.attrs.get("warnings", "")).splitlines():
             # Ring-downs are clipped, and clipped echoes are named one by one.
@@ -265,7 +266,7 @@ def _check_places(closed: Sequence[Group], length: float | None) -> None:
         if length is not None and group.place > length + BEYOND_END:
             raise ConfigError(
                 f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
-                f"the tube, at {CM * length:.4g} cm; correct its label, in m, or --length, in cm"
+                f"the tube, at {CM * length:.4g} cm; correct its label, or give --length in cm"
             )
 
 

@@ -116,7 +116,7 @@ def bent_modes(
 ) -> BentModes:
     """Return the first modes of a bent bore, and the scattering of its joint with a straight one.
 
-    With the losses of the straight bore.
+    Losses at the wall are those of the straight bore.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def bent_modes(
     if count > size:
         raise ConfigError(
             "is larger than the number of modes computed", setting="count", value=count,
-            allowed=(1, size),
+            allowed=(1, size), advice=f"use at most {size}",
         )  # fmt: skip
     growth, vectors = np.linalg.eig(generator)
     beta = 1j * growth

@@ -286,7 +286,7 @@ def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, f
         )
     if flight + 0.8e-3 > band.last:
         return (
-            "its echo arrives after the end of the cycle; correct the label, or record longer ones"
+            "its echo arrives after the end of the cycle; correct the label, or the cycle's length"
         )
     inside = (band.time > 0.99 * flight - 0.1e-3) & (band.time < 1.01 * flight + 1.5e-3)
     peak = float(np.abs(band.baseband(spectrum))[inside].max())
@@ -348,8 +348,8 @@ def _check_enough(used: list[int], closed: Sequence[Group], left_out: dict[int, 
         group = closed[first]
         reason = f"{group.source}, at {CM * group.place:.1f} cm: {left_out[first]}"
     raise ConfigError(
-        f"{len(used)} of {len(closed)} closures can be used ({reason}), and {FEWEST} places are "
-        "the least; record the tube closed at five places or more"
+        f"{len(used)} of {len(closed)} closures can be used ({reason}), and at least {FEWEST} "
+        "places are needed; record the tube closed at five or more"
     )
 
 

@@ -45,7 +45,7 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     for contact in found.contacts:
         axes.axvline(CM * contact.distance.value, color=RETURN, lw=0.8)
     axes.set_xlim(0.0, CM * found.model.base.length)
-    axes.set_xlabel("time as a distance from the face (cm): an echo begins at its contact")
+    axes.set_xlabel("distance from which an echo begins at that time (cm)")
     axes.set_ylabel("echo without clutter (counts)")
     words = f"misfit {found.misfit:.3g}" if found.contacts else "no contact"
     count = "1 contact, " if len(found.contacts) == 1 else f"{len(found.contacts)} contacts, "

@@ -135,14 +135,16 @@ def grid_cells(
 def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings) -> None:
     """Raise if the grid is too coarse for the sound, or too large."""
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
+    words = "the carrier"
     if waves.method != "full":  # it follows the pulse's whole band
         highest *= 1 + BAND_WIDTH / waves.cycles
+        words = "the pulse's highest frequency"
     wavelength_mm = sound_speed(waves.temperature_c) / highest
     coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
     if waves.resolution < coarsest:
         raise ConfigError(
-            f"is too coarse for the pulse's highest frequency, {highest:.4g} kHz, in a {bore:g} mm "
-            f"bore ({CELLS_PER_WAVELENGTH} cells per wavelength are needed)",
+            f"is too coarse for {words}, {highest:.4g} kHz, in a bore of {bore:g} mm "
+            f"({CELLS_PER_WAVELENGTH} cells per wavelength are needed)",
             setting="resolution", value=waves.resolution, allowed=(coarsest, math.inf),
             advice=f"use at least {coarsest}",
         )  # fmt: skip

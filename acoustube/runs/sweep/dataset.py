@@ -137,7 +137,8 @@ def run_dataset(
     n_cycles, n_workers = n_cases * recipe.per_case, count_of(workers)
     seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) / n_workers
     report.line(
-        f"{counted(n_cases, 'case')}, {recipe.per_case} cycles of each, {n_cycles} in all; "
+        f"{counted(n_cases, 'case')}, {counted(recipe.per_case, 'cycle')} of each, {n_cycles} in "
+        "all; "
         f"{len(there)} of {len(parts)} files are there; about "
         f"{time_in_words(seconds * len(todo) / len(parts))} on "
         f"{counted(n_workers, 'worker')}, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
@@ -159,8 +160,9 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
     found: dict[str, Path] = {}
     for folder in sweep:
         if not (folder / store.PLAN).is_file():
-            what = "holds no sweep" if folder.is_dir() else "does not exist"
-            raise ConfigError(f"{folder} {what}; make one with acoustube sweep")
+            if not folder.exists():
+                raise ConfigError(f"{folder} does not exist; name a folder of acoustube sweep")
+            raise ConfigError(f"{folder} holds no sweep; make one with acoustube sweep")
         contents = store.contents(folder)
         if contents.damaged:
             raise ConfigError(
