@@ -32,6 +32,7 @@ from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
+from acoustube.reports.figures.posterior import posterior_figure
 from acoustube.runs.inversion import RecordingInverter, Sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
@@ -448,6 +449,20 @@ def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
         for seed in (30, 31, 32):
             contacts = found(*before, (limit + off, place), seed=seed).contacts
             assert any(abs(one.distance.value - place) < 0.02 for one in contacts) == told
+
+
+def test_picture_ends_with_the_tube_and_hatches_where_no_contact_is_sought(inverter, library):
+    """Within 3 cm of the contact, before the nearest place and at the end."""
+    cycles = record([press(5e-3, 0.6)], n_cycles=20, tube_seed=7, seed=5)["signal"].values
+    echo, limit, *_ = posterior_figure(inverter(cycles), library).axes
+    assert echo.get_xlim() == limit.get_xlim() == (0.0, 250.0)
+    (hatched,) = [one for one in limit.collections if one.get_hatch()]
+    edges = [path.vertices[:, 0] for path in hatched.get_paths()]
+    spans = np.array([(x.min(), x.max()) for x in edges])
+    assert len(spans) == 3
+    assert spans[0, 0] == 0.0
+    assert spans[1] == pytest.approx([57, 63], abs=1.4)
+    assert spans[2, 1] == pytest.approx(250)
 
 
 @pytest.mark.parametrize(

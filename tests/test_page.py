@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -367,6 +368,13 @@ def test_page_of_a_press_holds_all_its_depths(press):
             assert BORE / 2 + WALL - state.tool_height == pytest.approx(state.depth, abs=2e-5)
     assert all(state.signal is None and state.spectrum is None for state in group.states)
     assert "no sound" in read(press).missing["signal"]
+
+
+def test_page_with_one_depth_names_no_slider(press):
+    content, group = read(press), read(press).groups[0]
+    one = replace(content, groups=[replace(group, states=group.states[-1:])])
+    told = ["Move the slider" in write.assembled(each, "") for each in (content, one)]
+    assert told == [True, False]
 
 
 @slow
