@@ -195,7 +195,19 @@ def test_a_cluster_computes_the_same_and_survives_a_lost_worker(finished, tmp_pa
     assert_same(finished, tmp_path / "cluster")
 
 
-@pytest.mark.slow
+def test_a_cluster_of_one_thread_computes_the_same(finished, tmp_path):
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as threads:
+        address = threads.scheduler_address
+        assert main(["sweep", *SMALL, "--dask", address, "--quiet", "--out", "one"]) == 0
+        assert threads.workers[0].state.executed_count > 0
+    assert_same(finished, tmp_path / "one")
+
+
+@pytest.mark.long
 def test_a_sweep_whose_scheduler_is_killed_is_finished_by_another(finished, tmp_path):
     with cluster(tmp_path, 18788, 1) as (scheduler, _, command):
         sweep = subprocess.Popen([*command, "--out", "cluster"], stderr=subprocess.PIPE, text=True)
