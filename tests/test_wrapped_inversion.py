@@ -71,6 +71,13 @@ def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
     assert np.abs(s[:, 0, 1, 0, 0]).max() > 3e-3
 
 
+def test_more_bent_modes_than_are_computed_are_refused():
+    part = Bent(length=0.1, curvature=20.0)
+    with pytest.raises(ConfigError, match="use at most") as refused:
+        bent_modes(AIR, np.array([42e3]), part, radius=RADIUS, modes=NAMES, count=50)
+    assert "count = 50" in str(refused.value)
+
+
 def by_network(frequency, places, depths):
     """Return the echo at the face of presses on the wrap, by star products of all modes of bends.
 

@@ -9,6 +9,7 @@ from cyclopts import App, Parameter
 
 from acoustube.base import cache, remnants
 from acoustube.base.errors import readable
+from acoustube.base.report import counted
 
 app = App(
     name="cache",
@@ -29,7 +30,7 @@ def list_cache() -> None:
 def cache_size() -> None:
     """Print the number of results, their size and folder, and the size of JAX's compiled code."""
     found, code = cache.entries(), cache.compiled()
-    print(f"{_results(len(found))}, {_megabytes(found)} in {cache.folder()}")
+    print(f"{counted(len(found), 'result')}, {_megabytes(found)} in {cache.folder()}")
     print(f"compiled code, {_megabytes(code)}")
 
 
@@ -40,12 +41,10 @@ def clear_cache() -> None:
     left = remnants.clear()
     gone = cache.clear()
     halves = f" and {len(left)} incomplete outputs" * bool(left)
-    print(f"deleted {_results(len(gone))}{halves}, {_megabytes([*gone, *code, *left])} freed")
+    print(
+        f"deleted {counted(len(gone), 'result')}{halves}, {_megabytes([*gone, *code, *left])} freed"
+    )
 
 
 def _megabytes(entries: Sequence[cache.Entry | remnants.Remnant]) -> str:
     return f"{sum(entry.size for entry in entries) / 1e6:.1f} MB"
-
-
-def _results(count: int) -> str:
-    return f"{count} result" if count == 1 else f"{count} results"

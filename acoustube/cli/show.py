@@ -7,6 +7,7 @@ from pathlib import Path
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
 from acoustube.base.foreign.limits import reading
+from acoustube.base.report import counted
 from acoustube.base.writing import write_all
 from acoustube.cli._options import Output, check_picture
 
@@ -54,7 +55,7 @@ def show(
         said.append(f"Written to {html}, {len(contents[html]) / 1e6:.1f} MB.")
     if out is not None:
         contents[out], count = _figure(results, out)
-        said.append(f"{count} cases drawn in {out}.")
+        said.append(f"{counted(count, 'case')} drawn in {out}.")
     write_all(contents)
     for line in said:
         output.reporter().line(line)

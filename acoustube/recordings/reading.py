@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
@@ -243,3 +244,16 @@ def _sidecar(path: Path) -> dict[str, Any]:
     if not isinstance(values.get("labels", {}), dict):
         raise ConfigError(f"{sidecars[0]}: labels must be a table of names and their values")
     return {_SIDECAR[key]: value for key, value in values.items()}
+
+
+def stated_length(data: xr.Dataset) -> float | None:
+    """Return the length of the tube in m that a recording states, if any.
+
+    Parameters
+    ----------
+    data : xarray.Dataset
+        With ``tube_length`` as a variable or as an attribute.
+    """
+    if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
+        return float(data["tube_length"].values.flat[0])
+    return float(data.attrs["tube_length"]) if "tube_length" in data.attrs else None

@@ -28,6 +28,7 @@ from acoustube.inversion import (
 )
 from acoustube.inversion.clutter import Reflectors, reflectors
 from acoustube.ranging import Rangefinder
+from acoustube.recordings.reading import stated_length
 from acoustube.runs.config import read_document
 from acoustube.runs.sensor_file import sensor_document, young_modulus
 from acoustube.runs.sweep.dataset import rangefinder_in
@@ -249,10 +250,8 @@ class RecordingInverter:
         A recording's own statement counts more than that of the sensor's file, beyond whose end
         contacts would be lost.
         """
-        if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
-            return float(data["tube_length"].values.flat[0])
-        own = data.attrs.get("tube_length", self.sensor.length)
-        return None if own is None else float(own)
+        own = stated_length(data)
+        return self.sensor.length if own is None else own
 
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder

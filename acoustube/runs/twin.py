@@ -25,6 +25,7 @@ from acoustube.inversion.twin import (
     fit_twin,
 )
 from acoustube.inversion.twin.estimate import SPEED
+from acoustube.recordings.reading import stated_length
 from acoustube.runs.recordings import read_recordings
 
 BITS = (8, 10, 12, 14, 16)
@@ -172,7 +173,8 @@ def fitted_sensor(
     rate, start = _alike([*shut, *free])
     converter = _converter([*shut, *free], bench.bits)
     groups = [group for path, data in shut for group in _groups(path, data)]
-    stated = bench.length if bench.length is not None else _stated_length([*shut, *free])
+    lengths = [bench.length, *(stated_length(data) for _, data in [*shut, *free])]
+    stated = next((length for length in lengths if length is not None), None)
     _check_places(groups, stated)
     if len(groups) > MOST_CLOSURES:
         report.note(f"of {len(groups)} closures {MOST_CLOSURES} are used")
@@ -268,16 +270,6 @@ def _check_places(closed: Sequence[Group], length: float | None) -> None:
                 f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
                 f"the tube, at {CM * length:.4g} cm; correct its label, or give --length in cm"
             )
-
-
-def _stated_length(parts: Sequence[tuple[Path, xr.Dataset]]) -> float | None:
-    """Return the length of the tube in m that a recording states, if any."""
-    for _, data in parts:
-        if "tube_length" in data and np.all(np.isfinite(data["tube_length"].values)):
-            return float(np.ravel(data["tube_length"].values)[0])
-        if "tube_length" in data.attrs:
-            return float(data.attrs["tube_length"])
-    return None
 
 
 def _converter(

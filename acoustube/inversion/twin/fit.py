@@ -44,7 +44,8 @@ WRAPS = (-0.5, 0.0, 0.5)
 """Delays of the drive in periods from which the repetitions of the echoes are fitted."""
 SEARCHED, SEARCH_STEP = 0.4e-3, 4e-6
 """Range to both sides and step in s in which the echo of a closure is sought."""
-SEARCH_CLOSURES = 6
+SEARCH_CLOSURES, SEARCH_ITERATIONS = 6, 20
+"""Closures from which the search starts, and iterations from each starting point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +311,7 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
         if start is None:
             return
         cycles = float(start.shared[SHARED.index("drive_cycles")])
-        point, _, value = maximise(own, seen, _frozen(mine, cycles), start, 20)
+        point, _, value = maximise(own, seen, _frozen(mine, cycles), start, SEARCH_ITERATIONS)
         if cycles not in maxima or value < maxima[cycles][0]:
             maxima[cycles] = value, point
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from acoustube.base.report import counted
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Inversion, Library
 from acoustube.inversion.detection import limits_along
@@ -47,9 +48,8 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     axes.set_xlim(0.0, CM * found.model.base.length)
     axes.set_xlabel("distance from which an echo begins at that time (cm)")
     axes.set_ylabel("echo without clutter (counts)")
-    words = f"misfit {found.misfit:.3g}" if found.contacts else "no contact"
-    count = "1 contact, " if len(found.contacts) == 1 else f"{len(found.contacts)} contacts, "
-    axes.set_title((count if found.contacts else "") + words, fontsize=10)
+    told = f"{counted(len(found.contacts), 'contact')}, misfit {found.misfit:.3g}"
+    axes.set_title(told if found.contacts else "no contact", fontsize=10)
     axes.legend(fontsize=8)
 
 

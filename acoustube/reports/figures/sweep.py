@@ -46,8 +46,9 @@ def figure(cases: xr.Dataset) -> Figure:
     shown = tools[:columns]
     row = below.subplots(1, len(shown), squeeze=False)[0]
     for axes, (words, some) in zip(row, shown, strict=True):
-        image = draw_echoes(axes, usual(some))
-        place = CM * float(usual(some)["true_distance"].values[0])
+        drawn = usual(some)
+        image = draw_echoes(axes, drawn)
+        place = CM * float(drawn["true_distance"].values[0])
         axes.set_title(f"{words}, pressed at {place:.4g} cm", fontsize="medium")
     below.colorbar(image, ax=list(row), label="envelope, fraction of the send pulse")
     return sheet

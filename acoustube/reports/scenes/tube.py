@@ -76,10 +76,10 @@ def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
 
 def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
     """Triangulate an open sheet of points (n, m, 3)."""
-    from acoustube.reports.page.shapes import strip
+    from acoustube.reports.page import shapes
 
     number = np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[:2])
-    return sheet.reshape(-1, 3), strip(number)
+    return sheet.reshape(-1, 3), shapes.strip(number)
 
 
 def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
