@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.image import imread
 from rich.console import Console
 
 import acoustube
@@ -463,6 +464,18 @@ def test_command_writes_the_page(sweep, capsys):
     assert main(["show", str(sweep), "--html", "study.html", "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     assert main(["show", str(sweep), "--html", "study.html"]) == 2
+
+
+def test_show_draws_a_run_again(press, heard, tmp_path, capsys):
+    for run, picture in ((press, "press.png"), (heard, "heard.png")):
+        assert main(["show", str(run), "--out", picture]) == 0
+        assert f"Run drawn in {picture}." in capsys.readouterr().out
+        drawn, first = imread(tmp_path / picture), imread(run / "figure.png")
+        np.testing.assert_array_equal(drawn, first)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "run.nc").write_bytes(b"nothing")
+    assert main(["show", "broken", "--out", "broken.png"]) == 2
+    assert "damaged or no run" in " ".join(capsys.readouterr().err.split())
 
 
 DESKTOP = {"width": 1440, "height": 900}

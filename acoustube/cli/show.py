@@ -22,16 +22,16 @@ def show(
     html: Path | None = None,
     output: Output = Output(),
 ) -> None:
-    """Draw results: a sweep as a figure, or any run as an interactive page.
+    """Draw results as a figure, or as an interactive page.
 
-    The figure has force, echo and error over depth, and the echoes. The page is one file that opens
-    in any browser, without a network: a slider over the depth moves the tube, its section, the
-    lumen's area, the signal and the reflection.
+    The figure of a sweep has force, echo and error over depth, and the echoes; that of a run is the
+    one in its folder. The page is one file that opens in any browser, without a network: a slider
+    over the depth moves the tube, its section, the lumen's area, the signal and the reflection.
 
     Parameters
     ----------
     results : Path
-        Folder that ``acoustube sweep`` wrote; for a page also of ``simulate`` or ``indent``.
+        Folder that ``acoustube sweep``, ``simulate`` or ``indent`` wrote.
     out : Path
         Picture to write (PNG, PDF or SVG), which must be new.
     html : Path
@@ -54,27 +54,42 @@ def show(
         contents[html] = assembled(read(results), plotly_js())
         said.append(f"Written to {html}, {len(contents[html]) / 1e6:.1f} MB.")
     if out is not None:
-        contents[out], count = _figure(results, out)
-        said.append(f"{counted(count, 'case')} drawn in {out}.")
+        single = (results / "run.nc").is_file()
+        contents[out], drawn = (_run_figure if single else _sweep_figure)(results, out)
+        said.append(f"{drawn} drawn in {out}.")
     write_all(contents)
     for line in said:
         output.reporter().line(line)
 
 
-def _figure(where: Path, out: Path) -> tuple[bytes, int]:
-    """Draw the results of a sweep; return the picture, and the number of cases."""
+def _run_figure(where: Path, out: Path) -> tuple[bytes, str]:
+    """Draw a run; return the picture and what it shows."""
+    from acoustube.reports.figures import run as run_figure
+    from acoustube.reports.page.runs import reading_run
+    from acoustube.reports.scenes import tube as tube_scene
+
+    with reading_run(where) as data:
+        if "source_end" in data.dims:
+            with tube_scene.drawing(data) as pictures:
+                sheet = run_figure.figure(data, pictures())
+        else:
+            sheet = run_figure.press_figure(data)
+    return run_figure.picture(sheet, out), "Run"
+
+
+def _sweep_figure(where: Path, out: Path) -> tuple[bytes, str]:
+    """Draw the results of a sweep; return the picture and what it shows."""
     from acoustube.reports.figures import sweep as sweep_figure
     from acoustube.reports.figures.run import picture
     from acoustube.runs.opening import open_dataset
 
-    if (where / "run.nc").is_file():
-        raise ConfigError(
-            f"{where} is a single run, and a figure is of a sweep; give --html FILE for a page"
-        )
     cases = open_dataset(where)
     if "press" not in cases.dims:
-        raise ConfigError(f"{where} is a dataset of cycles; name the folder of a sweep")
+        raise ConfigError(
+            f"{where} is a dataset of cycles; name a folder that acoustube sweep, simulate or "
+            "indent wrote"
+        )
     advice = "repeat the command acoustube sweep to recompute it"
     with reading(where, "holds a damaged file", advice):
         drawn = sweep_figure.figure(cases.load())
-    return picture(drawn, out), cases.sizes["press"]
+    return picture(drawn, out), counted(cases.sizes["press"], "case")

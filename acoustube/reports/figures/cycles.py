@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.units import CM, MM
-from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL
+from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL, label_amplitude
 from acoustube.signals import Calibration, Processing, Ranging, distance, rectify, remove_offset
 
 MOST_ROWS = 1000
@@ -39,7 +39,8 @@ def draw_cycle(
     axes.axvline(0.0, color=SEND, lw=1, label="send pulse")
     axes.set_ylim(0, 1.15 * top)
     axes.set_xlim(float(place[0]), float(place[-1]))
-    axes.set(xlabel="distance (cm)", ylabel="fraction of the send pulse")
+    axes.set_xlabel("distance (cm)")
+    label_amplitude(axes)
     axes.legend(loc="upper right", fontsize="small")
 
 
@@ -84,7 +85,8 @@ def draw_fall(axes: Axes, calibration: Calibration) -> None:
             CM * along, gain.level(along), color=SEND, ls="--",
             label=f"tanh, {near:.3g} to {far:.3g}",
         )  # fmt: skip
-    axes.set(ylim=(0, None), xlabel="true distance (cm)", ylabel="fraction of the send pulse")
+    axes.set(ylim=(0, None), xlabel="true distance (cm)")
+    label_amplitude(axes)
     axes.legend(fontsize="small")
 
 

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import Formatter, FuncFormatter
 
 from acoustube.base.units import CM, MM, MM2, PERCENT
 from acoustube.reports.scenes.offscreen import Image
@@ -102,9 +103,21 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> None:
             label = f"envelope, {end} source end"
             axes.plot(distance, other["envelope"], "--", color=ENVELOPE, lw=0.8, label=label)
     _mark_pulses(axes, case, limit)
-    axes.set(ylim=(-limit, limit), ylabel="fraction of the send pulse")
+    axes.set_ylim(-limit, limit)
+    label_amplitude(axes)
     axes.legend(loc="lower right", fontsize="small", framealpha=0.9)
     axes.set_title(f"source end: {chosen}", loc="right", fontsize="small")
+
+
+def label_amplitude(axes: Axes) -> None:
+    """Label the ordinate, fractions of the send pulse, in %."""
+    axes.set_ylabel("% of the send pulse")
+    axes.yaxis.set_major_formatter(percent())
+
+
+def percent() -> Formatter:
+    """Return the format of fractions in %, on a linear or a logarithmic axis."""
+    return FuncFormatter(lambda value, _: Formatter.fix_minus(f"{PERCENT * value:g}"))
 
 
 def _place(case: xr.Dataset, time: Any) -> Any:

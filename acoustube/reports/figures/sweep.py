@@ -12,6 +12,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from acoustube.base.units import CM, MM
+from acoustube.reports.figures.run import percent
 from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 
 MOST_TOOLS = 4
@@ -50,7 +51,8 @@ def figure(cases: xr.Dataset) -> Figure:
         image = draw_echoes(axes, drawn)
         place = CM * float(drawn["true_distance"].values[0])
         axes.set_title(f"{words}, pressed at {place:.4g} cm", fontsize="medium")
-    below.colorbar(image, ax=list(row), label="envelope, fraction of the send pulse")
+    label = "envelope, % of the send pulse"
+    below.colorbar(image, ax=list(row), label=label, format=percent())
     return sheet
 
 

@@ -264,6 +264,6 @@ function signalChart(group, state, sameScale) {
       note("true place", group.position, { y: 0, yanchor: "bottom", xshift: 4, font: { size: 12, color: COLOUR.press } }),
     ],
     xaxis: axis(NARROW.matches ? "distance (cm)" : "distance from the delay (cm)", { range: [0, group.length] }),
-    yaxis: axis(NARROW.matches ? "% of the send pulse" : "fraction of the send pulse (%)", { range: [-limit, limit] }),
+    yaxis: axis("% of the send pulse", { range: [-limit, limit] }),
   })];
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,26 @@ PLACES = 201
 """Places along the tube at which the lumen of an increment is measured."""
 
 
+@contextmanager
+def reading_run(folder: Path) -> Iterator[xr.Dataset]:
+    """Open the run of a folder, for the time of its use.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder that contains `RUN`.
+
+    Raises
+    ------
+    ConfigError
+        If the file is damaged or something else, also where its use shows that.
+    """
+    path, advice = folder / RUN, "write one with either command"
+    failure = "is damaged or no run of acoustube simulate or indent"
+    with reading(path, failure, advice):
+        yield open_result(path, advice, failure)
+
+
 def read_run(folder: Path) -> Content:
     """Read the run of a folder.
 
@@ -49,12 +71,9 @@ def read_run(folder: Path) -> Content:
     ConfigError
         If the file is damaged or something else.
     """
-    path, advice = folder / RUN, "write one with either command"
-    failure = "is damaged or no run of acoustube simulate or indent"
-    with reading(path, failure, advice):
-        data = open_result(path, advice, failure)
+    with reading_run(folder) as data:
         simulated = "source_end" in data.dims
-        settings = settings_in(data.attrs["configuration"], path)
+        settings = settings_in(data.attrs["configuration"], folder / RUN)
         if simulated:
             group = _simulated(data, configured(settings))
         else:
