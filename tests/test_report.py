@@ -15,6 +15,7 @@ from acoustube.base import console as base_console
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.interrupts import watched_interrupts
 from acoustube.base.report import SILENT, TimeLeft, time_in_words
+from acoustube.runs.sweep import progress
 
 
 class Clock:
@@ -177,3 +178,18 @@ def test_errors_of_destructors_are_told_until_an_interrupt(monkeypatch):
         assert len(told) == 1
     Unfinished()
     assert len(told) == 2
+
+
+def test_time_left_of_a_sweep_falls_while_its_first_tasks_run(monkeypatch):
+    """Four tasks of 100 s on two workers, of which none has ended: 200 s, and no more later."""
+    clock, said = Clock(monkeypatch), []
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock.now)
+    board = progress.Board({"cases": (4, 400.0)}, 2, lambda *given: said.append(given[-1]))
+    for now in (0.0, 30.0, 80.0, 150.0):
+        clock.now = now
+        board.tick()
+    assert said == ["3 min left", "3 min left", "2 min left", "2 min left"]
+    clock.now = 160.0  # they take 1.6 times as long: 1.8 after 60 s more at the expected rate
+    board.count("cases", 200.0, 2)
+    scale = (160 + progress.PRIOR_SECONDS) / (100 + progress.PRIOR_SECONDS)
+    assert said[-1] == f"{time_in_words(100 * scale)} left"

@@ -148,7 +148,7 @@ class Plan:
                 yield configured(self.given, **varied)
             except ConfigError as error:
                 words = ", ".join(f"{name} = {value}" for name, value in varied.items())
-                where = f"case {i + 1} of the sweep ({words}): " if words else ""
+                where = f"case {i + 1} ({words}): " if words else ""
                 raise ConfigError(f"{where}{error}") from error
 
 
@@ -156,8 +156,8 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
     if isinstance(values, Interval):
         if not random:
             raise ConfigError(
-                f"{name} = {values} is a range without a step; give {values}:STEP, or count, the "
-                "number of cases of a random plan, with --random"
+                f"{name} = {values} is a range without a step; give {values}:STEP, or in a sweep "
+                "--random and the number of its cases"
             )
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")

@@ -36,6 +36,7 @@ class Board:
         self.done = dict.fromkeys(totals, 0)
         self.left = sum(cost for _, cost in totals.values())
         self.spent, self.started = 0.0, time.perf_counter()
+        self.counted = self.started
         self.show = show
 
     def count(self, stage: str, cost: float, n: int = 1, *, reused: bool = False) -> None:
@@ -54,6 +55,7 @@ class Board:
         self.done[stage] += n
         self.left -= cost
         self.spent += 0.0 if reused else cost
+        self.counted = time.perf_counter()
         self.tick()
 
     def tick(self) -> None:
@@ -64,9 +66,15 @@ class Board:
             self.show(stage, self.done[stage], self.totals[stage][0], left)
 
     def _time_left(self, now: float) -> str:
-        """Return the expected time left, scaled by measured over expected time so far."""
-        scale = (now - self.started + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)
-        return f"{time_in_words(max(self.left, 0.0) / self.workers * scale)} left"
+        """Return the expected time left.
+
+        It is scaled by measured over expected time up to the last finished task, and runs down from
+        there, to half at most, while others run.
+        """
+        measured = self.counted - self.started
+        scale = (measured + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)
+        left = max(self.left, 0.0) / self.workers * scale
+        return f"{time_in_words(max(left - (now - self.counted), left / 2))} left"
 
 
 def totals_of(paths: Sequence[LoadPath]) -> Totals:
