@@ -11,6 +11,7 @@ import xarray as xr
 from commands import run_here
 
 from acoustube.air import air_at
+from acoustube.cli import main
 from acoustube.inversion import (
     Baseband,
     ForwardModel,
@@ -690,6 +691,20 @@ def test_foreign_recording_or_sensor_is_one_sentence(folder, tmp_path, name, sen
 def test_library_of_tubes_of_two_bores_is_refused():
     with pytest.raises(ValueError, match="one library for each"):
         Library((tool(), dataclasses.replace(tool(), radius=5e-3)))
+
+
+def test_assumed_length_of_the_tube_is_told(folder, tmp_path, capsys):
+    silent = record([press(3e-3, 0.53)], n_cycles=2, tube_seed=7, seed=0)
+    del silent.attrs["tube_length"]
+    write(silent, tmp_path / "silent.nc")
+    (tmp_path / "s.toml").write_text("length_cm = 250\n")
+    words = ["invert", str(tmp_path / "silent.nc"), "--library", str(folder / "lib"), "--out"]
+    assert main([*words, str(tmp_path / "a.csv")]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "nothing states the length of the tube, and 250 cm is assumed" in told
+    assert main([*words, str(tmp_path / "b.csv"), "--sensor", str(tmp_path / "s.toml")]) == 0
+    assert "nothing states" not in capsys.readouterr().out
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
 
 
 @pytest.mark.parametrize(

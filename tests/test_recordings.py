@@ -18,6 +18,7 @@ from scipy.io import savemat, wavfile
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child
+from acoustube.ranging import record
 from acoustube.recordings import find, read, read_all, write
 from acoustube.recordings.formats import KINDS
 
@@ -221,6 +222,28 @@ def test_written_recording_comes_back_as_it_was(tmp_path, kind):
     xr.testing.assert_identical(read(tmp_path / "copy.nc"), data)
     with pytest.raises(ConfigError, match=r"let it end in \.nc"):
         write(data, tmp_path / "copy.mat")
+
+
+def test_simulated_recording_is_read_as_what_it_is(tmp_path):
+    """With its thermometer's temperatures, not the air's true one, and all that it states."""
+    simulated = record([], n_cycles=3)
+    write(simulated, tmp_path / "free.nc")
+    again = read(tmp_path / "free.nc")
+    xr.testing.assert_equal(again, simulated)
+    assert again.attrs["source"] == "simulation"
+    assert again.attrs["tube_length"] == simulated.attrs["tube_length"]
+
+
+def test_own_name_counts_before_synonyms(tmp_path):
+    stored = xr.Dataset(
+        {
+            "signal": (("cycle", "time"), cycles(2)),
+            "temperature": ("cycle", [20.5, 20.4], {"units": "degC"}),
+        },
+        attrs={"sampling_rate": RATE, "air_temperature": 19.0},
+    )
+    stored.to_netcdf(tmp_path / "foreign.nc", engine="h5netcdf")
+    np.testing.assert_allclose(read(tmp_path / "foreign.nc")["temperature"], [20.5, 20.4])
 
 
 @pytest.mark.parametrize("dtype", ["u1", "i2", "i4", "f4", "f8"])

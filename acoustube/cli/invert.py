@@ -152,6 +152,8 @@ def invert(
             writer.writerows([*header, *table])
             header.clear()
             inversion.note_misfit(path, misfits, count, report)
+            if near.length(data) is None:
+                inversion.note_length(str(path), report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")

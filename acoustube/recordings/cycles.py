@@ -182,14 +182,20 @@ def separate_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
     known: Named = {}
     others: Named = {}
     contents = {name.replace("/", "_"): v for name, v in contents.items() if name != "cycle"}
-    # The names of this package take precedence over their synonyms.
-    for name, value in sorted(contents.items(), key=lambda item: item[0] != meaning(item[0])[0]):
+    # The names of this package, with or without a unit, take precedence over their synonyms.
+    for name, value in sorted(contents.items(), key=lambda item: _is_synonym(item[0])):
         quantity, scale = meaning(name)
         if not quantity or quantity in known or (quantity == "signal" and np.ndim(value) == 0):
             others[name] = value
         else:
             known[quantity] = value if scale == 1 else _scaled(name, value, scale)
     return known, others
+
+
+def _is_synonym(name: str) -> bool:
+    """Return whether a name does not begin with this package's own one for its quantity."""
+    quantity = meaning(name)[0]
+    return not quantity or not name.startswith(quantity)
 
 
 def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:

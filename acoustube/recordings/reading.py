@@ -19,6 +19,7 @@ from acoustube.base.foreign.documents import read_document
 from acoustube.base.foreign.limits import reading
 from acoustube.base.names import PATH, PATHS
 from acoustube.base.netcdf import write_dataset
+from acoustube.base.version import __version__
 from acoustube.recordings.cycles import LABELS, assemble, read_own_netcdf, separate_known
 from acoustube.recordings.formats import KINDS, load
 from acoustube.recordings.tables import Note
@@ -175,7 +176,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of :func:`read`.
+        Of :func:`read` or :func:`acoustube.ranging.record`.
     path : str or Path
         A name that ends in ``.nc``; an existing file is replaced once the new one is complete.
 
@@ -186,7 +187,8 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     """
     path = Path(path)
     check_netcdf_name(path)
-    write_dataset(dataset, path, overwrite=True)
+    own = {"acoustube_version": __version__} | dataset.attrs
+    write_dataset(dataset.assign_attrs(own), path, overwrite=True)
 
 
 def _entries(paths: str | Path | Iterable[str | Path]) -> list[Path]:

@@ -303,6 +303,14 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
     return [f"{contact.probability:.4f}", *values, f"{diameter:g}", f"{misfit:.4g}"]
 
 
+def note_length(recording: str, report: Reporter) -> None:
+    """Report that nothing states the length of a recording's tube, and which is assumed."""
+    report.note(
+        f"{recording}: nothing states the length of the tube, and {CM * USUAL_LENGTH:g} cm is "
+        "assumed; state length_cm in the file of the sensor"
+    )
+
+
 def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Reporter) -> None:
     """Report groups whose echoes differ from the library's."""
     if misfits:
