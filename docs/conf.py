@@ -46,8 +46,8 @@ numpydoc_show_class_members = False
 
 # Examples begin with the stage that they are about.
 STAGES = (
-    "chain", "indentation", "waves", "ranging", "signals", "estimation", "sleeve", "sweep",
-    "sensor",
+    "chain", "indentation", "waves", "ranging", "signals", "estimation", "inversion", "sleeve",
+    "sweep", "sensor",
 )  # fmt: skip
 
 

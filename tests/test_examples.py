@@ -119,6 +119,16 @@ def test_recording_is_heard_where_the_clean_cycle_is_and_a_closure_would_be(run_
     assert abs(float(variables["simulated"].distance - there.distance)) < 5e-3
 
 
+@pytest.mark.long
+def test_two_presses_are_told_where_they_are_and_the_highest_echo_is_late(run_example):
+    """The deviations told are 0.1 to 0.2 mm of place and 0.02 mm of depth: within three of them."""
+    variables = run_example("inversion_where_are_two_presses")
+    contacts = variables["found"].contacts
+    assert [c.distance.value for c in contacts] == pytest.approx(variables["TRUE_PLACES"], abs=5e-4)
+    assert [c.depth.value for c in contacts] == pytest.approx(variables["TRUE_DEPTHS"], abs=6e-5)
+    assert np.median(variables["highest"].distance) > variables["TRUE_PLACES"][1] + 0.05
+
+
 @pytest.mark.slow
 def test_cluster_hears_echoes_fall_as_the_plane_wave_does(run_example):
     """Kirchhoff's attenuation of the plane wave, there and back: 3 % for the pulse's bandwidth."""
