@@ -28,7 +28,7 @@ from acoustube.runs.recordings import chosen
 from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe, _reflectors, in_session
 from acoustube.runs.sweep.dataset import rangefinder_in
-from acoustube.runs.twin import _check_places, _check_untouched, read_recordings
+from acoustube.runs.twin import _check_untouched, read_recordings
 from acoustube.runs.twin_calibration import is_twin, thermometer
 from acoustube.runs.twin_file import _material_parameters
 from acoustube.runs.twin_pressed import LABELS, presses_of
@@ -662,11 +662,13 @@ def test_closure_beyond_the_end_of_the_tube_is_refused(recorded, tmp_path):
     assert result.returncode == 2
     assert "closed.npz: the closure at 160 cm lies beyond the end of the tube" in result.stderr
     assert not out.exists()
-    closed = [Group(np.zeros((1, 9)), 20.0, place, "shut.npz") for place in (0.5, 1.6)]
-    _check_places(closed, None)
-    _check_places(closed, 1.59)
+    silent = Group(np.zeros((2, 4000)), 20.0)
+    closed = [replace(silent, place=place, source="shut.npz") for place in (0.5, 1.6)]
     with pytest.raises(ConfigError, match="beyond the end"):
-        _check_places(closed, 1.57)
+        fit_twin(closed, silent, 200e3, length=1.57)
+    for length in (None, 1.59):
+        with pytest.raises(ConfigError, match="ring-down of the untouched cycles"):
+            fit_twin(closed, silent, 200e3, length=length)
 
 
 @pytest.mark.slow

@@ -37,9 +37,6 @@ MOST_CLOSURES = 200
 MOST_CLUTTER = 5e-3
 """Power reflected per length in 1/m above which a tube is not untouched: -23 dB, ordinary ones have
 -48 dB."""
-BEYOND_END = 0.02
-"""Distance in m by which a closure's label may exceed the stated length: a plug in the far end is
-measured to the one or the other of its faces."""
 SAME_PLACE = 1e-4
 """Difference in m up to which two labels are one place."""
 
@@ -175,7 +172,6 @@ def fitted_sensor(
     groups = [group for path, data in shut for group in _groups(path, data)]
     lengths = [bench.length, *(stated_length(data) for _, data in [*shut, *free])]
     stated = next((length for length in lengths if length is not None), None)
-    _check_places(groups, stated)
     if len(groups) > MOST_CLOSURES:
         report.note(f"of {len(groups)} closures {MOST_CLOSURES} are used")
         chosen = np.linspace(0, len(groups) - 1, MOST_CLOSURES).astype(int)
@@ -260,16 +256,6 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
             )
         )
     return found
-
-
-def _check_places(closed: Sequence[Group], length: float | None) -> None:
-    """Raise if a closure lies beyond the end of a tube of a stated length in m."""
-    for group in closed:
-        if length is not None and group.place > length + BEYOND_END:
-            raise ConfigError(
-                f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
-                f"the tube, at {CM * length:.4g} cm; correct its label, or give --length in cm"
-            )
 
 
 def _converter(

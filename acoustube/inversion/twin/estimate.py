@@ -56,6 +56,9 @@ DITHERED = 0.4
 SPEED = 343.2
 OUTLYING, LEAST_OUTLYING = 8.0, 6e-3
 """Error of a stated place in standard deviations, and in m, from which on it is taken for wrong."""
+BEYOND_END = 0.02
+"""Distance in m by which a closure's label may exceed the stated length: a plug in the far end is
+measured to the one or the other of its faces."""
 FEWEST = 2
 ROUNDS = 3
 """Fits between which the error of the model is estimated."""
@@ -151,8 +154,10 @@ def fit_twin(
     Raises
     ------
     ConfigError
-        If fewer than two closures can be used; the first reason is named.
+        If a closure lies beyond the end of the tube, or fewer than two can be used; the first
+        reason is named.
     """
+    _check_places(closed, length)
     band = band_of(closed, untouched.cycles, rate, start)
     free, means, left_out = mean_of(band, untouched.cycles), [], {}
     quiet = np.asarray(untouched.cycles, float).mean(axis=0)
@@ -178,6 +183,16 @@ def fit_twin(
             best = found
     assert best is not None
     return best
+
+
+def _check_places(closed: Sequence[Group], length: float | None) -> None:
+    """Raise if a closure lies beyond the end of a tube of a stated length in m."""
+    for group in closed:
+        if length is not None and group.place > length + BEYOND_END:
+            raise ConfigError(
+                f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
+                f"the tube, at {CM * length:.4g} cm; correct its label, or state the length"
+            )
 
 
 def _fitted(
