@@ -549,7 +549,7 @@ def test_bound_of_two_presses_is_that_of_the_inversions_jacobian():
         np.testing.assert_allclose(own, exact, rtol=0.25)
 
 
-def test_presses_apart_are_told_and_a_faint_one_beside_a_strong_one_less_exactly():
+def test_presses_apart_are_detected_and_a_faint_one_beside_a_strong_one_less_exactly():
     """A second press far behind a faint one costs nothing but what the first one takes of it.
 
     That of 18 N behind one of 50 N, at 1.2 m, is hardly heard.
@@ -557,8 +557,8 @@ def test_presses_apart_are_told_and_a_faint_one_beside_a_strong_one_less_exactly
     electronics, tube = electronics_of(Rangefinder()), passing()
     far = predict_pairs([tube], pair_contacts(), electronics, 0.5)
     near = predict_pairs([tube], pair_contacts(), electronics, 0.001)
-    assert far.told[0] > 0.999
-    assert far.told[1] < 0.5
+    assert far.detection[0] > 0.999
+    assert far.detection[1] < 0.5
     # Of the fainter one, before the stronger one at the same place.
     assert near.depth[0, 0] > 2 * far.depth[0, 0]
     clear = passing()
@@ -566,7 +566,7 @@ def test_presses_apart_are_told_and_a_faint_one_beside_a_strong_one_less_exactly
     free = predict_pairs([clear], pair_contacts(), electronics, 0.5)
     alone = predict(information([clear], pair_contacts(), model=0.0), electronics)
     np.testing.assert_allclose(free.depth[:, 0], alone.depth, rtol=0.1)
-    assert free.told[1] > far.told[1]
+    assert free.detection[1] > far.detection[1]
 
 
 def test_pairs_need_the_transmission_of_the_tube():

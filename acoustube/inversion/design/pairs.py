@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
         Of the depths in m, (n, 2).
     force : ndarray
         Of the forces, relative, with errors of the wall's modulus and of the model, (n, 2).
-    told : ndarray
+    detection : ndarray
         Probabilities that the second press is distinguished from changes of other
         parameters, (n,).
     """
@@ -45,7 +45,7 @@ class Pairs(NamedTuple):
     place: Array
     depth: Array
     force: Array
-    told: Array
+    detection: Array
 
 
 @checked(
@@ -103,7 +103,8 @@ def predict_pairs(
     span = max(np.ptp([tube.depth_at(ends) for tube in tubes]), 1e-4)
     scale = np.array([contacts.length, span]) / np.sqrt(12)
     n = len(contacts.force)
-    place, depth, force, told = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    place, depth, force = np.empty((3, n, 2))
+    detection = np.empty(n)
     for i in range(n):
         chosen = [tubes[contacts.tool[j]] for j in (i, (i + 1) % n)]
         given = [contacts.force[j] / modulus for j in (i, (i + 1) % n)]
@@ -130,8 +131,8 @@ def predict_pairs(
                  for g, tube in zip(given, chosen, strict=True)]  # fmt: skip
         off = np.hypot(depth[i], model) * np.array(slope)
         force[i] = np.minimum(np.hypot(off, hardness), contacts.force_prior)
-        told[i] = _told(echoes[1], columns[[0, 1, 4, 5, 6, 7]], weight)
-    return Pairs(place, depth, force, told)
+        detection[i] = _detection(echoes[1], columns[[0, 1, 4, 5, 6, 7]], weight)
+    return Pairs(place, depth, force, detection)
 
 
 def _echoes(tubes: Sequence[PressedTube], force: Sequence[float]) -> tuple[Complex, Complex]:
@@ -150,7 +151,7 @@ def _passed_by_depth(tube: PressedTube, force: float) -> Complex:
     return np.asarray(2 * tube.transmission_at(depth, 1)[0] / tube.transmission_at(depth)[0])
 
 
-def _told(echo: Complex, columns: Complex, weight: Array) -> float:
+def _detection(echo: Complex, columns: Complex, weight: Array) -> float:
     """Return the probability that an echo is distinguished from changes of other parameters."""
     matrix = np.eye(len(columns)) + ((columns.conj() * weight) @ columns.T).real
     along = ((columns.conj() * weight) @ echo).real

@@ -67,19 +67,19 @@ def page_of(
 
 
 def _pairs(one: Recommended, separation: float) -> str:
-    """Return what is told of two presses at once, as a sentence and a table."""
+    """Return how two presses at once are detected and placed, as a sentence and a table."""
     if one.pairs is None:
         return ""
-    told, force = one.pairs.told, PERCENT * np.median(one.pairs.force, axis=0)
+    detected, force = PERCENT * one.pairs.detection, PERCENT * np.median(one.pairs.force, axis=0)
     place = MM * np.median(one.pairs.place, axis=0)
     rows = "".join(
         f"<tr><th scope=row>{name}</th><td>{place[i]:.2f}</td><td>{force[i]:.1f}</td></tr>"
         for i, name in enumerate(("first", "second"))
     )
     return (
-        f"<h3>Two presses {CM * separation:g} cm apart</h3><p>In {len(told)} pairs the second is "
-        f"told with a probability of {PERCENT * np.mean(told):.1f} % in the mean, "
-        f"{PERCENT * np.min(told):.1f} % at least.</p><table><tr><th>press</th>"
+        f"<h3>Two presses {CM * separation:g} cm apart</h3><p>In {len(detected)} pairs the second "
+        f"is detected with a probability of {np.mean(detected):.1f} % on average, "
+        f"{np.min(detected):.1f} % at least.</p><table><tr><th>press</th>"
         f"<th>place, median (mm)</th><th>force, median (%)</th></tr>{rows}</table>"
     )
 
