@@ -317,5 +317,5 @@ def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Rep
         report.note(
             f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "
             f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, tools, "
-            "sensor or number of contacts are not those stated, or the force is beyond the library's"
+            "sensor or number of contacts are not those stated, or a force is beyond the library's"
         )
