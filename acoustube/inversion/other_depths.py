@@ -1,7 +1,7 @@
-"""Other depths of a press at its place whose echo is much the same.
+"""Other depths of a press, at the same place, that give nearly the same echo.
 
-Where the reflection rises and falls again with depth, as that of a lumen near closure does, two
-depths that are millimetres apart may sound alike.
+Where the reflection rises and falls again with depth, as near closure of the lumen, two depths that
+differ by millimetres may have nearly the same echo.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ from acoustube.inversion.model import ForwardModel
 from acoustube.waves.scattering import Complex
 
 STEP = 0.4e-3
-"""Distance in m of the depths that are tried."""
-FIRST, KEPT, THEN = 2, 3, 6
-"""Iterations of all depths, number of those that are followed, and their iterations."""
+"""Step in m between the depths that are tried."""
+ITERATIONS = 8
+"""Iterations from each of them, unless it is given up."""
 
 
 def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], samples: Complex,
                  whiten: Weights) -> Fits:  # fmt: skip
-    """Return the maxima that begin at other depths of each press, all else as at the best one.
+    """Return maxima of the likelihood that are found from other depths of each press.
+
+    All other parameters start at those of the best fit.
 
     Parameters
     ----------
     model : ForwardModel
     known : Fits
-        The best first.
+        Fits of the hypothesis, the best one first.
     tools : tuple of int
-        Number of the tool of each press.
+        Index of the tool of each press in the model's tables.
     samples : ndarray
         Baseband of the cycles, (n_time,).
     whiten : Weights
@@ -43,6 +45,5 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
         start = np.repeat(known.parameters[:1], len(depths), axis=0)
         start[:, 2 * i + 1] = depths
         starts.append(start)
-    first = maximise(model, tools, np.concatenate(starts), samples, whiten, FIRST)
-    best = first.sorted().first(KEPT)
-    return maximise(model, tools, best.parameters, samples, whiten, THEN)
+    least = float(known.cost[0])
+    return maximise(model, tools, np.concatenate(starts), samples, whiten, ITERATIONS, least)

@@ -225,9 +225,7 @@ class _Zone:
         """Return the modes' phases from the origin to places, (n_places, n_f, m)."""
         return self.path.phases(places, self.warmer) - self.start
 
-    def set_energy(
-        self, base: Baseband, precision: Complex, places: Array, every: int = 1
-    ) -> None:
+    def set_energy(self, base: Baseband, precision: Complex, places: Array, every: int = 1) -> None:
         """Compute the energies of templates at nodes about places.
 
         Parameters
@@ -283,7 +281,7 @@ class _Zone:
         return np.asarray(self._filters[::every] @ factors.reshape(len(places), -1).T)
 
     def _spectra(self, places: Array, every: int) -> Complex:
-        """Return the spectra at places, of depths in steps of `every`, (n_places, n_depths, n_f)."""
+        """Return the spectra at places, of every so many depths, (n_places, n_depths, n_f)."""
         shapes = self._shapes[::every].transpose(2, 1, 0)
         found = self._factors(places).transpose(2, 0, 1) @ shapes
         return np.asarray(np.moveaxis(found, 0, -1))
