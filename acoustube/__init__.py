@@ -1,6 +1,6 @@
 """Simulate a silicone tube that carries ultrasound and is pressed by a cylinder.
 
-Three storeys, of which each imports only what stands below it::
+Three layers, each of which imports only what stands below it::
 
     cli, reports, sensor, runs             commands; figures and files; a sensor for simulations of
                                            robots; settings and computations

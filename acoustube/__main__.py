@@ -11,12 +11,13 @@ from typing import Any, NoReturn
 def entry() -> NoReturn:
     """Run the command line and leave with its exit code.
 
-    An interrupt at any moment, also while modules are being loaded, ends in one sentence. A request
-    to terminate counts as one, so that a batch system leaves no half-written folder either.
+    An interrupt at any moment, also while modules are being loaded, ends the command with one
+    sentence. A request to terminate counts as an interrupt, so that a batch system leaves no
+    half-written folder either.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        # Ignored are they in the background of a script, or under nohup.
+        # In the background of a script, or under nohup, signals are ignored and stay so.
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _leave)
     _keep_streams()
@@ -29,15 +30,15 @@ def entry() -> NoReturn:
             end_in_time(discard)
             try:
                 code = _run()
-            except KeyboardInterrupt:  # a second one, while the first was being dealt with
+            except KeyboardInterrupt:  # a second one, while the first was being handled
                 code = _interrupted(exit_code())
-            except SystemExit as error:  # its frames end here, where their errors are dealt with
+            except SystemExit as error:  # its frames end here, where their errors are handled
                 code = error.code
     except KeyboardInterrupt:
         code = _interrupted(128 + signal.SIGINT)
     except SystemExit as error:
         code = error.code
-    # Python would wait for, or pull the ground from under, kernels that still run.
+    # A normal exit of Python would wait for kernels that still run, or free what they use.
     discard()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
@@ -47,7 +48,7 @@ def entry() -> NoReturn:
 
 def _run() -> int:
     """Run the command line; return its exit code."""
-    if not sys.warnoptions:  # those of libraries concern developers; notes say what concerns users
+    if not sys.warnoptions:  # libraries' warnings are for developers; notes inform the users
         os.environ["PYTHONWARNINGS"] = "ignore"
         import warnings
 

@@ -34,7 +34,7 @@ WATER_MASS = 18.0153 / 28.9647
 """Molar mass of water over that of dry air."""
 WATER_HEAT = 4.04
 """Molar heat capacity of water vapour at constant pressure over the gas constant."""
-TEMPERATURES = (-20.0, 60.0)  # degC, where the formulas are stated or were checked
+TEMPERATURES = (-20.0, 60.0)  # degC, range in which the formulas are stated or were checked
 NARROW_GAP_LAYERS = 10
 """Opening of a lumen, in viscous boundary layers, below which a warning is given."""
 
@@ -98,14 +98,14 @@ class Air:
 
 
 class Relaxation(NamedTuple):
-    """A relaxation process with the attenuation strength f^2 / (f_r + f^2 / f_r) in Np/m.
+    """A relaxation process with the attenuation ``strength f^2 / (f_r + f^2 / f_r)`` in Np/m.
 
     Attributes
     ----------
     frequency : float
         Relaxation frequency f_r in Hz.
     strength : float
-        In Np s/m.
+        Factor of the attenuation, in Np s/m.
     """
 
     frequency: float
@@ -155,10 +155,10 @@ def air_at(
     humidity : float, optional
         Relative humidity in per cent; it affects the absorption, and with `moist` the speed.
     pressure : float, optional
-        In Pa.
+        Atmospheric pressure in Pa.
     moist : bool, optional
-        Speed of sound, density and ratio of the heat capacities of moist air; by default those of
-        dry air.
+        True for the speed of sound, density and ratio of heat capacities of moist air; by default
+        they are those of dry air.
 
     Returns
     -------
@@ -225,7 +225,7 @@ def air_at(
 
 
 def _water_fraction(kelvin: float, humidity: float, pressure: float) -> float:
-    """Return the molar fraction of water vapour, after annex B of ISO 9613-1."""
+    """Return the molar fraction of water vapour, from annex B of ISO 9613-1."""
     saturation = 10 ** (-6.8346 * (TRIPLE_POINT / kelvin) ** 1.261 + 4.6151)
     return humidity / 100 * saturation * STANDARD_PRESSURE / pressure
 

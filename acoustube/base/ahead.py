@@ -1,4 +1,4 @@
-"""Compilation in the background, while the calling thread prepares what will call the code."""
+"""Compilation in the background, while the calling thread prepares the calls of the code."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from threading import Thread
 def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
     """Start compilations in a thread of their own, one after the other in the order of need.
 
-    Whoever calls code that is just being compiled waits for it, since numba compiles one function
-    at a time.
+    A call of code that is being compiled waits for it, since numba compiles one function at a time.
 
     Parameters
     ----------

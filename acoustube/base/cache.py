@@ -1,7 +1,7 @@
 """Cache of results, in files named by the hash of all that a result depends on.
 
-An entry is a NumPy archive with the SHA-256 of its own content. One that cannot be read, or whose
-content is not what it was, counts as missing and is replaced. Next to the entries JAX keeps the
+An entry is a NumPy archive with the SHA-256 of its own content. An entry that cannot be read, or
+whose content has changed, counts as missing and is replaced. Next to the entries JAX keeps the
 machine code that it compiled.
 """
 
@@ -40,7 +40,7 @@ CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
     "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
 }
-"""Modules that compute each kind of result; what they import counts too."""
+"""Modules that compute each kind of result; their code and that of their imports is in the key."""
 NOT_FOLLOWED = (
     "acoustube.base.cache.",
     "acoustube.base.checks.",
@@ -52,10 +52,10 @@ NOT_FOLLOWED = (
     "acoustube.waves.bends.",
     "acoustube.waves.network.",
 )
-"""Prefixes of imported modules that decide no result: they prepare settings, which are part of the
-key in SI units, or process results."""
+"""Prefixes of imported modules that do not affect results: they prepare settings, which are part of
+the key in SI units, or process results."""
 SOURCES = "sources.json"
-"""A file of the cache: the digest of each module, so that a key takes milliseconds."""
+"""File of the cache with the digest of each module, so that computing a key takes milliseconds."""
 COMPILED = "compiled-"
 """Start of the names of folders in which JAX keeps machine code."""
 MOST_COMPILED = 4000
@@ -65,7 +65,7 @@ UNUSABLE = (
     "Error writing persistent compilation cache entry",
 )
 """JAX's warnings of a file that another process has half written, or of a disk that is full or
-cannot be written. It compiles then, as it does without a cache."""
+cannot be written. JAX then compiles as it does without a cache."""
 
 
 class Entry(NamedTuple):
@@ -77,7 +77,7 @@ class Entry(NamedTuple):
     size : int
         In bytes.
     modified : float
-        When it was written, in seconds since 1970.
+        Time of writing, in seconds since 1970.
     """
 
     path: Path
@@ -100,7 +100,7 @@ def folder() -> Path:
     Raises
     ------
     ConfigError
-        If a file is there.
+        If the path is that of a file.
     """
     chosen = os.environ.get("ACOUSTUBE_CACHE")
     found = Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
@@ -186,7 +186,7 @@ def _known_sources() -> dict[str, list[Any]]:
 
 
 def _module_file(root: Path, name: str) -> Path | None:
-    """Return the file of a module or package; None where the name is of something else."""
+    """Return the file of a module or package; None if the name is that of something else."""
     path = root.joinpath(*name.split("."))
     candidates = path / "__init__.py", path.with_suffix(".py")
     return next((file for file in candidates if file.is_file()), None)
@@ -195,7 +195,7 @@ def _module_file(root: Path, name: str) -> Path | None:
 def _imports(tree: ast.AST, package: str) -> Iterator[str]:
     """Yield the full names that a module imports from a package, except for types only.
 
-    Of ``from a.b import c`` both a.b and a.b.c, since c may be a module.
+    ``from a.b import c`` yields both a.b and a.b.c, since c may be a module.
     """
     if isinstance(tree, ast.If) and ast.unparse(tree.test).endswith("TYPE_CHECKING"):
         return
@@ -228,7 +228,7 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def holds(name: str) -> bool:
-    """Return whether there is an entry, which may still prove damaged."""
+    """Return whether there is an entry, which may yet be damaged."""
     return (folder() / f"{name}.npz").is_file()
 
 
@@ -270,13 +270,13 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
 
 
 _KEPT: set[bool] = set()
-"""Whether results of this process are in the cache, or could not be written to it, or both."""
+"""Contains True if a result of this process was written to the cache, False if one could not be."""
 
 
 def has_kept() -> bool | None:
     """Return whether all reusable results of this process were written to the cache.
 
-    None if it has had none of the kinds that are cached.
+    None if the process has computed no result of a kind that is cached.
     """
     return None if not _KEPT else False not in _KEPT
 
@@ -352,9 +352,9 @@ def compiled() -> list[Entry]:
 def keep_compiled_code() -> None:
     """Let JAX keep in the cache what it compiles, in this process and those that it starts.
 
-    Has to run before JAX is imported. Does nothing where the user has chosen a folder for JAX. The
-    code is kept for one kind of processor, since JAX would also load code compiled for another,
-    with a line of log each time.
+    It has to run before JAX is imported, and does nothing if the user has chosen a folder for JAX.
+    Code is kept separately for each kind of processor, since JAX would also load code compiled for
+    another, and log a line each time.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return

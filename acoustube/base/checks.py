@@ -33,13 +33,13 @@ class Reals:
     ndim : int, optional
         Number of axes.
     axes : int
-        Least number of axes.
+        Smallest number of axes.
     last : int, optional
-        Length of the last axis, as 3 of coordinates.
+        Length of the last axis, such as 3 for coordinates.
     missing : bool
         Whether nan and inf are allowed, as missing values.
     empty : bool
-        Whether an empty array is allowed; one with rows of length zero is allowed always.
+        Whether an empty array is allowed; one with rows of length zero is always allowed.
     kinds : str
         Allowed values of ``dtype.kind``: ``iu`` for integers, ``U`` for strings.
     """
@@ -189,7 +189,7 @@ class Several:
     ----------
     each : rule
     least : int
-        Least number of values.
+        Smallest number of values.
     """
 
     each: Any
@@ -262,7 +262,7 @@ def check_fields(instance: Any, **rules: Any) -> None:
     ----------
     instance : object
     **rules
-        As of :func:`checked`.
+        As for :func:`checked`.
     """
     for name, rule in rules.items():
         value = getattr(instance, name)
@@ -276,7 +276,7 @@ def check_alike(**arrays: Any) -> None:
     Parameters
     ----------
     **arrays
-        By their names.
+        The arrays by name.
     """
     import numpy as np
 

@@ -10,16 +10,16 @@ and machine code with fewer of LLVM's optimisations."""
 KNOWN = "0.10."
 """Start of the versions of jaxlib in which they were measured. XLA aborts on unknown ones."""
 FOR_GPUS = "jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin"
-"""Modules that come with JAX for GPUs, whose code the second option would concern too."""
+"""Modules that come with JAX for GPUs, whose code the second option would affect as well."""
 
 
 def compile_quickly() -> None:
     """Let XLA compile with the options `QUICK`, in this process and its children.
 
-    With jaxlib 0.10.2 that compiles in half of the time, and presses, cycles of a sensor and epochs
-    of a network take as long as without; a march in JAX, which on a CPU serves derivatives alone,
-    takes 3 to 9 % longer. Does nothing for other versions of jaxlib or where it is for GPUs, and
-    leaves options that the user has set.
+    With jaxlib 0.10.2 this halves the compile time. Presses, cycles of a sensor and epochs of a
+    network take as long as without; time stepping (FDTD) in JAX, which on a CPU serves derivatives
+    only, takes 3 to 9 % longer. Does nothing for other versions of jaxlib or where JAX is installed
+    for GPUs, and keeps options that the user has set.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     new = [f"{name}={value}" for name, value in QUICK.items() if name not in flags]

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
-"""Seconds between two lines of progress without a terminal, at first and in work of hours."""
+"""Seconds between two lines of progress without a terminal: at first, and in work of hours."""
 
 
 def plain_console(*, quiet: bool = False, stderr: bool = False) -> Console:
     """Return a console on which every string is plain text: no markup, no control characters.
 
-    Strings hold what users supply: names of files, values, contents of files. What is to be
-    coloured is an object of rich's own.
+    Strings contain what users supply: names of files, values, contents of files. Coloured text is
+    passed as objects of rich.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class _Lines:
         self.times: dict[str, TimeLeft] = {}
 
     def show(self, stage: str, done: float, total: float, left: str | None) -> None:
-        """Show the progress of a stage; parameters as of :class:`ShowProgress`."""
+        """Show the progress of a stage; parameters as for :class:`ShowProgress`."""
         now = time.perf_counter()
         seconds = self.times.setdefault(stage, TimeLeft()).update(now, done / max(total, 1e-9))
         if left is None:

@@ -8,7 +8,7 @@ from numbers import Real
 from typing import Any
 
 MOST_DIGITS = 40
-"""Digits of a whole number that are printed; of a larger one its magnitude is."""
+"""Largest number of digits of a whole number that is printed in full, not as its magnitude."""
 
 
 class ConfigError(ValueError):
@@ -24,7 +24,7 @@ class ConfigError(ValueError):
     setting : str, optional
         Name of the argument or setting, with its unit: ``depth_mm``.
     value : optional
-        What it was given as.
+        The value that was given.
     unit : str, optional
         Unit of the value, where the name does not state it.
     allowed : optional
@@ -81,7 +81,7 @@ def short(value: Any) -> str:
 
 
 LONGEST_WORD, LONGEST_TEXT, LONGEST_SENTENCE = 200, 3000, 600
-"""Characters of a word, of a text, and of the sentence of an error that are shown."""
+"""Largest numbers of characters shown of a word, of a text, and of the sentence of an error."""
 
 
 def readable(text: str, longest: int = LONGEST_TEXT) -> str:
@@ -92,7 +92,7 @@ def readable(text: str, longest: int = LONGEST_TEXT) -> str:
     text : str
         With values that a user has given, of any length and content.
     longest : int
-        Characters that are shown of it.
+        Largest number of characters shown.
     """
     if not text.isprintable():
         text = "".join(

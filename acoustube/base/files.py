@@ -26,7 +26,7 @@ def check_out(path: str | Path) -> Path:
     Parameters
     ----------
     path : str or path
-        The folder. It need not exist, nor need its parents; an empty folder will do.
+        The folder. Neither it nor its parents need exist; an empty folder is allowed.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def check_new_file(path: Path, name: str = "out") -> None:
     ----------
     path : Path
     name : str
-        Of the option that gave it.
+        Name of the option that gave the path.
     """
     if os.path.lexists(path):
         raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
@@ -93,7 +93,7 @@ def check_new_file(path: Path, name: str = "out") -> None:
 def check_writable(folder: Path) -> None:
     """Raise OSError if nothing can be made in a folder."""
     with contextlib.suppress(AttributeError, NotImplementedError, IsADirectoryError):
-        # A file without a name: there is no trace of it, whenever this process is ended.
+        # A file without a name leaves no trace, whenever this process is ended.
         try:
             os.close(os.open(folder, os.O_TMPFILE | os.O_RDWR))
             return
@@ -110,7 +110,7 @@ def fresh_folder(stem: str) -> Path:
     Parameters
     ----------
     stem : str
-        What the name begins with.
+        Beginning of the name.
     """
     return next(name for n in itertools.count(1) if not (name := Path(f"{stem}-{n}")).exists())
 
@@ -124,7 +124,7 @@ def _check_free(path: str | Path, folder: Path) -> None:
             raise ConfigError(
                 f"out = {path} is not empty and nothing is overwritten; name a new folder"
             )
-        # The finished run is renamed to its final name, and these two cannot be replaced so.
+        # The finished run is renamed to its final name, which cannot replace these two.
         if os.path.ismount(folder) or folder == Path.cwd():
             raise ConfigError(f"out = {path} cannot be replaced; name a new folder inside it")
 
@@ -180,13 +180,13 @@ def publish(partial: Path, path: str | Path) -> Path:
     partial : path
         The folder of :func:`partial_folder`.
     path : str or path
-        The name that it should get.
+        The requested name.
 
     Returns
     -------
     Path
-        The name that it got: where another run has taken `path` in the meantime, a number is
-        added, so that nothing is overwritten and nothing lost.
+        The actual name: if another run has taken `path` in the meantime, a number is added, so
+        that nothing is overwritten and nothing lost.
     """
     interrupts.check()
     folder = Path(path).absolute()
@@ -195,7 +195,7 @@ def publish(partial: Path, path: str | Path) -> Path:
         try:
             _check_free(path, name)
             with contextlib.suppress(FileNotFoundError):
-                name.rmdir()  # only ever an empty one; not every system renames onto it
+                name.rmdir()  # removes empty folders only; some systems cannot rename onto them
             published = partial.rename(name)
         except (ConfigError, FileExistsError, NotADirectoryError):
             continue
@@ -209,9 +209,9 @@ def publish(partial: Path, path: str | Path) -> Path:
 
 
 def toml_array(values: Iterable[Any]) -> Array:
-    """Return the array of TOML that holds some values.
+    """Return the TOML array of some values.
 
-    It is made from text: to append to an array takes tomlkit a time that grows with its length.
+    It is parsed from text, since appending with tomlkit takes a time that grows with the length.
 
     Parameters
     ----------

@@ -33,8 +33,8 @@ SHOW_CURSOR = b"\x1b[?25h"
 class _Interrupt:
     """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
 
-    In an extension that is being loaded an interrupt becomes an ImportError, or is lost; in the
-    hook of this module, which raises lost ones again, it would be reported and lost.
+    In an extension that is being loaded an interrupt becomes an ImportError, or is lost. In the
+    hook of this module, which raises lost interrupts again, it would be reported and lost.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class _Interrupt:
         raise KeyboardInterrupt
 
     def again(self) -> None:
-        """Raise the interrupt a little later, and anew until the import has ended."""
+        """Raise the interrupt a little later, repeatedly until the import has ended."""
         signal.signal(signal.SIGALRM, self)
         signal.setitimer(signal.ITIMER_REAL, RETRY)
 
@@ -88,7 +88,7 @@ def watched_interrupts(
     Parameters
     ----------
     before : callable
-        Signals are watched that have this handler; it has them again in the end.
+        The signals that have this handler are watched; it is restored in the end.
 
     Yields
     ------
@@ -121,7 +121,8 @@ def watched_interrupts(
 def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Return a hook that raises an ignored interrupt again, and leaves other errors to `before`.
 
-    After an interrupt they follow from it, as in the destructor of a half-made object: no word.
+    Errors after an interrupt are not reported: they are its consequences, for example in the
+    destructor of a half-made object.
     """
 
     def hook(unraisable: Any) -> None:
@@ -151,7 +152,7 @@ def exit_code() -> int:
 
 
 def end_in_time(clean: Callable[[], None]) -> None:
-    """Let a thread end this process where an interrupt has not ended it in time.
+    """Let a thread end this process if an interrupt has not ended it in time.
 
     Python's own handler in C notifies the thread of a signal even if the main thread cannot stop:
     a library may block that for minutes, or may have caught the exception.
@@ -163,7 +164,7 @@ def end_in_time(clean: Callable[[], None]) -> None:
     """
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
-    # Detached: the process has it to its end.
+    # Detached, so that the socket stays open until the process ends.
     signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
 
     def watch() -> None:

@@ -7,18 +7,18 @@ Pressing moves the modelled end outwards by up to a tenth of a millimetre, and l
 """
 
 LARGEST_CLOSING = 0.9
-"""Deepest press whose sound is valid, in bores; the walls meet soon after."""
+"""Largest depth of a press, in bores, with valid acoustics; slightly deeper, the walls meet."""
 
 SHALLOWEST_MM = 0.05
-"""Depth of the shallowest press."""
+"""Smallest depth of a press, in mm."""
 
 
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
     """Return the length of tube that a press deforms, to each side.
 
-    Four outer diameters beyond the indenter's edge. At the end of it the default tube, held and
-    pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm but has its area to 0.1 %; modelling half
-    as much again changes the force by 0.2 %.
+    It extends four outer diameters beyond the indenter's edge. At its end the default tube, held
+    and pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm, but its area is unchanged to 0.1 %.
+    Modelling 1.5 times this length changes the force by 0.2 %.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ NEW_ADDRESSES = {
     "acoustube.waves.small_cells": "acoustube.waves.grid.small_cells",
     "acoustube.wrapped": "acoustube.reports.sleeve_table",
 }
-"""Modules that users of version 0.1 imported, and where they are now."""
+"""Modules that users of version 0.1 imported, and their present addresses."""
 
 
 class _Moved(MetaPathFinder, Loader):
@@ -74,7 +74,7 @@ def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     module : str
         Name of the module.
     names : mapping of str to str
-        The present name of each former one, with its module where that is another.
+        The present name for each former name, with its module if that is a different one.
     """
 
     def forward(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Checks of the names of files that public functions are given."""
+"""Checks of file names that are passed to public functions."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class FileNames:
 
 
 def _check_one(name: str, value: Any) -> None:
-    """Raise if no file can have a name."""
+    """Raise if a name is one that no file can have."""
     try:
         os.lstat(value)
-    except (OSError, ValueError, TypeError) as error:  # of a null character, and of no text
+    except (OSError, ValueError, TypeError) as error:  # null characters, or not text
         if isinstance(error, OSError) and error.errno != errno.ENAMETOOLONG:
             return
         reason = getattr(error, "strerror", None) or error

@@ -1,7 +1,7 @@
 """NetCDF variables and files, and the checksum (seal) that reveals damage before opening.
 
 The seal is the SHA-256 of all bytes before it, at the end of the file, where HDF5 does not read:
-its library does not detect all damage, and one changed byte may change any value in silence.
+its library does not detect all damage, and one changed byte may silently change any value.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def seal_of(path: str | Path) -> Seal:
 def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
     """Return a dataset, or a tree of them, as a sealed netCDF-4 file.
 
-    Made in memory: HDF5 itself does not survive a full disk.
+    It is made in memory, since HDF5 itself does not survive a full disk.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
     """
     import dask
 
-    # Otherwise xarray asks a Dask cluster that this process is connected to for a lock, in vain.
+    # Otherwise xarray would in vain request a lock from a Dask cluster of this process.
     with dask.config.set(scheduler="synchronous"):
         content = bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
     return content + MARK + hashlib.sha256(content).digest()

@@ -1,6 +1,6 @@
-"""Register of incomplete outputs, by which those of killed processes are found.
+"""Register of incomplete outputs, in which those of killed processes are found.
 
-The folder ``begun`` of the cache has a file for each: the process, its machine, and the path.
+The folder ``begun`` of the cache has a file for each output: process, machine and path.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class Remnant(NamedTuple):
 
 
 def register(path: Path) -> Path | None:
-    """Register an output that is begun; return the file to delete when it has ended.
+    """Register an output that is begun; return the file to delete when the output is complete.
 
     Parameters
     ----------
     path : Path
-        Where it is made.
+        Temporary path of the output.
     """
     with suppress(OSError, ConfigError):  # without a cache there is no register
         folder = cache.folder() / BEGUN
@@ -105,7 +105,7 @@ def _abandoned(record: Path) -> Path | None:
             gone = not _runs(int(process))
     except (OSError, ValueError):
         return None
-    if gone and not os.path.lexists(path):  # it had ended, or was not there yet
+    if gone and not os.path.lexists(path):  # it was completed, or not yet made
         record.unlink(missing_ok=True)
         return None
     # Nothing else is deleted, whatever a damaged record says.

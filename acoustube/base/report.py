@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 WINDOW = 8
-"""Changes of a fraction from which the time left is extrapolated."""
+"""Number of changes of a fraction from which the time left is extrapolated."""
 
 
 class ShowProgress(Protocol):
@@ -90,13 +90,13 @@ SILENT = Silent()
 
 
 def ignore(*_progress: object) -> None:
-    """Discard a progress."""
+    """Discard progress."""
 
 
 def part_of(
     progress: Callable[[float], None] | None, start: float, end: float
 ) -> Callable[[float], None] | None:
-    """Return the progress of a part of the work, from one fraction of the whole to another.
+    """Return the progress function of a part of the work, between two fractions of the whole.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class TimeLeft:
         self.changes: deque[tuple[float, float]] = deque(maxlen=WINDOW)
 
     def update(self, now: float, fraction: float) -> float | None:
-        """Return the time left in s, None as long as it is unknown.
+        """Return the time left in s, or None while it is unknown.
 
         Parameters
         ----------

@@ -141,9 +141,9 @@ class File:
 
 
 def _is_number(value: Any) -> bool:
-    """Return whether a value is a number; `wall_mm = true`, a number to Python, is a mistake.
+    """Return whether a value is a number, which excludes Booleans, as in `wall_mm = true`.
 
-    So is one of NumPy's intervals of time, an integer by its class.
+    It also excludes NumPy's time intervals, whose class is an integer's.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
@@ -168,7 +168,7 @@ class Section:
 
 
 def nearest(name: str, known: Any) -> str:
-    """Return advice that names the nearest known word, or all of them when none is near."""
+    """Return advice that names the nearest known word, or all known words if none is near."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if near:
         return f"; did you mean {near[0]}?"

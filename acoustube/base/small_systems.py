@@ -1,8 +1,8 @@
 """Small symmetric positive definite systems in JAX, without LAPACK.
 
 The batched LAPACK routines of jaxlib 0.10 wait in XLA's thread pool for tasks of the same pool: two
-that run at once on two cores wait for each other for ever. Written out, systems of a few unknowns
-are a fraction of the compiled expressions around them.
+that run at once on two cores deadlock. Written out, systems of a few unknowns are a small part of
+the compiled expressions around them.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     Parameters
     ----------
     matrix : ndarray
-        (..., n, n) with n of a few; the lower triangle is read.
+        (..., n, n) with a small n; the lower triangle is read.
     right : ndarray
-        Columns (..., n, m), of as many axes; leading ones broadcast.
+        Columns (..., n, m), with as many axes; the leading ones broadcast.
 
     Returns
     -------
     ndarray
-        (..., n, m); not a number where a matrix is not positive definite.
+        (..., n, m); nan where a matrix is not positive definite.
     """
     n = matrix.shape[-1]
     lower: dict[tuple[int, int], jax.Array] = {}

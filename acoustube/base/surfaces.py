@@ -1,4 +1,4 @@
-"""Closed surfaces from files, of walls and of lumens."""
+"""Closed surfaces of walls and of lumens, from files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from acoustube.base.foreign.limits import check_file, reading
 from acoustube.base.units import MM
 
 FARTHEST = 1e5
-"""Largest coordinate of a surface: of 100 m, single precision keeps hundredths of a millimetre."""
+"""Largest coordinate of a surface in mm: at 100 m, single precision resolves 0.01 mm."""
 SHORTEST = 1.0
 """Length in mm below which metres are suspected."""
 
@@ -39,7 +39,7 @@ def load(path: Path) -> trimesh.Trimesh:
         elif kind not in ("stl", "ply", "obj"):
             raise ValueError("it is of another kind")
         else:
-            # Of an open file, the library loads no textures that a surface may name.
+            # Given an open file, the library loads no textures that a surface may name.
             with path.open("rb") as file:
                 surface = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
     if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
@@ -113,7 +113,7 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     surface : trimesh.Trimesh
         In m, moved along z to begin at zero.
     start : float
-        Where it began, in m.
+        Coordinate z at which it began, in m.
 
     Raises
     ------
@@ -144,6 +144,6 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
         )
     check_crossings(surface, path)
     surface.apply_translation([0.0, 0.0, -low])
-    # In place, a scale of 1e-3 would make the library join corners.
+    # Scaling by 1e-3 in place would make the library merge corners.
     scaled = trimesh.Trimesh(surface.vertices / MM, surface.faces, process=False)
     return scaled, float(low / MM)

@@ -22,7 +22,7 @@ FULL = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file may not be that large here",
 }
-"""Error numbers of a place that cannot hold a file, in words."""
+"""Error numbers of the system where a file does not fit, and their descriptions."""
 
 
 class DiskFullError(SimulationError):
@@ -33,11 +33,11 @@ class DiskFullError(SimulationError):
     path : path
         The file.
     reason : str
-        Of :data:`FULL`.
+        Description from :data:`FULL`.
     needed : int
         Size of the output in bytes.
     then : str
-        What to know or to do.
+        Further information or advice.
     """
 
     def __init__(self, path: Path, reason: str, needed: int, then: str = "") -> None:
@@ -102,7 +102,7 @@ def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -
 
 @contextlib.contextmanager
 def _naming_file(path: Path, needed: int) -> Iterator[None]:
-    """Turn an error of the system into one that names the file, and the bytes needed."""
+    """Convert an error of the system to one that names the file and the bytes needed."""
     try:
         yield
     except OSError as error:
@@ -147,12 +147,12 @@ def begin(path: Path, head: bytes) -> io.FileIO:
 
 
 def _to_disk(path: Path, content: bytes) -> None:
-    """Write a new file, which is not there if that fails."""
+    """Write a new file; if that fails, leave none."""
     with path.open("xb") as file:
         try:
             file.write(content)
             file.flush()
-            os.fsync(file.fileno())  # or a power cut leaves the name with nothing in it
+            os.fsync(file.fileno())  # otherwise a power cut may leave an empty file
         except OSError:
             path.unlink(missing_ok=True)
             raise

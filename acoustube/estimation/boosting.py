@@ -28,12 +28,12 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     Parameters
     ----------
     n_folds : int
-        Models, each of which holds out one fold of the rows.
+        Number of models, each of which holds out one fold of the rows.
     max_iter : int
-        Trees of a model, as ``max_iter`` of scikit-learn.
+        Number of trees of a model, as ``max_iter`` of scikit-learn.
     learning_rate : float
     max_leaf_nodes : int
-        Most leaves of a tree, as ``max_leaf_nodes`` of scikit-learn.
+        Largest number of leaves of a tree, as ``max_leaf_nodes`` of scikit-learn.
     offset_columns : tuple of int or None
         For each target the column of X whose values are subtracted from it before training and
         added to the estimate; None for no offset.
@@ -48,9 +48,9 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
 
     Notes
     -----
-    scikit-learn's ``HistGradientBoostingRegressor``, after LightGBM [2]_. A second model of the
-    same folds estimates the absolute residuals of held-out rows from the features, and is itself
-    evaluated on held-out rows only [1]_.
+    The models are scikit-learn's ``HistGradientBoostingRegressor``, after LightGBM [2]_. A second
+    model on the same folds estimates the absolute residuals of held-out rows from the features, and
+    is itself evaluated on held-out rows only [1]_.
 
     References
     ----------

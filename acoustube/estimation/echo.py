@@ -18,13 +18,13 @@ from acoustube.estimation.uncertainty import Folds, Report
 class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Networks that estimate a Laplace distribution for each target, one network per fold.
 
-    For the features of :func:`acoustube.estimation.features.echo_features`. Position is estimated
-    as an offset from the distance of the strongest echo.
+    The inputs are the features of :func:`acoustube.estimation.features.echo_features`. Position is
+    estimated as an offset from the distance of the strongest echo.
 
     Parameters
     ----------
     n_folds : int
-        Networks, each of which holds out one fold of the rows.
+        Number of networks, each of which holds out one fold of the rows.
     epochs, batch_size : int
     learning_rate, weight_decay : float
         See :func:`acoustube.estimation.network.optimiser`.
@@ -44,9 +44,10 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     Notes
     -----
     A deep ensemble [1]_ of Laplace distributions in place of normal ones, since some strongest
-    echoes are not the press: outliers of a metre must not enter the loss squared. The estimate is
-    the mean of the networks' medians. Its scale is the root of the mean of their variances and the
-    variance of their medians, multiplied by the conformal quantile of held-out rows.
+    echoes are not those of the press: outliers of a metre must not enter the loss squared. The
+    estimate is the mean of the networks' medians. Its scale is the square root of their mean
+    variance plus the variance of their medians, multiplied by the conformal quantile of held-out
+    rows.
 
     References
     ----------
@@ -86,7 +87,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         scales = self.networks_.scaler
         out, log_scale = np.split(network.predict(self.networks_, self._inputs(x)), 2, axis=-1)
         unit = scales.y_deviation[:, None]
-        # A Laplace distribution of scale b has the deviation sqrt(2) b.
+        # A Laplace distribution of scale b has the standard deviation sqrt(2) b.
         width = np.sqrt(2) * np.exp(np.asarray(network.bounded(log_scale)))
         return scales.y_mean[:, None] + unit * out, unit * width
 

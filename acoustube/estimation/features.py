@@ -10,7 +10,7 @@ is selected by its level over the background: the clutter of the tube's irregula
 as echoes are, and a constant noise.
 
 The thresholds were chosen by hand on simulated cycles of the default rangefinder
-(:mod:`acoustube.ranging`). They are part of the definition of the features: a change of one needs a
+(:mod:`acoustube.ranging`). They are part of the definition of the features: changing one requires a
 new format of model files.
 """
 
@@ -71,11 +71,11 @@ ENVELOPE_DELAYS = np.delete(np.arange(-6, 13), 6) * 1e-4
 LEAST_AMPLITUDE = 1e-6
 """Lower bound of amplitudes, relative to the send pulse: under a hundredth of an ADC count."""
 FIRST_ECHO_RATIO, FIRST_ECHO_REACH = 0.5, 0.25
-"""Least amplitude of a press's first echo, relative to its strongest, and largest lead in m."""
+"""Smallest amplitude of a press's first echo relative to its strongest, and largest lead in m."""
 NOISE_MAXIMUM = 3.0
 """Maximum of the noise in a window over its median: lower peaks are not echoes."""
 LEAST_PROMINENCE = 0.5
-"""Least prominence of an echo, relative to the background."""
+"""Smallest prominence of an echo, relative to the background."""
 N_OTHER_ECHOES = 2
 """Number of further echoes among the features."""
 SAME_PRESS_DISTANCE = 0.1
@@ -137,7 +137,7 @@ def feature_table(
     Raises
     ------
     ValueError
-        As :func:`acoustube.signals.process`.
+        As for :func:`acoustube.signals.process`.
     """
     if missing := {"time", "signal", "temperature"} - {str(name) for name in cycles.variables}:
         raise ConfigError(f"the cycles have no {min(missing)}; give a dataset of recordings")
@@ -241,10 +241,10 @@ def echo_features(
     Notes
     -----
     With the plane mode's attenuation a, the envelope e at distance l corresponds to e exp(2 a l) at
-    the reflector. The clutter k is the median of that over the samples of the search window above
-    the noise. The noise n is the median of e after the search window, or within it if the record
-    ends there. The background is hypot(k exp(-2 a l), 3 n). It replaces a time gain fitted to
-    closures: it follows from the physics and from the cycle itself.
+    the reflector. The clutter k is the median of this level over the samples of the search window
+    that exceed the noise. The noise n is the median of e after the search window, or within it if
+    the record ends there. The background is hypot(k exp(-2 a l), 3 n). It replaces a time gain
+    fitted to closures: it follows from the physics and from the cycle itself.
     """
     ranging = locate(
         time, signal, replace(settings, gain=None, prominence=1.0), temperature=temperature
@@ -302,7 +302,7 @@ def _levels(
     quiet = np.where(past.sum(axis=-1, keepdims=True) > envelope.shape[-1] // 20, past, inside)
     noise = _median(envelope, quiet)
     audible = inside & (envelope > 3 * noise)
-    # Where no clutter exceeds the noise, the noise at the tube's start bounds it.
+    # Where no clutter exceeds the noise, the noise at the tube's start is its upper bound.
     audible |= inside & ~audible.any(axis=-1, keepdims=True) & (place < 2 * settings.nearest)
     return _median(envelope * gain, audible), noise
 
@@ -314,10 +314,10 @@ def _median(values: Array, where: NDArray[np.bool_]) -> Array:
 
 
 def _attenuation(frequency: Array, temperatures: Array, radii: Array) -> Array:
-    """Return the plane mode's attenuation in dB/m at frequencies, of each cycle (cycle, frequency).
+    """Return the plane mode's attenuation in dB/m for each cycle, (cycle, frequency).
 
-    Interpolated linearly, with an error under 0.1 %, between multiples of :data:`TEMPERATURE_STEP`:
-    fixed ones, so that a cycle's features do not depend on other cycles.
+    It is interpolated linearly, with an error under 0.1 %, between multiples of
+    :data:`TEMPERATURE_STEP`, which are fixed: a cycle's features do not depend on other cycles.
     """
     attenuation = np.empty((len(temperatures), len(frequency)))
     place = np.asarray(temperatures) / TEMPERATURE_STEP
@@ -345,7 +345,7 @@ def _decibel(fraction: Array) -> Array:
 
 
 def _sampled(envelope: Array, time: Array, at: Array) -> Array:
-    """Return envelopes at times (cycle, n) in s, linear between the samples; nan at nan."""
+    """Return envelopes at times (cycle, n) in s, interpolated linearly; nan at nan."""
     place = np.clip((at - time[0]) * sampling_rate(time), 0, time.size - 1.001)
     index = np.nan_to_num(place).astype(int)
     fraction = place - index

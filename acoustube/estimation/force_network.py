@@ -1,6 +1,6 @@
 """Force network of the sleeve paper: from peak amplitude and estimated distance to force.
 
-As section II-B of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+It follows section II-B of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
 Localization and Force Sensing" (the sleeve paper).
 """
 
@@ -29,7 +29,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     Parameters
     ----------
     n_folds : int
-        Networks, each of which holds out one fold of the rows.
+        Number of networks, each of which holds out one fold of the rows.
     epochs, batch_size : int
     learning_rate, weight_decay : float
         Settings of Adam; the decay is an L2 term in the gradient, see
@@ -52,7 +52,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     Notes
     -----
     The scale of an estimate is the root sum of squares of the spread between the folds and the
-    residuals of held-out rows with a similar estimate.
+    typical residual of held-out rows with a similar estimate.
     """
 
     n_folds: int = 10

@@ -13,7 +13,7 @@ from acoustube.base.types import Array
 
 ROWS = Reals(missing=True, empty=True)
 MIN_ROWS = 50
-"""Least number of training rows: fewer do not determine a standard deviation."""
+"""Smallest number of training rows: fewer do not determine a standard deviation."""
 
 
 SETTINGS = {
@@ -27,7 +27,7 @@ SETTINGS = {
     "hidden": Several(Number(1, 1e5, "units", whole=True)),
     "seed": SEED,
 }
-"""Rules of the estimators' parameters, which scikit-learn leaves to ``fit``."""
+"""Rules of the estimators' parameters; by scikit-learn's convention ``fit`` checks them."""
 
 
 def check_settings(estimator: Any) -> None:
@@ -38,7 +38,7 @@ def check_settings(estimator: Any) -> None:
 
 
 def groups_of(groups: Any, rows: Array) -> Any:
-    """Return the groups of rows; each row on its own where none are given.
+    """Return the groups of rows; without given groups, each row is a group of its own.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def groups_of(groups: Any, rows: Array) -> Any:
 
 
 def is_constant(values: Array) -> bool:
-    """Return whether a target is equal in all rows, to rounding."""
+    """Return whether a target is equal in all rows, up to rounding."""
     return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
 
 

@@ -115,14 +115,14 @@ def bins(values: ArrayLike, width: float) -> tuple[Array, NDArray[np.intp]]:
     Parameters
     ----------
     values : array of shape (n,)
-        Those that are not finite are in no bin.
+        Values that are not finite are in no bin.
     width : float
         Bins begin at its multiples: 5 cm divide the sleeve paper's 20 to 210 cm into 38.
 
     Returns
     -------
     edges : array of shape (bin, 2)
-        Lower and upper edges, rising. A value at an edge, to rounding, is in the upper bin.
+        Lower and upper edges, rising. A value at an edge, up to rounding, is in the upper bin.
     index : array of int of shape (n,)
         Index of the bin; -1 for values that are not finite.
     """

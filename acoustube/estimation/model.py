@@ -84,7 +84,7 @@ def targets_of(name: str, table: xr.Dataset) -> tuple[str, ...]:
 
 
 def usable(table: xr.Dataset, targets: tuple[str, ...]) -> Any:
-    """Return which cycles have an echo and all labels, bool (cycle,)."""
+    """Return the mask (cycle,) of the cycles that have an echo and all labels."""
     used = np.isfinite(table["features"].values).all(axis=1)
     for target in targets:
         used &= np.isfinite(table[target].values)
@@ -211,7 +211,7 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
     found = np.full((3, len(features), len(model.targets)), np.nan)
     if seen.any():
         rows = features[seen]
-        with np.errstate(all="ignore"):  # what is not finite in the end is refused
+        with np.errstate(all="ignore"):  # estimates that are not finite are rejected below
             middle, deviation = model.estimator.predict(rows, return_std=True)
             wide = model.estimator.half_width(rows, WIDE)
         shape = (len(rows), len(model.targets))

@@ -1,8 +1,8 @@
 """Files of models: NumPy arrays and one line of JSON, read without pickle.
 
 The arrays are validated before use. skops.io was considered for the trees: it stores scikit-learn's
-private node type under a whitelist, but does not validate the nodes, of which a crafted file could
-make an endless walk, and depends on the version of scikit-learn that wrote them.
+private node type under a whitelist, but does not validate the nodes, with which a crafted file
+could make the evaluation endless, and depends on the version of scikit-learn that wrote them.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ FORMAT = 1
 """Version of the format; raised when the stored arrays, or the definition of features, change."""
 KIND = "acoustube model"
 ORIGIN = ("cycles", "trained", "by")
-"""Names of what a model was trained with."""
+"""Keys of a model's ``origin``: what it was trained with."""
 RATE = Number(1e3, 1e8, "Hz", "samples per second")
 FILE_NAMES = {
     "max_iter": "iterations",
     "max_leaf_nodes": "leaves",
     "offset_columns": "added_to",
 }
-"""Names in files of settings that are called otherwise in Python."""
+"""Names in files of the settings that have other names in Python."""
 
 
 @checked(model=Model, path=PATH)
@@ -213,7 +213,7 @@ def _networks(
 
 
 def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
-    """Return validated trees: every walk must end, because the compiled one checks no bounds."""
+    """Return validated trees: every path must end, as compiled evaluation checks no bounds."""
     trees = Trees(**{name: arrays[f"{part}_{name}"] for name in Trees._fields})
     nodes, own = len(trees.feature), np.arange(len(trees.feature))
     inner = trees.feature >= 0

@@ -151,7 +151,7 @@ def batches(
     """Return the shuffled rows of each batch of an epoch: (step, fold, row).
 
     Every row of a fold's training set occurs once; the last batch is filled up with the first rows.
-    Folds with fewer rows than the largest repeat their first ones, so that all take equal steps.
+    Folds with fewer rows than the largest repeat their first ones, so that all take as many steps.
     """
     most = len(fold) - int(np.bincount(fold, minlength=count).min())
     steps = -(-most // size)

@@ -27,7 +27,7 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     Parameters
     ----------
     cycles : xarray.Dataset
-        With ``session`` or ``tube`` (cycle), names or numbers, if the split is by them.
+        With ``session`` or ``tube`` (cycle), names or numbers, for a split by these.
     by : str
         ``cycle``: each cycle is a group. ``session`` or ``tube``: sessions of different tubes are
         different groups.

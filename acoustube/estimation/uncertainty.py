@@ -1,9 +1,8 @@
 """Conformal prediction intervals from the residuals of held-out rows.
 
-Split-conformal prediction [1]_: for any scale that an estimator states with each estimate, the
-quantiles of residual over scale on held-out rows are the factors that multiply the scale
-for a wanted coverage. Held-out and future rows must be exchangeable: held out by tube, for new
-tubes.
+Split-conformal prediction [1]_: an estimator states a scale with each estimate. The factor on the
+scale for a wanted coverage is a quantile of residual over scale on held-out rows. Held-out and
+future rows must be exchangeable: for intervals valid in new tubes, rows are held out by tube.
 
 References
 ----------
@@ -98,15 +97,15 @@ def residual_scale(estimate: Array, residual: Array) -> tuple[Array, Array]:
     Returns
     -------
     at, scale : array of shape (bin,)
-        Median of the estimates in a bin, and standard deviation of its residuals from their median
-        absolute value. Bins have equal numbers of rows; interpolate between them.
+        Median of the estimates in a bin, and standard deviation of its residuals, estimated from
+        their median absolute value. Bins have equal numbers of rows; interpolate between them.
     """
     order = np.argsort(estimate, kind="stable")
     count = int(np.clip(len(order) // ROWS_PER_BIN, 1, MAX_BINS))
     parts = np.array_split(order, count)
     at = np.array([np.median(estimate[part]) for part in parts])
     scale = np.array([NORMAL_MEDIAN * np.median(np.abs(residual[part])) for part in parts])
-    # A lower bound for bins of which more than half the rows fit exactly.
+    # A lower bound for bins in which more than half of the rows are fitted exactly.
     typical = float(np.median(np.abs(residual))) or float(np.mean(np.abs(residual)))
     return at, np.maximum(scale, 1e-3 * typical + np.finfo(float).tiny)
 
@@ -136,12 +135,12 @@ class Conformal:
         Parameters
         ----------
         X : array of shape (row, input)
-            Of the force network in the sleeve paper amplitude and distance.
+            Inputs; for the sleeve paper's force network, amplitude and distance.
         y : array of shape (row, target)
-            Of the force network the force in N, (row,).
+            Targets; for the force network, the force in N, (row,).
         groups : array of int of shape (row,), optional
-            Rows of one group are held out together; each row on its own by default, as in the
-            sleeve paper.
+            Rows of one group are held out together; by default each row is its own group, as in
+            the sleeve paper.
         progress : callable, optional
             Called with the finished fraction; by networks as
             :data:`acoustube.estimation.network.Progress`.
@@ -173,7 +172,7 @@ class Conformal:
         ----------
         X : array of shape (row, input)
         return_std : bool
-            True to return their standard deviations, too.
+            True to return their standard deviations as well.
 
         Returns
         -------

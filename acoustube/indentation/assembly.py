@@ -49,7 +49,7 @@ class Model:
     elements : array of int, shape (n_blocks, n_block, n_local)
         Nodes of the wall's elements; the last element is repeated.
     rules : tuple of Quadrature
-        Of the blocks of elements; the weights of repeated elements are zero.
+        Quadrature of the blocks of elements; the weights of repeated elements are zero.
     outer_faces : array of int, shape (n_blocks, n_block, n_face_nodes)
         Nodes of the outer faces; the last face is repeated.
     outer_areas : array of shape (n_blocks, n_block, n_points)
@@ -97,7 +97,7 @@ def _weights_of_mesh(blocks: list[Array], n_rows: int) -> Array:
 
 
 def _joined(blocks: list[Any], n_rows: int) -> Array:
-    """Return the rows of blocks, those that are repeated left out."""
+    """Return the rows of blocks without the repeated ones."""
     return np.concatenate([np.asarray(block) for block in blocks])[:n_rows]
 
 
@@ -151,11 +151,11 @@ class State(NamedTuple):
     displacement : array of shape (n_nodes, 3)
         In m.
     energy : float
-        Of the modelled part, in J.
+        Potential energy of the modelled part, in J.
     gradient : array of shape (n_free,)
         Residual (out-of-balance) forces on the unknowns, in N.
     norm : float
-        Of the gradient, in N.
+        Norm of the gradient, in N.
     """
 
     displacement: Array
@@ -224,13 +224,13 @@ def stiffness(
     model, displacement, bodies
         As for :func:`evaluate`.
     convex : bool
-        Leave out what makes it indefinite first: the geometric stiffness of the pressure in the
-        wall, and the negative eigenvalues of the self-contact barrier.
+        Leave out the terms that make the tangent indefinite first: the geometric stiffness of the
+        pressure in the wall, and the negative eigenvalues of the self-contact barrier.
 
     Returns
     -------
     sparse array of shape (n_free, n_free)
-        Its lower triangle, in N/m.
+        Lower triangle of the tangent stiffness, in N/m.
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     share = 0.0 if convex else 1.0
@@ -279,7 +279,7 @@ def equilibrium_results(
 ) -> EquilibriumResults:
     """Compute forces, contact areas and energy of an equilibrium.
 
-    Arguments as of :func:`evaluate`; the last of the bodies is the ground.
+    Arguments as for :func:`evaluate`; the last body is the ground.
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     energies, _ = _wall_of(model, displacement)

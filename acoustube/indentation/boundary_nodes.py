@@ -1,8 +1,8 @@
 """Quadratic tetrahedra from linear ones: boundary nodes on the wall's surface and in planes.
 
-Mid-edge nodes are added, and the nodes of both walls moved to the closest points of the surface,
-those of symmetry planes and ends into their plane. Nodes whose element would be distorted too much
-stay off the surface.
+Mid-edge nodes are added. The nodes of both walls are moved to the closest points of the surface,
+and those of symmetry planes and ends into their plane. Nodes whose element would be distorted too
+much stay off the surface.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from acoustube.indentation.wall_surface import Walls, closest
 ENVELOPE = 1 / 25
 """Largest distance of the linear tetrahedra from the surface, in wall thicknesses.
 
-Their corners are projected onto it; a narrower envelope only forces small elements at the bore."""
+Their corners are then projected onto the surface; a narrower envelope only forces small elements
+at the bore."""
 MIN_JACOBIAN_RATIO = 0.2
 """Smallest Jacobian in an element with curved edges, as a fraction of the straight element's."""
 ON_SURFACE = 1e-3
-"""Largest distance of a node from the wall or plane that it counts as on, in wall thicknesses."""
+"""Largest distance at which a node counts as lying on a wall or plane, in wall thicknesses."""
 MIN_NORMAL_COSINE = 0.7
 """Smallest cosine between the normals of a plane and of a face that lies in it."""
 PROJECTION_ROUNDS = 3
-"""Alternating projections onto wall and plane of the nodes where both meet."""
+"""Number of alternating projections onto wall and plane, for nodes where the two meet."""
 
 _CORNERS = np.array(list(itertools.combinations(range(4), 3)))
 TETRAHEDRON_FACES = np.array(
@@ -50,7 +51,7 @@ class Plane(NamedTuple):
     Attributes
     ----------
     axis : int
-        Its normal: 0 for x, 2 for z.
+        Axis of its normal: 0 for x, 2 for z.
     value : float
         Its coordinate on that axis, in m.
     side : int
@@ -85,8 +86,8 @@ def quadratic(
     -------
     mesh : Mesh
     off_surface : float
-        Fraction of a wall's nodes that could not be moved onto it (of the worse wall), or one if a
-        node could not be moved into its plane.
+        Fraction of a wall's nodes that could not be moved onto the wall (the larger fraction of
+        the two walls), or one if a node could not be moved into its plane.
 
     Raises
     ------
@@ -160,7 +161,7 @@ def boundary_faces(elements: Index, points: Array) -> Index:
 
 
 def _faces_in_planes(faces: Array, planes: Sequence[Plane], tolerance: float) -> Mask:
-    """Return the mask (n_planes, n_faces) of faces (n_faces, 6, 3) that lie in a plane."""
+    """Return the mask (n_planes, n_faces) of the faces (n_faces, 6, 3) that lie in each plane."""
     a, b, c = np.moveaxis(faces[:, :3], 1, 0)
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -192,7 +193,7 @@ def _projected(
     bounds: Sequence[tuple[trimesh.Trimesh, Index]],
     snapped: Sequence[tuple[Plane, Index]],
 ) -> Array:
-    """Return the nodes with those of a wall projected onto it, those of a plane moved into it."""
+    """Return the nodes, projected onto their wall and moved into their plane."""
     for _ in range(PROJECTION_ROUNDS):
         points = points.copy()
         for wall, nodes in bounds:
@@ -245,7 +246,7 @@ def jacobians(points: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_elements, n)
-        At the nodes and then the quadrature points of quadratic elements; one of linear ones.
+        In m3. Quadratic elements: at the nodes, then at the quadrature points. Linear ones: n = 1.
     """
     if elements.shape[1] == 4:
         sides = points[elements[:, 1:]] - points[elements[:, :1]]

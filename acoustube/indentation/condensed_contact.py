@@ -1,13 +1,13 @@
 """Newton steps with the contact solved exactly, condensed to the nodes where it changes.
 
 Between two states of a press some hundred points of the wall come into contact or leave it.
-Newton's method, which linearises the contact with the rest, finds them in six to ten iterations,
-each with a factorisation. Here the wall alone is linearised: from the factor of one tangent follows
-the compliance of the nodes whose contact changes, a small dense matrix, and the contact problem on
-it is solved to the end, by the semismooth Newton method [2]_. Elimination of all but the nodes in
-contact is due to Francavilla and Zienkiewicz [1]_. The step is a minimiser of an energy whose only
-nonlinear part is contact; a few steps with the same factor then remove what the wall's own
-nonlinearity leaves.
+Newton's method, which linearises the contact as well, takes six to ten iterations to find them,
+each with a factorisation. Here the wall alone is linearised. The factor of one tangent gives the
+compliance of the nodes whose contact changes (the zone), a small dense matrix. The contact problem
+on the zone is solved to convergence by the semismooth Newton method [2]_. Eliminating all nodes but
+those in contact is due to Francavilla and Zienkiewicz [1]_. The step minimises an energy whose only
+nonlinear part is contact; a few steps with the same factor then remove the residual that the
+nonlinearity of the wall leaves.
 
 References
 ----------
@@ -32,17 +32,17 @@ from acoustube.indentation.multifrontal import MultifrontalFactor
 from acoustube.indentation.padding import padded
 
 LARGEST_ZONE = 1000
-"""Unknowns of the nodes whose contact changes, above which a step is linear in the contact too."""
+"""Largest number of unknowns of the zone; beyond it, a step linearises the contact as well."""
 ROUNDS = 6
-"""Extensions of the zone in one step."""
+"""Largest number of extensions of the zone in one step."""
 NEGLIGIBLE = 1e-4
-"""Change of a point's contact force beyond its linear part, relative to the residual, that is
-left to the next step."""
+"""Nonlinear part of the change of a contact force, relative to the residual, up to which its face
+is left out of the zone."""
 ITERATIONS = 30
 PRECISION = 1e-4
-"""Largest error of the displacements in the zone, relative to the largest of the linear step.
+"""Largest error of the zone's displacements, relative to the largest one of the linear step.
 
-A step leaves more by the nonlinearity of the wall: it lowers the residual 5 to 20 times."""
+The nonlinearity of the wall leaves a larger error: a step lowers the residual 5 to 20 times."""
 HALVINGS = 6
 
 _gaps = jax.jit(contact.gaps)
@@ -51,7 +51,7 @@ _pressures = jax.jit(contact.pressures)
 
 @dataclass(eq=False)
 class CondensedContact:
-    """A factorised tangent, with the compliance of the nodes whose contact changes.
+    """A factorised tangent, with the compliance of the zone: the nodes whose contact changes.
 
     Parameters
     ----------
@@ -59,9 +59,9 @@ class CondensedContact:
     bodies : tuple of Body
         Indenters and ground at their heights.
     factor : MultifrontalFactor
-        Of the tangent, or of a matrix near it, at a state.
+        Factor of the tangent, or of a matrix near it, at a state.
     displacement : array of shape (n_nodes, 3)
-        That state, in m.
+        Displacements of that state, in m.
     """
 
     model: Model
@@ -93,8 +93,8 @@ class CondensedContact:
         Returns
         -------
         array of shape (n_free,)
-            That of the factor alone where the zone becomes too large or its contact problem is not
-            solved.
+            The linear step of the factor if the zone becomes too large or its contact problem is
+            not solved.
         """
         linear = -self.factor(state.gradient)
         gap, _ = self._gaps(state.displacement)
@@ -126,9 +126,10 @@ class CondensedContact:
 
         Notes
         -----
-        The contact stiffness of the zone changes, by D. The tangent is positive definite if, in
-        addition to the factorised one, the Schur complement of the zone is: the inverse of its
-        compliance plus D, or ``I + L^T D L`` with the compliance's Cholesky factor L.
+        Let D be the change of the zone's contact stiffness. The tangent is positive definite if
+        the factorised one is, and the Schur complement of the zone, the inverse of its compliance
+        plus D, is as well. The latter holds if ``I + L^T D L`` is positive definite, with the
+        Cholesky factor L of the compliance.
         """
         if not self._zone.size:
             return True
@@ -148,16 +149,16 @@ class CondensedContact:
         return np.asarray(gap)[:, : len(faces)], np.asarray(normal)[:, : len(faces)]
 
     def _laws(self, gap: Array) -> tuple[Array, Array]:
-        """Return the points' contact forces in N, negative, and stiffnesses in N/m."""
+        """Return the contact forces in N (negative) and stiffnesses in N/m at the points."""
         faces = np.moveaxis(gap, 1, 0)
         slope, bend = _pressures(np.moveaxis(padded(faces), 0, 1), self.bodies)
         area = self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
         return np.asarray(slope)[:, : len(area)] * area, np.asarray(bend)[:, : len(area)] * area
 
     def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
-        """Return the change of the gaps by a motion of the nodes, (body, face, point).
+        """Return the change of the gaps due to a motion of the nodes, shape (body, face, point).
 
-        Zero for all faces but those given.
+        It is zero for all faces but those given.
         """
         change = np.zeros(self._stiffness.shape)
         points = self._shapes @ moved[self._nodes[at]]
@@ -165,7 +166,7 @@ class CondensedContact:
         return change
 
     def _excess(self, gap: Array, before: Array, closing: Array) -> tuple[Array, Array]:
-        """Return the change in N of the points' forces beyond its linear part, and stiffnesses."""
+        """Return the nonlinear part in N of the change of the points' forces, and stiffnesses."""
         force, stiffness = self._laws(gap + closing)
         return force - before - self._stiffness * closing, stiffness
 
@@ -194,8 +195,8 @@ class CondensedContact:
     def _contact_forces(self, gap: Array, before: Array, linear: Array) -> Array | None:
         """Solve the contact problem on the zone; return its forces on the unknowns, in N.
 
-        For the displacements v of the zone, ``v - v_linear + C f(v) = 0`` with the compliance C
-        and the forces f beyond the linear part; None without convergence.
+        The displacements v of the zone satisfy ``v - v_linear + C f(v) = 0``, with the compliance C
+        and the nonlinear part f of the contact forces. None without convergence.
         """
         moved, scale = linear, np.abs(linear).max()
 
@@ -221,7 +222,7 @@ class CondensedContact:
         return None
 
     def _zone_forces(self, point_forces: Array) -> Array:
-        """Return the forces on the unknowns of the points of the zone's faces."""
+        """Return the forces on the unknowns due to forces at the points of the zone's faces."""
         at, shapes = self._faces, self._shapes
         normal = self._normal[:, at]
         local = np.einsum("qn,bfqi,bfq->fni", shapes, normal, point_forces[:, at], optimize=True)
@@ -230,7 +231,7 @@ class CondensedContact:
         return total[self.model.free]
 
     def _zone_stiffness(self, stiffness: Array) -> Array:
-        """Return what the points' stiffnesses add to the factorised tangent, on the zone."""
+        """Return the change of the zone's stiffness matrix from that in the factorised tangent."""
         at, shapes, size = self._faces, self._shapes, len(self._zone)
         normal, change = self._normal[:, at], (stiffness - self._stiffness)[:, at]
         at_points = np.einsum("bfq,bfqi,bfqj->fqij", change, normal, normal, optimize=True)
@@ -265,7 +266,7 @@ class CondensedContact:
 
 
 def _solved(compliance: Array, stiffness: Array, right: Array) -> Array | None:
-    """Return x of ``x + C K x = right``, or None; solved for the unknowns that K concerns."""
+    """Solve ``x + C K x = right``, reduced to the nonzero rows of K; return None if that fails."""
     stiff = np.flatnonzero(stiffness.any(axis=1))
     own = stiffness[np.ix_(stiff, stiff)]
     matrix = np.eye(len(stiff)) + compliance[np.ix_(stiff, stiff)] @ own

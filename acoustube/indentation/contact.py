@@ -1,8 +1,8 @@
 """Frictionless contact of the outer wall with indenters and the ground: a smoothed penalty.
 
-Each body is an analytic signed distance and a contact law, the energy per area as a function of it.
-The energy is integrated over the outer wall's faces at quadrature points [1]_: node-to-surface
-contact would need tensile forces in the corners of quadratic faces.
+Each body is an analytic signed distance and a contact law: the energy per area as a function of
+that distance. The energy is integrated over the outer wall's faces at quadrature points [1]_:
+node-to-surface contact would need tensile forces in the corners of quadratic faces.
 
 References
 ----------
@@ -27,8 +27,8 @@ At the pressures of a 7 mm press (under 0.5 MPa) the wall penetrates the rod by 
 CONTACT_SMOOTHING = 3e-4
 """Half width of the smoothed contact onset, in wall thicknesses (0.5 um).
 
-The tube's initial stiffness is 0.47 N/mm: with an onset wider by 4 um at the indenter and at the
-ground the force at 0.25 mm would differ by 3 %."""
+The tube's initial stiffness is 0.47 N/mm: an onset wider by 4 um at the indenter and at the ground
+would change the force at 0.25 mm by 3 %."""
 
 
 class Body(NamedTuple):
@@ -98,11 +98,11 @@ def punch_gap(radius: Scalar, edge: Scalar, x: Scalar, z: Scalar, point: Array) 
 
     Notes
     -----
-    The distance to the cylinder that is smaller by the edge radius, minus the edge radius. Inside,
-    the larger (nearer) of the distances to the side and to the end.
+    The distance to a cylinder that is smaller by the edge radius, minus the edge radius. Inside
+    that cylinder, distances are negative, and the larger one (to the nearer of side and end) holds.
     """
-    # The square root has no derivative at zero: 1e-30 keeps the axis differentiable, and
-    # `where` the points level with the flat end.
+    # The square root has no derivative at zero: 1e-30 keeps it differentiable on the axis, and
+    # `where` at points level with the flat end.
     out = jnp.sqrt((point[0] - x) ** 2 + (point[2] - z) ** 2 + 1e-30) - (radius - edge)
     down = edge - point[1]
     beyond = jnp.maximum(out, 0.0) ** 2 + jnp.maximum(down, 0.0) ** 2
@@ -269,7 +269,7 @@ def energies_and_forces(
 def tangents(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]) -> Array:
     """Return the contact stiffness in N/m of every face, shape (n_faces, 3 n_local, 3 n_local).
 
-    Arguments as of :func:`energies_and_forces`.
+    Arguments as for :func:`energies_and_forces`.
     """
 
     def of_one(position: Array, area: Array) -> Array:
@@ -281,7 +281,7 @@ def tangents(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ..
 
 
 def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
-    """Return the gaps of the faces' points to bodies, and their gradients by the point.
+    """Return the gaps between the faces' points and bodies, and the gradients of the gaps.
 
     Parameters
     ----------
@@ -296,6 +296,7 @@ def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Arra
     gap : array of shape (n_bodies, n_faces, n_points)
         In m.
     normal : array of shape (n_bodies, n_faces, n_points, 3)
+        Gradient with respect to the point's position.
     """
     up = jnp.array([0.0, 1.0, 0.0])
     points = jnp.einsum("qn,fni->fqi", shapes, position)
@@ -307,7 +308,7 @@ def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Arra
 
 
 def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
-    """Return the first and second derivatives of the contact laws by the gap, in Pa and Pa/m.
+    """Return the first and second derivatives in Pa and Pa/m of the contact laws, by the gap.
 
     Parameters
     ----------
@@ -330,7 +331,7 @@ def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
 def force(position: Array, area: Array, shapes: Array, body: Body) -> Array:
     """Return the upward force in N on a body: minus the derivative of the energy by its height.
 
-    Arguments as of :func:`energies_and_forces`, for one body.
+    Arguments as for :func:`energies_and_forces`, for one body.
     """
 
     def total(height: Scalar) -> Array:

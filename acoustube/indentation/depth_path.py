@@ -1,9 +1,9 @@
 """States of a press as smooth functions of depth, interpolated between the rows of an indentation.
 
 Cubic splines through the displacements of the rows, which have continuous first and second
-derivatives [1]_. The derivative of a state by depth follows from its tangent stiffness as well,
-but it is that of one set of contact points, which changes every few micrometres: with such
-derivatives (Hermite's cubics) the error at depths between was up to three times as large.
+derivatives [1]_. The derivative of a state by depth also follows from its tangent stiffness, but it
+holds for one set of contact points only, which changes every few micrometres. With such
+derivatives (cubic Hermite splines) the error between the rows was up to three times as large.
 
 References
 ----------
@@ -27,7 +27,7 @@ from acoustube.base.units import MM
 from acoustube.indentation.result import RESULTS, Indentation
 
 FEWEST_ROWS = 5
-"""Rows from which on an interpolation has an error estimate: a cubic through all but one."""
+"""Smallest number of rows: a cubic through all but one estimates the error at that one."""
 _SOLVED = ("depth", "displacement", "press_force", "iterations", "residual")
 
 
@@ -37,7 +37,7 @@ class InterpolationError(NamedTuple):
     Attributes
     ----------
     displacement : array
-        Largest over the nodes, in m.
+        Largest error over the nodes, in m.
     contact_force : array
         In N.
     """
@@ -69,7 +69,7 @@ class DepthPath:
     indentation: Indentation
 
     def __post_init__(self) -> None:
-        """Count the rows."""
+        """Check the number of rows."""
         rows = len(self.indentation.depth)
         if rows < FEWEST_ROWS:
             raise ConfigError(
@@ -78,7 +78,7 @@ class DepthPath:
             )
 
     def displacement(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the displacements of the nodes, or a derivative of them by depth.
+        """Return the displacements of the nodes, or their derivative by depth.
 
         Parameters
         ----------
@@ -90,12 +90,12 @@ class DepthPath:
         Returns
         -------
         array of shape (..., n_nodes, 3)
-            In m, per m for each order.
+            In m, divided by m once for each order of the derivative.
         """
         return np.asarray(self._displacement(self._checked(depth), derivative))
 
     def press_force(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the force on each indenter, or a derivative of it by depth.
+        """Return the force on each indenter, or its derivative by depth.
 
         Parameters
         ----------
@@ -105,18 +105,18 @@ class DepthPath:
         Returns
         -------
         array of shape (..., n_indenters)
-            In N, per m for each order.
+            In N, divided by m once for each order of the derivative.
         """
         return np.asarray(self._press_force(self._checked(depth), derivative))
 
     def contact_force(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the total force on all indenters; arguments as of :meth:`displacement`."""
+        """Return the total force on all indenters; arguments as for :meth:`displacement`."""
         return self.press_force(depth, derivative).sum(axis=-1)
 
     def at(self, depth: ArrayLike) -> Indentation:
         """Return an indentation with rows at given depths.
 
-        For functions that measure, draw or export the rows of an indentation.
+        It serves functions that evaluate, draw or export the rows of an indentation.
 
         Parameters
         ----------
@@ -161,12 +161,12 @@ class DepthPath:
 
         Notes
         -----
-        By cross-validation: each row but the first and the last is predicted from all others, and
-        between two rows the larger of their two errors holds; at a row the error is zero. The gap
-        that is bridged there is twice as wide, so that displacements are about three times as
-        accurate as estimated. Forces waver with the number of contact points, by 0.3 %, whatever
-        the distance of the rows, and are off by up to twice the estimate. Between the last open and
-        the first closed row the slope of the force changes more than the rows resolve.
+        By cross-validation: each row but the first and the last is predicted from all others. The
+        estimate between two rows is the larger of their two errors; at a row it is zero. The
+        interval without its row is twice as wide, so that displacements are about three times as
+        accurate as estimated. Forces fluctuate by 0.3 % with the number of contact points, at any
+        spacing of the rows; their errors are up to twice the estimate. Between the last open and
+        the first closed row the slope of the force changes faster than the rows resolve.
         """
         depth = self._checked(depth)
         rows = self.indentation.depth
@@ -188,7 +188,7 @@ class DepthPath:
 
     @cached_property
     def _left_out(self) -> tuple[Array, Array]:
-        """Errors of displacement and force at the inner rows, predicted from all others."""
+        """Errors of displacement and force at each inner row when predicted from all others."""
         given, count = self.indentation, len(self.indentation.depth)
         moved, force = [], []
         for row in range(1, count - 1):

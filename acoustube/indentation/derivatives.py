@@ -41,7 +41,7 @@ from acoustube.indentation.result import Indentation
 from acoustube.indentation.self_contact import triangulated
 
 SECTION_PARTS = 8
-"""Sides of the polygon in which the lumen's area is measured, along the edge of an element."""
+"""Sides per element edge of the polygon whose area is taken as the lumen's."""
 
 
 class Design(NamedTuple):
@@ -175,7 +175,7 @@ def _problem(
     first = _first_touched(sampling @ mesh.points, indenter, touch)
     row = sampling[[first]].toarray()[0]
     wrinkles = model.wrinkle_stiffness / (tube.shear_modulus * reach)
-    # A mesh of another length than the default keeps its ratio to it.
+    # A mesh whose length is not the default keeps the ratio of its length to the default.
     ratio_of_reach = reach / pressed_reach(tube.outer_diameter, indenter.diameter)
 
     def problem(design: Design) -> _Problem:
@@ -233,7 +233,7 @@ def _residual_derivative(
     displacement: Array,
     design: Design,
 ) -> Callable[[Design], Array]:
-    """Return the directional derivative of the nodal forces (n_nodes, 3) by the design.
+    """Return the derivative of the nodal forces (n_nodes, 3) along a direction of the design.
 
     The displacements are constant.
     """
@@ -266,7 +266,7 @@ def _residual_derivative(
 
 
 def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
-    """Return the force of the whole tube on the indenter by displacement and design."""
+    """Return the whole tube's force on the indenter as a function of displacement and design."""
     mesh = indentation.mesh
 
     def force(displacement: Any, design: Design) -> Any:
@@ -279,7 +279,7 @@ def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> A
 
 
 def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> Any:
-    """Return the lumen's cross-sectional area at z = 0 by displacement and design."""
+    """Return the lumen's area in the section z = 0 as a function of displacement and design."""
     mesh = indentation.mesh
     sampling, _ = triangulated(mesh, parts=SECTION_PARTS)
     rest = sampling @ mesh.points
@@ -298,7 +298,7 @@ def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> An
 
 
 def _directional(result: Any, displacement: Array, design: Design) -> Any:
-    """Return the directional derivative of a result by displacement and design."""
+    """Return the directional derivative of a result with respect to displacement and design."""
 
     @jax.jit
     def directional(displacement: Any, design: Design, moved: Any, along: Design) -> Any:

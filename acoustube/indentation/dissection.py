@@ -1,9 +1,9 @@
-"""Nested dissection: an order of elimination by separators of the nodes, cut by cut [1]_.
+"""Nested dissection: an order of elimination by recursive separation of the nodes [1]_.
 
 Nodes on a plane across the body separate the rest into two parts that share no element. Both are
-eliminated before the plane, each in the same way, so that their eliminations fill neither the other
-nor more of the plane's rows than they touch. A quarter of a tube takes a third of the operations
-of a band.
+eliminated before the plane, each in the same way. The elimination of a part then causes no fill-in
+in the other part, and fills only those rows of the plane that it touches. A quarter of a tube takes
+a third of the operations of a banded factorisation.
 
 References
 ----------
@@ -21,11 +21,11 @@ from scipy import sparse
 from acoustube.base.types import Array, Index
 
 LEAF = 150
-"""Unknowns up to which a part is not cut again."""
+"""Largest number of unknowns of a part that is not cut again."""
 PLACES = (0.4, 0.45, 0.5, 0.55, 0.6)
-"""Fractions of a part's nodes below the cuts that are tried along each axis."""
+"""Positions of the cuts tried along each axis, as fractions of the part's nodes below the cut."""
 UNEVENNESS = 0.5
-"""Relative growth of a separator's cost with the difference of the parts over their sum."""
+"""Weight of the parts' imbalance (difference of their sizes over the sum) in a separator's cost."""
 
 
 class Dissection(NamedTuple):
@@ -38,9 +38,9 @@ class Dissection(NamedTuple):
     front : array of int, shape (n,)
         Number of the separator with which each unknown is eliminated.
     parent : array of int, shape (n_fronts,)
-        Number of the separator that each separator's subtree was cut off by; -1 at a root.
+        Number of the separator that cut off each separator's subtree; -1 at a root.
     first : array of int, shape (n_fronts,)
-        First of each subtree, whose numbers are successive.
+        Lowest number in each separator's subtree, in which numbers are consecutive.
     """
 
     front: Index
@@ -48,7 +48,7 @@ class Dissection(NamedTuple):
     first: Index
 
     def holding(self, rows: Index, columns: Index) -> Dissection:
-        """Return the tree with some unknowns moved upwards, so that it separates no given pair.
+        """Return the tree with unknowns moved towards the root, so that no given pair is separated.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ def dissected(lower: sparse.csc_array, points: Array) -> Dissection:
     Parameters
     ----------
     lower : sparse array of shape (n, n)
-        Lower triangle of a matrix of the sparsity; values do not matter.
+        Lower triangle of a matrix, of which only the sparsity is used.
     points : array of shape (n, n_axes)
         Coordinates of the unknowns' nodes.
     """
@@ -112,7 +112,7 @@ def dissected(lower: sparse.csc_array, points: Array) -> Dissection:
 
 
 def _cut(graph: sparse.csr_array, points: Array, weights: Index) -> tuple[Index, ...] | None:
-    """Return the nodes of two parts and of the smallest separator between them, or None."""
+    """Return the nodes of two parts and of the cheapest separator between them, or None."""
     total = weights.sum()
     if total <= LEAF:
         return None

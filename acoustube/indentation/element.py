@@ -115,7 +115,7 @@ def project(volume_ratio: Array, rule: Quadrature) -> Array:
     volume_ratio : array of shape (n_points,)
         J at the points.
     rule : Quadrature
-        Of the one element: without the axis of elements.
+        That of the element, without the axis of elements.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def energy(displacement: Array, rule: Quadrature, material: Material) -> Array:
     displacement : array of shape (n_local, 3)
         Nodal displacements in m.
     rule : Quadrature
-        Of the one element: without the axis of elements.
+        That of the element, without the axis of elements.
     material : Material
     """
     f = deformation_gradients(displacement, rule.gradients)
@@ -185,8 +185,8 @@ def tangents(
     displacement, rule, material
         As for :func:`energies_and_forces`.
     pressure_share : float
-        Fraction of the pressure in the geometric stiffness ``p d2J``; with 0 the volumetric part is
-        positive semidefinite, and the result no longer the Hessian where there is a pressure.
+        Fraction of the pressure in the geometric stiffness ``p d2J``. With 0 the volumetric part is
+        positive semidefinite, but the result is not the Hessian where there is a pressure.
     count : int, optional
         Number of leading elements whose matrices are returned; all by default.
 
@@ -198,9 +198,9 @@ def tangents(
     -----
     Equal to ``jax.hessian(energy)``, in a fifth of its time. With the pressure
     ``p = K (J_projected - 1) + k (J - J_projected)`` the 9 x 9 moduli at a point are the Hessian of
-    ``W_iso + p J`` at constant p plus ``k dJ dJ``. The projection adds a matrix of the rank of its
-    modes. JAX derives the moduli from the material's energy; a compiled loop contracts them with
-    the shape gradients, 3.5 times as fast as the batched products of XLA.
+    ``W_iso + p J`` at constant p plus ``k dJ dJ``. The projection adds a matrix whose rank is the
+    number of its modes. JAX derives the moduli from the material's energy; a compiled loop
+    contracts them with the shape gradients, 3.5 times as fast as the batched products of XLA.
     """
     arrays = rule.gradients, rule.modes, *_moduli(displacement, rule, material, pressure_share)
     count = len(displacement) if count is None else count
@@ -247,8 +247,8 @@ def _contracted(
 ) -> Any:  # pragma: no cover - compiled
     """Return element matrices: shape gradients contracted with the moduli of :func:`_moduli`.
 
-    A node's components are next to
-    each other in rows and columns; the blocks below the diagonal follow by symmetry.
+    The components of a node are next to each other in rows and columns; the blocks below the
+    diagonal follow by symmetry.
     """
     _, n_points, n_local, _ = gradients.shape
     result = np.empty((count, 3 * n_local, 3 * n_local))
@@ -299,7 +299,7 @@ def compile_contraction() -> None:
 
 
 def _as_from_jax(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an array that cannot be written, like those of JAX: for numba another type."""
+    """Return a read-only array, like those of JAX, for which numba has a type of its own."""
     array.flags.writeable = False
     return array
 
@@ -307,7 +307,7 @@ def _as_from_jax(array: NDArray[np.float64]) -> NDArray[np.float64]:
 def volume_ratios(displacement: Array, rule: Quadrature) -> Array:
     """Return the volume ratios J at the points of every element, (n_elements, n_points).
 
-    Arguments as of :func:`energies_and_forces`.
+    Arguments as for :func:`energies_and_forces`.
     """
 
     def of_one(displacement: Array, gradients: Array) -> Array:

@@ -1,8 +1,8 @@
-"""Guide of a press: its load path on a coarse mesh, carried over to the nodes of the fine one.
+"""Guide of a press: its load path on a coarse mesh, interpolated at the nodes of the fine one.
 
-Where a contact begins and which way the wall folds is found on few elements and to a loose
-tolerance; the fine mesh then needs a correction at each depth asked for, and no path of its own.
-The idea is the nested iteration of multigrid methods [1]_.
+Few elements and a loose tolerance suffice to find where contact begins and which way the wall
+folds. The fine mesh then needs only a correction at each requested depth, and no load path of its
+own. The idea is the nested iteration of multigrid methods [1]_.
 
 References
 ----------
@@ -27,7 +27,7 @@ from acoustube.tube import Tube
 
 COARSE = MeshSize(through_wall=1, around=12, along=10)
 LEAST_RATIO = 2.0
-"""Ratio of the numbers of elements, fine to coarse, from which on a guide is worth its time."""
+"""Smallest ratio of the numbers of elements, fine to coarse, at which a guide saves time."""
 
 
 class Guide(NamedTuple):
@@ -128,7 +128,7 @@ def _coordinates(grid: Sweep) -> tuple[Array, Array, Array]:
 def _element_coordinates(own: Array, other: Array, period: float | None) -> tuple[Index, Array]:
     """Return the number of the element along an axis, and the local coordinate in it.
 
-    `own` holds the coordinates of the coarse nodes along the axis, `other` those looked for.
+    `own` holds the coordinates of the coarse nodes along the axis, `other` those to be located.
     """
     lines = np.unique(np.round(own, 9))
     if period is not None:

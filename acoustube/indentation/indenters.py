@@ -29,7 +29,7 @@ SHAPES = ("rod", "punch", "sphere")
 SUPPORTS = ("held", "free")
 
 TOUCH_STEPS = 65
-"""Heights, from the tube's top to its bottom, at which first contact of an indenter is sought."""
+"""Number of heights, from the tube's top to its bottom, at which first contact is searched for."""
 PUNCH_EDGE = 0.1
 """Default edge radius of a punch, as a fraction of its radius."""
 

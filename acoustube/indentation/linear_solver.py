@@ -21,9 +21,9 @@ from acoustube.indentation.multifrontal import Analysis, multifrontal
 Solve = Callable[[Array], Array]
 
 LARGEST_OWN_WORK = 1e11
-"""Operations above which PARDISO is used if it is installed.
+"""Number of operations of a factorisation above which PARDISO is used if it is installed.
 
-On the largest mesh measured, of 5e10, multifrontal Cholesky was the faster."""
+On the largest mesh measured (5e10 operations) multifrontal Cholesky was the faster."""
 _PARDISO_POSITIVE_DEFINITE = 2
 _PARDISO_NOT_POSITIVE = -4
 
@@ -118,7 +118,8 @@ def factorise(lower: sparse.csc_array, analysis: Analysis | None = None) -> Solv
     lower : sparse array of shape (n, n)
         Lower triangle of the matrix, with its diagonal.
     analysis : Analysis, optional
-        Of this or a similar matrix; by default the unknowns' numbers are their coordinates.
+        Elimination order of this or a similar matrix. By default it is computed with the numbers
+        of the unknowns as their coordinates.
 
     Returns
     -------
@@ -142,7 +143,7 @@ def factorise(lower: sparse.csc_array, analysis: Analysis | None = None) -> Solv
 
 
 def pardiso(lower: sparse.csc_array, library: Any) -> Solve:
-    """Factorise by PARDISO of Intel's MKL; result and errors as of :func:`factorise`.
+    """Factorise by PARDISO of Intel's MKL; result and errors as for :func:`factorise`.
 
     Parameters
     ----------

@@ -3,10 +3,10 @@
 The increments of depth are doubled where Newton's method converges in few iterations and halved
 where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, unless the
 lumen's walls cross there. With a guide (:mod:`acoustube.indentation.guide`) an increment reaches
-from one of the depths asked for to the next, and starts from the guide's state, moved by what the
-last state on the own mesh differed from it, or from the extrapolation, whichever has the lower
-energy. Only depths `SPACING` apart are met in rising order. The others are met by bisection, from
-the cubic through the two states on either side, which is nearer the solution.
+from one requested depth to the next. It starts from the guide's state plus the difference of the
+last converged state from the guide's there, or from an extrapolation, whichever has the lower
+energy. Only depths `SPACING` apart are solved in rising order. The others are solved by bisection,
+from the cubic through the two states on either side, which is closer to the solution.
 
 References
 ----------
@@ -40,13 +40,13 @@ FIRST_INCREMENT = 2.5e-3
 LARGEST_INCREMENT = 1 / 16
 SMALLEST_INCREMENT = 1e-5
 EASY_ITERATIONS = 8
-"""Newton iterations up to which the next increment is doubled."""
+"""Largest number of Newton iterations after which the next increment is doubled."""
 FORCE_TOLERANCE = 1e-8
 """Norm of the residual forces at convergence, in shear moduli times squared bore diameters."""
 SPACING = 1 / 8
-"""Distance of the targets that are met first, in the order of depth."""
+"""Smallest spacing of the target depths that are solved first, in rising order."""
 EXTRAPOLATED_STATES = 3
-"""Converged states that the start of an increment is extrapolated from (a quadratic)."""
+"""Number of converged states from which an increment's start is extrapolated (a quadratic)."""
 
 
 class _Increment(NamedTuple):
@@ -79,7 +79,7 @@ def load_path(
     progress : callable, optional
         Called after every increment with the fraction of the expected increments that is done.
     guide : Guide, optional
-        Load path on a coarser mesh; up to its reach only the targets are met.
+        Load path on a coarser mesh; up to its largest depth only the target depths are solved.
     tolerance : float
         Norm of the residual forces at convergence, in shear moduli times squared bore diameters.
     largest : float
@@ -118,7 +118,7 @@ def load_path(
 
 
 class _Problem(NamedTuple):
-    """A press: its first contact, model, largest residual in N and largest increment in m."""
+    """A press: its first contact, model, allowed residual in N and largest increment in m."""
 
     untouched: Indentation
     model: Model
@@ -136,7 +136,7 @@ def spread(targets: Array, spacing: float) -> Array:
 
 
 def _by_bisection(targets: Array, done: Sequence[_Increment]) -> list[float]:
-    """Return the target depths in bisection order: next, that nearest the widest gap's middle."""
+    """Return the targets in bisection order: next is the one nearest the widest gap's middle."""
     order, left, known = [], targets, np.array([each.depth for each in done])
     while len(left):
         above = np.searchsorted(known, left)
@@ -191,8 +191,8 @@ def _between(
 ) -> tuple[list[_Increment], NewtonResult | None]:
     """Insert an increment at a depth between others; same results as :func:`_follow`.
 
-    Where Newton's method fails from between the neighbours, a path from the lower one leads there;
-    where that ends, so do the increments.
+    If Newton's method fails from the state interpolated between the neighbours, a load path from
+    the lower neighbour is followed. If that fails too, the deeper increments are dropped.
     """
     if depth > done[-1].depth:
         return done, None
@@ -232,7 +232,7 @@ def _ahead(
     model: Model, last: Sequence[_Increment], depth: float, guide: Guide | None
 ) -> list[Array]:
     """Return predictors of the state, extrapolated from the last increments to a depth."""
-    # Of a low order as well: a high one overshoots where the contact grows unforeseen.
+    # Low orders as well: a high order overshoots where contact grows faster than extrapolated.
     guesses = [_interpolated(last[-n:], depth) for n in range(2, len(last) + 1)]
     if guide is not None:
         guesses.append(_corrected(guide, model, last[-1:], depth))
@@ -244,7 +244,8 @@ def _solved(
 ) -> NewtonResult:
     """Return Newton's solution from the predictor of lowest energy without self-intersection.
 
-    If all intersect themselves, from the last state without on the line from an increment to each.
+    If all intersect themselves, each is replaced by a state short of the first crossing, on the
+    line to it from the state of the increment `near`.
     """
     model, bodies = problem.model, bodies_at(problem.untouched, depth)
     here, points = near.solution.displacement, problem.model.mesh.points
@@ -266,7 +267,7 @@ def _interpolated(increments: Sequence[_Increment], depth: float) -> Array:
 
 
 def _corrected(guide: Guide, model: Model, increments: Sequence[_Increment], depth: float) -> Array:
-    """Return the guide's state at a depth plus the interpolated differences of increments."""
+    """Return the guide's state at a depth plus the interpolated differences of the increments."""
     depths = [each.depth for each in increments]
     differences = [
         each.solution.displacement - guide.displacement(each.depth) * model.free

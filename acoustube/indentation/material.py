@@ -25,7 +25,7 @@ class Material(NamedTuple):
     ----------
     isochoric : jax.tree_util.Partial
         Energy per undeformed volume in J/m3 as a function of F; its parameters are JAX leaves, so
-        that new values do not compile anew.
+        that new values need no recompilation.
     bulk_modulus : float
         In Pa.
     """

@@ -16,7 +16,7 @@ from acoustube.indentation.reference_element import FACE, HEX20, Reference, latt
 from acoustube.tube import Tube
 
 BOTTOM_TOLERANCE = 1e-3
-"""Height over the lowest point up to which a node is on the bottom line, in outer heights."""
+"""Largest height of the bottom line's nodes over the lowest point, in outer heights of the tube."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,8 @@ class MeshSize:
         Refinement at the sides of the tube, where the wall folds, and at its top and bottom, where
         it is in contact: the fraction by which elements are narrower than the average.
     inner : float
-        Refinement towards the inner wall: the fraction by which elements there would be thinner
-        than the average if there were many.
+        Refinement towards the inner wall: with many layers, the fraction by which elements there
+        are thinner than the average.
     """
 
     through_wall: int
@@ -57,7 +57,7 @@ class MeshSize:
 
 
 USUAL_MESH = MeshSize(through_wall=3, around=20, along=16, grading=3.0, fold=0.65, inner=0.5)
-"""Default mesh: the force of a 25 mm rod is within 0.4 % of the converged one to 6 mm."""
+"""Default mesh: a 25 mm rod's force is within 0.4 % of the converged force up to 6 mm depth."""
 
 
 class Sweep(NamedTuple):
@@ -186,7 +186,7 @@ def sweep(
     angle = half if halved[0] else np.concatenate([half, 2 * np.pi - half[-2:0:-1]])
     layer = _with_middles(_graded_layers(size))
     s, a, e = np.meshgrid(station, angle, layer, indexing="ij")
-    # Exact zeros on the symmetry plane, where sin(pi) is not.
+    # Exact zeros on the symmetry plane, where sin(pi) is not exactly zero.
     sine = np.where(np.isclose(np.sin(a), 0, atol=1e-12), 0.0, np.sin(a))
     number = np.arange(s.size).reshape(s.shape)
     if not halved[0]:
@@ -211,20 +211,20 @@ def sweep(
 
 
 def _graded_turn(turn: Array, size: MeshSize) -> Array:
-    """Return circumferential stations, as fractions of half a turn, refined at fold and contact."""
+    """Return circumferential stations in fractions of half a turn, refined at fold and contact."""
     sides, all_four = (size.fold - size.touch) / 2, (size.fold + size.touch) / 2
     wave = 2 * np.pi * turn
     return turn + (sides * np.sin(wave) - all_four * np.sin(2 * wave) / 2) / (2 * np.pi)
 
 
 def _graded_layers(size: MeshSize) -> Array:
-    """Return the borders of the layers of elements: 0 on the inner wall, 1 on the outer."""
+    """Return the boundaries of the element layers: 0 on the inner wall, 1 on the outer."""
     even = np.linspace(0, 1, size.through_wall + 1)
     return even - size.inner * even * (1 - even)
 
 
 def _with_middles(edges: Array) -> Array:
-    """Return the stations of nodes, halfway between edges too: an element's map stays affine."""
+    """Return the stations of nodes, edges and their midpoints: an element's map is affine."""
     return np.interp(np.arange(2 * len(edges) - 1) / 2, np.arange(len(edges)), edges)
 
 
@@ -249,7 +249,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return sinh-graded stations from 0 to `length`, with the first spacing of the whole reach."""
+    """Return sinh-graded stations from 0 to `length`, with about the first spacing for length 1."""
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

@@ -1,9 +1,9 @@
 """Multifrontal Cholesky factorisation of a sparse matrix by dense blocks [1]_.
 
 Each separator of a nested dissection (:mod:`acoustube.indentation.dissection`) is eliminated in a
-dense front: its own rows, and those that it and what was eliminated below it touch. What the
-elimination leaves on the touched rows, a dense Schur complement, is added into the parent's front.
-All products are of BLAS and LAPACK.
+dense front: its own rows, and those that it and its descendants touch. The elimination leaves a
+dense Schur complement on the touched rows, which is added into the parent's front. All products
+are computed by BLAS and LAPACK.
 
 References
 ----------
@@ -36,15 +36,15 @@ class Plan(NamedTuple):
     place : array of int, shape (n,)
         Place of each unknown in the order of elimination.
     parent, first : array of int, shape (n_fronts,)
-        As of :class:`~acoustube.indentation.dissection.Dissection`.
+        As for :class:`~acoustube.indentation.dissection.Dissection`.
     starts : array of int, shape (n_fronts + 1,)
         First place that each front eliminates.
     touched : array of int, shape (n_fronts + 1,)
         Start of each front's touched rows in `rows`.
     rows : array of int, shape (n_rows,)
-        Rising places that the fronts touch beyond their own.
+        Places that each front touches beyond its own, in rising order.
     into : array of int, shape (n_rows,)
-        Their row in the parent's front.
+        Row of each of these places in the parent's front.
     offsets : array of int, shape (n_fronts + 1,)
         Start of each front's part of the factor: its square block, then the rows below.
     schur : array of int, shape (n_fronts,)
@@ -69,14 +69,14 @@ class Plan(NamedTuple):
 
     @property
     def operations(self) -> float:
-        """Additions and multiplications of a factorisation."""
+        """Number of additions and multiplications of a factorisation."""
         own, below = np.diff(self.starts).astype(float), np.diff(self.touched)
         return float(np.sum((own + below) ** 3 - below**3.0) / 3)
 
 
 @dataclass(eq=False)
 class Analysis:
-    """Order of elimination of a model's matrices, and the plan of the last of them.
+    """Order of elimination of a model's matrices, and the plan of the last matrix.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Analysis:
     _last: tuple[sparse.csc_array, Plan] | None = field(init=False, repr=False, default=None)
 
     def plan(self, lower: sparse.csc_array) -> Plan:
-        """Return the plan of a matrix; the first one's sparsity is dissected.
+        """Return the plan of a matrix; the first matrix's sparsity determines the dissection.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ def planned(lower: sparse.csc_array, dissection: Dissection) -> Plan:
     Parameters
     ----------
     lower : sparse array of shape (n, n)
-        Its lower triangle, in whose sparsity pairs that the dissection separates may occur.
+        Its lower triangle, which may have entries for pairs that the dissection separates.
     dissection : Dissection
     """
     columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
@@ -146,7 +146,7 @@ class MultifrontalFactor:
     ----------
     plan : Plan
     entries : array
-        The fronts' columns of the factor, one front after the other, each by columns.
+        Columns of the factor, one front after the other, each front in column-major order.
     """
 
     plan: Plan
@@ -177,7 +177,7 @@ class MultifrontalFactor:
 
     @cached_property
     def _fronts(self) -> list[tuple[slice, Index, Array, Array]]:
-        """The places of each front that eliminates any, its touched rows and its two blocks."""
+        """Places, touched rows and two blocks of each front that eliminates an unknown."""
         plan = self.plan
         return [
             (
@@ -198,22 +198,22 @@ class MultifrontalFactor:
         return square, self.entries[start + own**2 : end].reshape(below, own, order="F")
 
     def forward(self, unknowns: Index) -> Array:
-        """Return the columns of the factor's inverse of some unknowns.
+        """Return the columns of the factor's inverse for some unknowns.
 
         Parameters
         ----------
         unknowns : array of int, shape (k,)
-            In the order of elimination.
+            Numbers of the unknowns, in the order of elimination.
 
         Returns
         -------
         array of shape (n, k)
-            In the order of elimination. The products of its columns are the entries of the matrix's
-            inverse at the unknowns, their compliance.
+            Rows are in the order of elimination. The scalar products of the columns are the entries
+            of the matrix's inverse at the unknowns, their compliance.
 
         Notes
         -----
-        A column is zero outside of the fronts from its unknown to the root.
+        A column is zero outside the fronts from that of its unknown to the root.
         """
         plan, places = self.plan, self.plan.place[unknowns]
         found = np.zeros((len(plan.place), len(unknowns)))
@@ -299,15 +299,15 @@ def _add(
     for j in range(column, last_column):
         goal, source = target[:, into[j] - before], left[:, j]
         for i in range(max(row, j), last_row):
-            # Of an unsigned index the compiler need not ask whether it counts from the end.
+            # An unsigned index spares the check for negative indices, which count from the end.
             goal[np.uintp(into[i] - above)] += source[np.uintp(i)]
 
 
 @numba.njit(cache=True)
 def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: no cover - compiled
-    """Return the rows that fronts touch beyond their own, and where each front's begin.
+    """Return the rows that fronts touch beyond their own, and the start of each front in them.
 
-    Also the entries by the column that is eliminated first, and where each column's begin.
+    Also return the entries, sorted by their first-eliminated column, and each column's start.
     """
     n, count, fronts = starts[-1], len(rows), len(parent)
     pointers = np.zeros(n + 1, np.int64)
@@ -351,9 +351,9 @@ def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: 
 def _storage(
     high: Any, pointers: Any, starts: Any, parent: Any, touched: Any, found: Any
 ) -> Any:  # pragma: no cover - compiled
-    """Return where things are stored, and the size of the stack; see :class:`Plan`.
+    """Return into, offsets, schur and entries of a :class:`Plan`, and the size of its stack.
 
-    The places of the entries are in the order of `high`, their later rows.
+    The entries are in the order of `high`, which holds the later-eliminated row of each.
     """
     n, fronts = starts[-1], len(parent)
     local, offsets = np.empty(n, np.int64), np.zeros(fronts + 1, np.int64)
@@ -369,8 +369,8 @@ def _storage(
             local[starts[f] + i] = i
         for i in range(below):
             local[found[touched[f] + i]] = own + i
-        # Alternate levels of the tree have stacks of their own: a front's children are on the top
-        # of the one, its own complement is put on the other.
+        # Even and odd levels of the tree have separate stacks: a front's children are on top of
+        # one, and its own complement is put on the other.
         side = depth[f] % 2
         for child in range(f):
             if parent[child] == f:

@@ -1,10 +1,10 @@
 """Newton steps at an indefinite tangent, from its curvatures in a Krylov subspace.
 
-A convex matrix K_c in place of an indefinite tangent K gives a step that descends, but near a
-bifurcation the iterations with it converge at a ratio close to one, or to the saddle itself.
-Lanczos's method, preconditioned by K_c, finds the subspace in which the two differ most [1]_. The
-step is Newton's there with the absolute values of the curvatures, which moves away from a saddle as
-fast as towards a minimum [2]_.
+A convex matrix K_c in place of an indefinite tangent K gives a descent step. Near a bifurcation,
+however, iterations with such steps converge at a ratio close to one, or to the saddle itself. The
+Lanczos method, preconditioned by K_c, finds the subspace in which the two matrices differ most
+[1]_. In this subspace the step is Newton's with the absolute values of the curvatures, which moves
+away from a saddle as fast as towards a minimum [2]_.
 
 References
 ----------
@@ -26,9 +26,9 @@ from acoustube.indentation.linear_solver import Solve
 
 LARGEST_SUBSPACE = 24
 ENOUGH = 0.1
-"""Part of the linear residual that a step may leave."""
+"""Largest residual that a step may leave in the linearised equations, relative to the gradient."""
 SMALLEST_CURVATURE = 0.02
-"""Least absolute value of the tangent's curvatures, relative to those of the convex matrix."""
+"""Lower bound of the curvatures' absolute values, relative to those of the convex matrix."""
 
 
 class CurvedStep(NamedTuple):
@@ -39,9 +39,9 @@ class CurvedStep(NamedTuple):
     step : array of shape (n,)
         In m; the energy falls along it.
     lowest : array of shape (n,)
-        Direction of the least curvature found, in m, of the convex matrix's unit norm.
+        Direction of the least curvature found, in m, of norm one in the convex matrix.
     curvature : float
-        Along `lowest`, relative to that of the convex matrix; negative at a saddle.
+        Curvature along `lowest`, relative to that of the convex matrix; negative at a saddle.
     """
 
     step: Array
@@ -50,16 +50,16 @@ class CurvedStep(NamedTuple):
 
 
 def curved_step(lower: sparse.csc_array, convex: Solve, gradient: Array) -> CurvedStep:
-    """Return the step of a tangent with the absolute values of its curvatures.
+    """Return the Newton step of a tangent with the absolute values of its curvatures.
 
     Parameters
     ----------
     lower : sparse array of shape (n, n)
         Lower triangle of the tangent K.
     convex : callable
-        Solver of a positive definite matrix K_c near it.
+        Solver of a positive definite matrix K_c near the tangent.
     gradient : array of shape (n,)
-        Of the energy, in N, not zero.
+        Gradient of the energy, in N, not zero.
 
     Returns
     -------
@@ -67,8 +67,8 @@ def curved_step(lower: sparse.csc_array, convex: Solve, gradient: Array) -> Curv
 
     Notes
     -----
-    With K_c-orthonormal Lanczos vectors Q from ``K_c^-1 g``, ``T = Q^T K Q`` is tridiagonal and the
-    step ``-Q |T|^-1 Q^T g``. All vectors are orthogonalised against all before them.
+    With K_c-orthonormal Lanczos vectors Q from ``K_c^-1 g``, ``T = Q^T K Q`` is tridiagonal, and
+    the step is ``-Q |T|^-1 Q^T g``. Each vector is orthogonalised against all before it.
     """
     diagonal = lower.diagonal()
     solved = convex(gradient)

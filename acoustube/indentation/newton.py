@@ -1,8 +1,8 @@
 """Newton's method with a backtracking line search for the equilibrium of a press.
 
-A step is halved until the energy falls by a fixed fraction of what its slope predicts, the
-condition of sufficient decrease (Armijo [1]_); see [2]_, chapter 3. The first step tried is already
-short of any crossing of the lumen's walls.
+A step is halved until the energy falls by a fixed fraction of the decrease that its slope predicts,
+the condition of sufficient decrease (Armijo [1]_); see [2]_, chapter 3. Already the first step
+tried ends before any crossing of the lumen's walls.
 
 References
 ----------
@@ -34,25 +34,26 @@ MAX_HALVINGS = 8
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the predicted decrease of the energy that a step must reach (Armijo's constant)."""
 RESIDUAL_DECREASE = 0.5
-"""Ratio of the residuals after and before a step below which it is accepted whatever the energy."""
+"""Ratio of the residuals after and before a step below which it is accepted at any energy."""
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
 """The same with condensed contact, where a further step is cheap compared with a factorisation."""
 LEAST_CONDENSED_WORK = 1e9
-"""Operations of a factorisation from which on the contact is condensed and solved exactly.
+"""Smallest number of operations of a factorisation with which contact is condensed.
 
-Below, as on 2 x 12 x 10 elements of a quarter, a factorisation is cheaper than what is saved."""
+Below, as on 2 x 12 x 10 elements of a quarter, condensing costs more than it saves."""
 REUSED_TOLERANCE = 0.1
-"""Fraction of the tolerance that the residual must reach by a step with a reused factor."""
+"""Largest residual at convergence after a step with a reused factor, relative to the tolerance."""
 DIAGONAL_SHIFTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-"""Parts of the diagonal that are added, one after the other, to an indefinite tangent.
+"""Fractions of the diagonal that are added, one after the other, to an indefinite tangent.
 
-The diagonal of a nearly incompressible wall is that of its volume: compared with it, a thin wall
-bends with a stiffness of 1e-6 to 1e-4, and with a larger shift its steps hardly bend it."""
+The diagonal of a nearly incompressible wall is dominated by its volumetric stiffness. The stiffness
+of a thin wall in bending is 1e-6 to 1e-4 of it: with a larger shift a step hardly bends the wall.
+"""
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
-"""Steps tried from a saddle of the energy, both ways: their largest displacement, in bores, or
-in heights of a body without one."""
+"""Largest displacements of the steps tried from a saddle of the energy, in both directions, in
+heights of the bore (of the body, if it has no bore)."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
 
 
@@ -104,10 +105,10 @@ def minimise(
     -----
     Where the tangent is indefinite, the step is that of a positive definite matrix near it,
     corrected by :mod:`acoustube.indentation.negative_curvature`; from a saddle of the energy it
-    goes the way of the least curvature. It converges only by a step of a true, positive definite
+    follows the direction of least curvature. Convergence requires an unmodified, positive definite
     tangent: the result is a stable equilibrium, not a saddle. The factor of a tangent is used again
     while it lowers the residual tenfold (the chord method); after such steps the residual must fall
-    to `REUSED_TOLERANCE` of the tolerance, as a step of the state's own tangent would make it.
+    to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the state's own tangent.
     """
     state = start if isinstance(start, State) else evaluate(model, start, bodies)
     tangent, own = None, False
@@ -142,7 +143,7 @@ def minimise(
 
 
 class _Tangent(NamedTuple):
-    """A factorised tangent, or a positive definite matrix near it: then it is not `stable`."""
+    """A factorised tangent (`stable`), or else a factorised positive definite matrix near it."""
 
     solve: linear_solver.Solve
     stable: bool
@@ -151,7 +152,7 @@ class _Tangent(NamedTuple):
     """Lower triangle of the tangent itself, if it is not stable."""
 
     def step(self, state: State) -> Array:
-        """Return Newton's step (n_free,) in m, with the contact solved exactly where it can be."""
+        """Return the Newton step (n_free,) in m, with the contact solved exactly if possible."""
         return -self.solve(state.gradient) if self.contact is None else self.contact.step(state)
 
     def holds_at(self, state: State) -> bool:
@@ -164,9 +165,9 @@ class _Tangent(NamedTuple):
 
 
 def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> bool:
-    """Return whether a factor that led from one state to a lower one is used again.
+    """Return whether to reuse the factor whose step led from one state to another of lower energy.
 
-    If it lowers the residual enough, or at the same ratio would to convergence in three steps.
+    True if it lowers the residual enough, or would converge at this ratio in three more steps.
     """
     ratio = lower.norm / state.norm
     last = lower.norm * ratio**3
@@ -176,8 +177,8 @@ def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> b
 def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> _Tangent | None:
     """Factorise the tangent, or else a nearby positive definite matrix.
 
-    That is the tangent without what makes it indefinite first, and with a part of its diagonal
-    added where that is not enough ([2]_, section 3.4); None if the largest part is not either.
+    That matrix is the tangent without the terms that make it indefinite first. If that is not
+    enough, fractions of its diagonal are added ([2]_, section 3.4); None if the largest fails too.
     """
     indefinite = None
     for shift in (None, *DIAGONAL_SHIFTS):
@@ -219,7 +220,7 @@ def _descended(
     lower = None if curved is None else moved(curved.step)
     if not saddle:
         return moved(tangent.step(state)) if lower is None else lower
-    # At a loose tolerance the saddle may lie beyond the step's end: also descend from behind it.
+    # At a loose tolerance the saddle may lie beyond the step's end: also try to descend beyond it.
     beyond = _below_saddle(model, state, tangent.indefinite, tangent.solve, bodies, curved)
     found = [each for each in (lower, beyond) if each is not None and each.energy < state.energy]
     return min(found, key=lambda each: each.energy, default=None)
@@ -238,7 +239,7 @@ def _below_saddle(
     `curved` is the step there, if its residual is not zero.
     """
     if curved is None or curved.curvature >= 0:
-        # A symmetric state's gradient has nothing of the direction in which it buckles.
+        # The gradient of a symmetric state has no component in the direction of buckling.
         start = np.random.default_rng(0).normal(size=len(state.gradient))
         curved = curved_step(indefinite, convex, start)
     inner = np.unique(model.mesh.inner_faces)
@@ -260,14 +261,14 @@ def _below_saddle(
 
 
 def _line_search(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:
-    """Return the first of the halved steps with a sufficient decrease of the energy, or None."""
+    """Return the state after the first halved step that lowers the energy enough, or None."""
     position = model.mesh.points + state.displacement
     longest = model.lumen.collision_free_fraction(position, position + step)
     slope = float(state.gradient @ step[model.free])
     for length in longest * 0.5 ** np.arange(MAX_HALVINGS):
         trial = evaluate(model, state.displacement + length * step, bodies)
         enough = state.energy + SUFFICIENT_DECREASE * length * slope
-        # Near the solution the decrease of the energy is lost in round-off, but not the residual's.
+        # Near the solution the decrease of the energy is lost in round-off; the residual's is not.
         if trial.energy <= enough or trial.norm < RESIDUAL_DECREASE * state.norm:
             return trial
     return None

@@ -34,19 +34,19 @@ from acoustube.indentation.self_contact import (
 )
 from acoustube.tube import Tube
 
-# The path on a coarse mesh, which guides the one on the mesh asked for:
+# The guide is the load path on a coarse mesh, followed before that on the requested mesh.
 GUIDE_INCREMENT = 1 / 8
-"""Its largest increment, in bore diameters."""
+"""Largest increment of the guide, in bore diameters."""
 GUIDE_TOLERANCE = 1e-3
-"""Norm of its residual forces, in shear moduli times squared bore diameters."""
+"""Norm of the guide's residual forces, in shear moduli times squared bore diameters."""
 GUIDE_SUBDIVISIONS = 2
-"""Triangle edges of its inner wall along the edge of an element's face."""
+"""Triangle edges of the guide's inner wall along the edge of an element's face."""
 
 DEPTHS = Reals(0, 1, "m")
 INDENTERS = Optional(Either((Indenter,), Several(Indenter, 1)))
 SUPPORT = Choice(SUPPORTS, "of the tube")
 GUIDE_SHARE = 0.25
-"""Its part of the whole computing time, for the progress."""
+"""Expected share of the guide in the computing time, for the reported progress."""
 
 
 @checked(
@@ -118,15 +118,15 @@ def indent(
 
     Notes
     -----
-    The increments adapt; see :mod:`acoustube.indentation.load_path`. At each depth Newton's method
-    finds the equilibrium; see :mod:`acoustube.indentation.newton`.
+    The increments are adaptive; see :mod:`acoustube.indentation.load_path`. At each depth Newton's
+    method finds the equilibrium; see :mod:`acoustube.indentation.newton`.
     """
     targets = np.atleast_1d(np.asarray(depth, dtype=float))
     indenters = _indenters(indenter)
     _check_range(tube, targets, support, layer)
     # A nearly incompressible wall needs double precision; the rest of acoustube does not, and must
-    # not be made to. The factorisation works on blocks too small for several threads: on two
-    # idle cores it takes 0.05 s with one and with two, at twice the processor time.
+    # not be switched to it. The factorisation's blocks are too small for several threads: on two
+    # idle cores it takes 0.05 s with one thread and with two, at twice the processor time.
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         untouched = first_touch(
             tube,
@@ -146,7 +146,7 @@ def indent(
 
 
 def _guide(untouched: Indentation, targets: Array, progress: Progress | None) -> Guide | None:
-    """Return the load path on a coarse mesh, or None if that does not exist or its press fails."""
+    """Return the load path on a coarse mesh; None if there is no such mesh or its press fails."""
     mesh = coarse_mesh(untouched.mesh, untouched.tube, untouched.indenters)
     if mesh is None:
         return None
@@ -340,7 +340,7 @@ def _check_clearance(untouched: Indentation, depth: float) -> None:
 def _mesh(
     tube: Tube, indenters: Sequence[Indenter], mesh: Mesh | MeshSize | None, whole: bool
 ) -> Mesh:
-    """Return the mesh given, or mesh the smallest part of the tube that symmetry allows."""
+    """Return the given mesh, or mesh the smallest part of the tube that symmetry allows."""
     if isinstance(mesh, Mesh):
         return mesh
     reach = max(
@@ -353,9 +353,9 @@ def _mesh(
 def _fixed(mesh: Mesh, support: Support) -> NDArray[np.bool_]:
     """Return the mask of displacement components held at zero, shape (n_nodes, 3).
 
-    Symmetry planes, the support, and constraints against rigid-body motion: a tube modelled whole
-    across is guided sideways along its bottom line and, if free, at the top of its ends, so that it
-    does not roll; one modelled whole along is held at one node.
+    They are those of symmetry planes, of the support, and against rigid-body motion. A tube not
+    halved at x = 0 is guided sideways along its bottom line and, if free, at the top of its ends,
+    so that it does not roll. One not halved at z = 0 is held along z at one node.
     """
     x, _, z = mesh.points.T
     fixed = np.zeros(mesh.points.shape, bool)

@@ -46,9 +46,9 @@ REST_STEP = 1e-6
 STEP_SAFETY_FACTOR = 0.9
 """Fraction of the step to the first collision that is taken."""
 CLEARANCE = 3.0
-"""Distance up to which pairs of triangles are sought ahead of contact, in activation distances."""
+"""Distance in activation distances up to which pairs of triangles are searched for in advance."""
 FACING_ANGLE = np.pi / 6
-"""Largest angle in rad from the vertical of the normals of walls that face each other."""
+"""Largest angle in rad between the vertical and the normals of walls that face each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class SelfContact:
         return np.asfortranarray((self.sampling @ position) / self.length)
 
     def _collisions(self, vertices: Array) -> Any:
-        """Return the pairs of triangles within the activation distance; the last are kept."""
+        """Return the pairs of triangles within the activation distance; the last are cached."""
         if self._apart(vertices, by=self.barrier.dhat):
             return ipctk.NormalCollisions()
         known, pairs = self._last.get("pairs", (None, None))
@@ -88,12 +88,12 @@ class SelfContact:
         return pairs
 
     def _apart(self, *states: Array, by: float = 0.0) -> bool:
-        """Return whether all triangles are farther apart than a distance; false if not known.
+        """Return whether all triangles are surely farther apart than a distance; False if unknown.
 
-        Both at the given states of the vertices and on the straight way from one to another. If the
-        smallest distance at a centre state is d, it is more than `by` while no vertex is farther
-        than (d - by) / 2 from there. A centre without such a margin is kept for small motions, and
-        none is sought for a way that is too long at the last one's d.
+        This holds at the given states of the vertices and on the straight path between them. If the
+        smallest distance at a reference state (`centre`) is d, it exceeds `by` while no vertex has
+        moved farther than (d - by) / 2 from there. A centre without such a margin is kept while
+        motions are small; no new one is computed if the path is too long for the last margin.
         """
         d_hat = self.barrier.dhat
 
@@ -108,7 +108,7 @@ class SelfContact:
                 return False
             centre, least = states[0], CLEARANCE * d_hat
             pairs = self._pairs(centre, least)
-            if not pairs.empty():  # the library returns the square
+            if not pairs.empty():  # the library returns the squared distance
                 least = float(np.sqrt(pairs.compute_minimum_distance(self.mesh, centre)))
             self._last["centre"] = centre, least
             margin = 0.999 * (least - by) / 2
@@ -150,7 +150,7 @@ class SelfContact:
         position : array of shape (n_nodes, 3)
             Deformed nodes in m.
         convex : bool
-            Without the negative eigenvalues of each pair of triangles.
+            Leave out the negative eigenvalues of the stiffness of each pair of triangles.
 
         Returns
         -------
@@ -167,7 +167,7 @@ class SelfContact:
         return (to_nodes.T @ hessian @ to_nodes).tocsc()
 
     def forces_along(self, position: Array, moved: Array) -> Array:
-        """Return the directional derivative of the barrier forces by the undeformed nodes.
+        """Return the derivative of the barrier forces along a motion of the undeformed nodes.
 
         Parameters
         ----------
@@ -212,15 +212,15 @@ class SelfContact:
 
         Notes
         -----
-        Between the parts with undeformed normals within `FACING_ANGLE` of the vertical, where a
-        lumen pressed from above closes first.
+        The distance is that between the parts whose undeformed normals are within `FACING_ANGLE`
+        of the vertical, where a lumen pressed from above closes first.
         """
         vertices = self.sampling @ position
         lower, upper = self._facing
         away, nearest = KDTree(vertices[upper]).query(vertices[lower])
         across = vertices[upper[nearest]] - vertices[lower]
         normal = np.abs(np.sum(across * vertex_normals(vertices, self.faces)[lower], axis=1))
-        # Where the nearest vertex is next to the nearest point, the point is along the normal.
+        # If the nearest vertex is next to the normal, the gap is the distance along the normal.
         adjacent = np.sqrt(np.maximum(away**2 - normal**2, 0)) < self._spacing
         return float(np.min(np.where(adjacent, normal, away)))
 
@@ -290,7 +290,7 @@ def self_contact(
 
 
 def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> float:
-    """Return the gap of level walls at which the barrier exerts a contact pressure.
+    """Return the gap between flat, parallel walls at which the barrier exerts a given pressure.
 
     Parameters
     ----------
@@ -308,9 +308,9 @@ def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> f
 
     Notes
     -----
-    The derivative of the barrier's energy per area d_hat K (r^2 - 1)^2 ln(1 / r^2), r the gap over
-    d_hat and K its stiffness. The areas by which pairs of triangles are weighted make the pressure
-    of a mesh up to 1.5 times as high.
+    The pressure is the derivative of ``d_hat K (r^2 - 1)^2 ln(1 / r^2)``, the barrier's energy per
+    area, with the gap r over d_hat and the barrier's stiffness K. The area weights of the pairs of
+    triangles make the pressure of a mesh up to 1.5 times as high.
     """
 
     def excess(r: float) -> float:

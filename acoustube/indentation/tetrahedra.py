@@ -19,7 +19,7 @@ edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
 0.65                        -        -1.3 %  -0.2 %  -       +1.3 %   30 000
 ==========================  =======  ======  ======  ======  =======  ==========
 
-and that of hexahedra +0.1 %. The projection alone (k = 0) leaves hourglass modes without stiffness;
+Hexahedra have +0.1 %. The projection alone (k = 0) leaves hourglass modes without stiffness;
 without it (k = K) the elements lock. A rule of 14 points in place of 4 changed the force by 0.6 %
 with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is k = 8 mu, with
 errors of +0.7 and +0.1 % for these edges at 4 mm (hexahedra +0.3 %, K with the shorter edges
@@ -70,8 +70,8 @@ MAX_OFF_SURFACE = 0.01
 
 No node may be off a plane."""
 ATTEMPTS = 6
-"""Meshes tried before an error; about one in twenty has a flat element next to a plane, and one in
-twelve more than `MAX_OFF_SURFACE`."""
+"""Largest number of meshes tried. About one in twenty has a flat element next to a plane, and one
+in twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface."""
 VOLUME_TOLERANCE = 0.01
 """Largest relative error of the mesh's volume."""
 CHILD = """
@@ -230,8 +230,8 @@ def _tetrahedralised(
 def _in_child(**arguments: Any) -> tuple[Array, Index]:
     """Run pytetwild in a child process, and return its result.
 
-    It keeps Python's lock, so that no interrupt would get through for minutes, writes a file into
-    the current folder, and may crash.
+    It holds Python's global interpreter lock, so that interrupts would wait for minutes, writes a
+    file into the current folder, and may crash.
     """
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "in.npz", **arguments)

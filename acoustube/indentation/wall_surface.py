@@ -16,7 +16,7 @@ from acoustube.tube import Tube
 SYMMETRY_TOLERANCE = 0.02
 """Largest distance of a symmetric wall from its mirror image, in wall thicknesses."""
 MIN_THICKNESS = 0.25
-"""Smallest thickness of a wall, in mean thicknesses: elements are sized by the mean."""
+"""Smallest allowed thickness of a wall, in mean thicknesses: elements are sized by the mean."""
 MAX_TETRAHEDRA = 60_000
 """Largest expected number of tetrahedra; a wall that needs more is too thin."""
 TETRAHEDRON_VOLUME = 0.13

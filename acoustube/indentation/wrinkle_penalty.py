@@ -3,10 +3,10 @@
 A tube that is pressed flat folds at its sides. There the inner surface is compressed to a stretch
 below 0.65 from a depth of about three quarters of the bore: beyond the onset of creases of the free
 surface of a Neo-Hookean solid [1]_, and at larger depths beyond Biot's instability against wrinkles
-of any wavelength (0.54) [2]_. A mesh then creases at the size of its elements, a state of the mesh
-and not of the tube; the creases of real silicone are far smaller than an acoustic wavelength.
+of any wavelength (0.54) [2]_. A mesh then creases at the size of its elements, which is an artefact
+of the mesh; the creases of real silicone are far smaller than an acoustic wavelength.
 
-The penalty is half a stiffness times the squared sixth differences of the displacement around each
+The energy is half a stiffness times the squared sixth differences of the displacement around each
 section of the inner wall, at the sides of the tube. For a smooth displacement these differences
 vanish with the sixth power of the node spacing.
 
@@ -33,7 +33,7 @@ STIFFNESS = 6.0
 A sixth of it changes the force by 0.02 % at 7 mm, 0.2 % at 7.5 mm and 0.9 % at 8 mm, where the
 lumen of the default tube is closed; without the penalty the folds crease."""
 ANGULAR_POWER = 8
-"""Power of the sine of the angle from the bottom line that weights the penalty to the sides."""
+"""Power of the sine of the angle from the bottom line, the weight that favours the sides."""
 SIXTH_DIFFERENCE = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
 
 

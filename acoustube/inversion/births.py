@@ -1,4 +1,4 @@
-"""Where a contact more may be, as branches to be fitted to a cycle."""
+"""Candidates for one additional contact, as branches that are to be fitted to a cycle."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from acoustube.inversion.search import Front, front_of
 from acoustube.waves.scattering import Complex
 
 BIRTH = 120.0
-"""Decrease of minus twice the logarithm of the likelihood from which a candidate is fitted: weaker
-echoes do not resolve half wavelengths."""
+"""Expected decrease of minus twice the log likelihood above which a candidate is fitted: weaker
+echoes do not distinguish positions half a wavelength apart."""
 START = 3e-3, 0.5e-3
-"""Standard deviations in m of place and depth of a candidate."""
+"""Standard deviations in m of the position and the depth of a candidate."""
 LANDING = 0.01
 """Standard deviation of the velocity along the tube of a new contact, in m/s."""
 
@@ -27,16 +27,16 @@ LANDING = 0.01
 def candidates(
     proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
 ) -> list[Branches]:
-    """Return branches with one contact more, for each rank along the tube and each tool.
+    """Return branches with one additional contact, for each rank along the tube and each tool.
 
     Parameters
     ----------
     proposals : list of Proposals
-        Of each tool.
+        One for each tool.
     motion : Motion
     branches : Branches
     rest : ndarray
-        What the best of them leaves of a cycle, (n_time,).
+        Residual of a cycle with the best branch, (n_time,).
     whiten : Weights
     """
     fronts, places, warm = fronts_of(proposals[0].model, branches)
@@ -56,9 +56,9 @@ def candidates(
 
 
 def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Array, float]:
-    """Return the waves behind the contacts of the best branch, their places, and the temperature.
+    """Return the waves behind the contacts of the best branch, positions (m) and temperature (K).
 
-    These are the transmitted fields, in the order of the contacts along the tube.
+    The waves are the fields that the contacts transmit, in their order along the tube.
     """
     places, depths, own = split(branches.mean[:1, : branches.parameters])
     fronts: list[Front] = []
@@ -68,12 +68,12 @@ def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Arr
 
 
 def new_deviations(motion: Motion) -> Array:
-    """Return the standard deviations of place and depth of a candidate, and of velocities."""
+    """Return the standard deviations of a candidate's position, depth (m) and velocities (m/s)."""
     return np.array([*START, LANDING, motion.sink])
 
 
 def uniform(model: ForwardModel, tool: int) -> float:
-    """Return the logarithm of the ratio of a contact's prior area, distance x depth, to START's."""
+    """Return the log ratio of a contact's prior area, position times depth, to that of `START`."""
     low, high = model.tables[tool].range
     volume = float(np.ptp(model.span)) * (high - low)
     return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
@@ -93,18 +93,18 @@ def with_shifts(
     samples: Complex,
     whiten: Weights,
 ) -> Update:
-    """Return fits of a new contact and of the same half wavelengths away, the best first.
+    """Return fits of a new contact, also one and two half wavelengths away, the best first.
 
     Parameters
     ----------
     model : ForwardModel
     motion : Motion
     fewer : Branches
-        Without the contact.
+        Branches without the new contact.
     best : Update
-        With it.
+        Fit with the new contact.
     rank : int
-        Its index along the tube.
+        Index of the new contact along the tube.
     samples : ndarray
         Baseband of the cycle, (n_time,).
     whiten : Weights

@@ -1,4 +1,4 @@
-"""Clutter and ring-down of a tube: known from untouched cycles, or Gaussian with known density."""
+"""Clutter and ring-down of a tube: from untouched cycles, or Gaussian with a stated density."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from acoustube.inversion.baseband import Baseband
 from acoustube.waves.scattering import Complex
 
 SPACING = 1e-3
-"""Spacing in m of the reflectors that stand for a tube's irregularities: a quarter wavelength at
-85 kHz."""
+"""Spacing in m of the reflectors that represent the irregularities of a tube: a quarter wavelength
+at 85 kHz."""
 CELL = 0.02
-"""Spacing in m of the places up to which clutter is computed in advance."""
+"""Spacing in m of the positions for which the clutter beyond them is tabulated."""
 WARM, WARM_STEP = 1.5, 0.1
-"""Range to both sides, and step, of the temperatures in K at which it is computed in advance."""
+"""Half range and step in K of the temperature deviations for which the clutter is tabulated."""
 RING_DEVIATION = 0.3
 """Relative standard deviation of the ring-down's level where it is not measured."""
 FAR_DEVIATION = 0.01
@@ -33,14 +33,14 @@ class Clutter:
     Attributes
     ----------
     behind : ndarray or None
-        Reflection coefficient at the face of all that lies beyond a place, for temperatures and
-        places, (n_t, n_z, n_f); None where only its statistics are known.
+        Reflection coefficient, referred to the face, of the tube beyond a position, for
+        temperatures and positions, (n_t, n_z, n_f); None if only its statistics are known.
     warmer : ndarray or None
-        Its derivative by temperature.
+        Derivative of `behind` by temperature in 1/K.
     ring : ndarray
         Ring-down in the baseband, (n_time,).
     covariance : ndarray
-        Of what is not known of clutter and ring-down, in the baseband, (n_time, n_time).
+        Covariance of the unknown part of clutter and ring-down in the baseband, (n_time, n_time).
     """
 
     behind: Complex | None
@@ -49,22 +49,22 @@ class Clutter:
     covariance: Complex
 
     def beyond(self, place: Array, temperature: Array) -> tuple[Complex, Complex, Complex]:
-        """Return the reflection of all beyond places, and its derivatives.
+        """Return the reflection of the tube beyond positions, and its derivatives.
 
         Parameters
         ----------
         place : ndarray
-            In m, (n,).
+            Distances from the face in m, (n,).
         temperature : ndarray
             Deviations in K, (n,).
 
         Returns
         -------
         value, by_place, by_temperature : ndarray
-            (n, n_f), per m and per K.
+            Reflection coefficient and its derivatives per m and per K, (n, n_f).
         """
         assert self.behind is not None
-        from acoustube.inversion.spline_sums import between  # Numba, without which the sensor does
+        from acoustube.inversion.spline_sums import between  # needs Numba: imported when called
 
         n_t, n_z, _ = self.behind.shape
         columns = np.clip(place / CELL, 0, n_z - 1.000001)
@@ -79,14 +79,14 @@ class Clutter:
 
     @cached_property
     def warmer_by_row(self) -> NDArray[np.complex64]:
-        """Derivative by temperature in steps of the table."""
+        """Derivative of the reflection by temperature, per step `WARM_STEP` of the table."""
         assert self.warmer is not None
         return np.asarray(WARM_STEP * self.warmer, np.complex64)
 
 
 @checked(base=Baseband)
 def unknown_clutter(base: Baseband) -> Clutter:
-    """Return clutter of which only the rangefinder's density of power is known."""
+    """Return clutter of which only the power density is known, as the rangefinder states it."""
     _, shapes = _reflectors(base)
     ring = base.ring_down()
     covariance = shapes @ shapes.conj().T + RING_DEVIATION**2 * np.outer(ring, ring.conj())
@@ -114,25 +114,25 @@ def measured_clutter(
 
     Notes
     -----
-    Wiener's estimate of reflectors along the tube, Gaussian a priori, after the level of the
-    ring-down is fitted by weighted least squares. Where there is nothing but clutter within the
-    resolution of the band, its posterior covariance is that of the noise of the mean.
+    The level of the ring-down is fitted by weighted least squares. Then reflectors along the tube,
+    Gaussian a priori, are estimated by Wiener's filter. Where there is nothing but clutter within
+    the resolution of the band, its posterior covariance is that of the noise of the mean.
     """
     return reflectors(base, counts).clutter(at or base)
 
 
 @dataclass(frozen=True, eq=False)
 class Reflectors:
-    """Reflectors along a tube that sound as its untouched cycles do.
+    """Reflectors along a tube that reproduce its untouched cycles.
 
     Attributes
     ----------
     places : ndarray
-        In m, rising, (n,).
+        Distances from the face in m, increasing, (n,).
     strength : ndarray
         Reflection coefficients, (n,).
     ring, covariance : ndarray
-        As of :class:`Clutter`.
+        See :class:`Clutter`.
     """
 
     places: Array
@@ -143,7 +143,8 @@ class Reflectors:
     def clutter(self, at: Baseband) -> Clutter:
         """Return the clutter at the temperature of a baseband.
 
-        Reflector by reflector at the face, then summed from the far end to each place.
+        The reflection of each reflector is referred to the face. The reflections are then summed
+        from the far end to each position.
         """
         first = np.searchsorted(self.places, np.arange(0, at.length + CELL, CELL))
         phase, heated = at.path.plane(self.places)
@@ -179,7 +180,7 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
 
 
 def _reflectors(base: Baseband) -> tuple[Array, Complex]:
-    """Return the places of the reflectors and their echoes of unit variance, (n_time, n)."""
+    """Return the positions of the reflectors and their echoes of unit variance, (n_time, n)."""
     places = np.arange(0.5 * SPACING, base.length - 2 * FAR_DEVIATION, SPACING)
     end = base.length + FAR_DEVIATION * np.array([-1.5, -0.5, 0.5, 1.5])
     places = np.concatenate([places, end])

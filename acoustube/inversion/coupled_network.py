@@ -1,7 +1,7 @@
 """Echo of presses along a wrapped tube, with derivatives by all parameters.
 
-The equations of :mod:`acoustube.inversion.network`, with wavenumbers that vary along the tube,
-matrices that vary with place and temperature, and a conversion of the modes before the first press.
+The equations are those of :mod:`acoustube.inversion.network`, except that wavenumbers vary along
+the tube, matrices vary with position and temperature, and modes convert before the first press.
 """
 
 from __future__ import annotations
@@ -22,25 +22,24 @@ def coupled_echo(
     Parameters
     ----------
     presses : list of Joined
-        One for each press, from the face on.
+        One for each press, in the order from the face.
     sections : list of Section
         The propagation before each press.
     face : complex
-        Reflection coefficient of the face, of all modes.
+        Reflection coefficient of the face for all modes.
     entry : Entry, optional
-        The way from the face to where the first section begins, if it does not at the face.
+        Propagation from the face to the start of the first section, if that is not the face.
 
     Returns
     -------
     Echo
-        Its value is that of (p - 1) / (1 + face), with the pressure p at the face of the plane
-        wave.
+        Its value is (p - 1) / (1 + face), where p is the pressure of the plane wave at the face.
     """
     blocks = [_blocks(press.value) for press in presses]
     paths = [section.factor for section in sections]
     eye = np.eye(paths[0].shape[-1])
-    # From the last press to the face: the reflection seen before each press, and for the multiple
-    # reflections behind it the inverse of I - B R2, with the reflection B of what follows.
+    # From the last press to the face: the reflection in front of each press and, for the multiple
+    # reflections behind it, the inverse of I - B R2, where B is the reflection of all that follows.
     loads: list[Complex] = []
     loops: list[tuple[Complex, Complex] | None] = []
     behind: Complex | None = None
@@ -88,10 +87,10 @@ def coupled_echo(
 def _at_face(
     load: Complex, face: complex, entry: Entry | None
 ) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return the echo at the face, its part of the derivative by temperature, and the waves.
+    """Return the echo at the face, the entry's part of its derivative by temperature, and waves.
 
-    The waves are the row vector of those that reach the face from where the first section begins,
-    and the column vector of those that arrive there.
+    The waves are the row vector of those that reach the face from the start of the first section,
+    and the column vector of those that arrive at this start from the face.
     """
     at_face = load if entry is None else entry.matrix.swapaxes(-1, -2) @ load @ entry.matrix
     eye = np.eye(at_face.shape[-1])

@@ -1,4 +1,4 @@
-"""Inputs of a track from a cycle, and the state of a contact that it keeps."""
+"""Input of a track from one cycle, and what the track records of each contact."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from acoustube.waves.scattering import Complex
 
 
 class Cycle(NamedTuple):
-    """A cycle.
+    """Baseband of one cycle.
 
     Attributes
     ----------
     number : int
-        From 0.
+        Number of the cycle, from 0.
     samples : ndarray
         Baseband, (n_time,).
     noise : float
-        Variance of its samples.
+        Variance of the noise of a sample.
     """
 
     number: int
@@ -30,17 +30,17 @@ class Cycle(NamedTuple):
 
 @dataclass
 class Known:
-    """Number, odds and age of a contact, besides its state.
+    """Number, odds and age of a contact, in addition to its state.
 
     Attributes
     ----------
     number : int
     odds : float
-        Logarithm of the odds that there is the contact.
+        Logarithm of the odds that the contact is real.
     age : int
-        In cycles.
+        Age in cycles.
     faint : int
-        Tests since it was deeper than the library's first depth.
+        Number of tests since the contact was deeper than the first depth of the library.
     """
 
     number: int
@@ -50,5 +50,5 @@ class Known:
 
     @property
     def probability(self) -> float:
-        """Probability that there is the contact."""
+        """Probability that the contact is real."""
         return float(1 / (1 + np.exp(-self.odds)))

@@ -1,8 +1,8 @@
-"""Limit of detection: how deep a further press must be, along the tube, to be found.
+"""Limit of detection: the least depth at which a further press along the tube is detected.
 
-Behind a deep press little sound arrives, and an error of the model of its echo hides what is
-fainter. A press that is not found is either not there or shallower than this limit. What decides is
-the evidence with its prior odds, not a rate of false positives.
+Behind a deep press little sound arrives, and an error of the model of its echo hides fainter
+echoes. A press that is not detected is either absent or shallower than this limit. Detection is
+decided by the evidence with its prior odds, not by a rate of false positives.
 
 References
 ----------
@@ -28,46 +28,47 @@ from acoustube.inversion.parameters import CLOSEST, odds_of, split
 from acoustube.waves.scattering import Complex
 
 STEP = 0.5e-3
-"""Distance in m of the depths that are tried; between them the evidence is interpolated."""
+"""Spacing in m of the depths that are tried; the evidence is interpolated between them."""
 ALONG = 0.013
-"""Distance in m of places, of which three in turn share the largest limit: behind a press its modes
-beat over 2 and 4 cm, of which the three have phases 110 to 130 degrees apart."""
+"""Spacing in m of positions, each of which is given the largest limit of itself and its neighbours.
+Behind a press its modes beat over 2 and 4 cm; at three positions the beats have phases 110 to 130
+degrees apart."""
 NORMAL_QUANTILE = 1.28
-"""Standard deviations of the explained deviance that a press at the limit has to spare, so that its
-probability of detection is 0.9 if errors are normal with the covariance of the weights."""
+"""Margin of a press at the limit, in standard deviations of the deviance that it explains: its
+probability of detection is then 0.9 if errors are normal with the covariance of the weights."""
 
 
 def detection_limit(
     model: ForwardModel, known: Hypothesis, noise: float, tool: int, places: Array
 ) -> Array:
-    """Return the limits of detection: depths from which on a further press would be found.
+    """Return the limits of detection: the least depths at which a further press is detected.
 
     Parameters
     ----------
     model : ForwardModel
     known : Hypothesis
-        The presses found, none or more.
+        The detected presses, none or more.
     noise : float
         Variance of a sample of the mean of cycles.
     tool : int
-        Number of the further press's tool in the library.
+        Number in the library of the tool of the further press.
     places : ndarray
-        Distances in m, (n,).
+        Distances from the face in m, (n,).
 
     Returns
     -------
     ndarray
-        In m, (n,): inf where the deepest press of the library would not be found, and the
-        shallowest depth of the library, an upper bound, where all would. nan nearer to a press that
-        is known than :data:`.CLOSEST`, and outside of the model's span.
+        Depths in m, (n,): inf where the deepest press of the library would not be detected, and the
+        shallowest depth of the library, an upper bound, where all presses would be. nan closer than
+        :data:`.CLOSEST` to a detected press, and outside the span of the model.
 
     Notes
     -----
-    The echo that a further press adds is projected on what no change of the known parameters
-    explains, in the least favourable phase. Its squared norm, with the weights of
-    :mod:`acoustube.inversion.doubt`, is the deviance that the press explains. It is found where
-    that exceeds what the prior odds and the two further parameters cost. Where the reflection falls
-    again with depth, the limit is the depth beyond which all are found.
+    A change of the known parameters could explain a part of the echo that a further press adds.
+    This part is subtracted, at the least favourable phase. The squared norm of the rest, with the
+    weights of :mod:`acoustube.inversion.doubt`, is the deviance that the press explains. The press
+    is detected where this exceeds the cost of its prior odds and of its two parameters. Where the
+    reflection falls again with depth, the limit is the depth beyond which all are detected.
     """
     table = model.tables[tool]
     depths = np.linspace(*table.range, 2 + int(np.diff(table.range)[0] / STEP))
@@ -83,7 +84,7 @@ def detection_limit(
 
 
 class _Known(NamedTuple):
-    """The presses found, linearised about their best fit.
+    """Model of the detected presses, linearised about their best fit.
 
     Attributes
     ----------
@@ -91,13 +92,13 @@ class _Known(NamedTuple):
     parameters : ndarray
         (1, n_parameters).
     whiten : Weights
-        Of one press more.
+        Weights for one additional press.
     value : ndarray
-        Baseband, (1, n_time).
+        Baseband of the model, (1, n_time).
     slopes : ndarray
         Its derivatives, whitened, (1, n_parameters, n_time).
     information : ndarray
-        (n_parameters, n_parameters).
+        Half the Hessian of the cost, (n_parameters, n_parameters).
     """
 
     tools: tuple[int, ...]
@@ -117,21 +118,21 @@ def _linearised(model: ForwardModel, known: Hypothesis, noise: float) -> _Known:
 
 
 def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> tuple[Array, Array]:
-    """Return places along the tube, and the largest limit at each and at the two next to it.
+    """Return positions along the tube, and for each the largest limit of it and its neighbours.
 
     Parameters
     ----------
     limit : callable
-        Returns the limits in m at places in m, both (n,).
+        Returns the limits in m at positions in m, both (n,).
     span : (float, float)
-        Nearest and farthest place in m.
+        Nearest and farthest position in m.
 
     Returns
     -------
     places : ndarray
         Multiples of :data:`ALONG` in m, (n,).
     depths : ndarray
-        In m, (n,); nan where there is no limit at the place itself.
+        Limits in m, (n,); nan where there is no limit at the position itself.
     """
     places = ALONG * np.arange(np.ceil(span[0] / ALONG), np.floor(span[1] / ALONG) + 1)
     depths = limit(places)
@@ -141,9 +142,9 @@ def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> 
 
 
 def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depths: Array) -> Array:
-    """Return by how much the deviance that a further press explains exceeds its cost, (n,).
+    """Return the excess over its cost of the deviance that a further press explains, (n,).
 
-    Less :data:`NORMAL_QUANTILE` of its standard deviations.
+    The margin of :data:`NORMAL_QUANTILE` standard deviations is subtracted.
     """
     tool, place = press
     own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.parameters))
@@ -159,23 +160,23 @@ def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depth
     cost = np.linalg.slogdet(_information(model, known.whiten(slopes)))[1]
     cost -= np.linalg.slogdet(known.information)[1]
     cost += 2 * log(length * span) - 2 * log(2 * pi)
-    # What a press without an echo leaves open, its place and depth, is no evidence for it.
+    # A press without an echo leaves its position and depth open, which is no evidence for it.
     cost = np.maximum(cost, 0.0) + odds_of(len(tools))
     explained = np.maximum(explained, 0.0)
     return np.asarray(explained - NORMAL_QUANTILE * 2 * np.sqrt(explained) - cost)
 
 
 def _absorbed(information: Array, toward: Complex) -> Array:
-    """Return the deviance that a change of the known parameters takes off an echo, (n,).
+    """Return the part of an echo's deviance that a change of the known parameters explains, (n,).
 
-    The largest over the echo's phase, which turns once within half a wavelength along the tube.
+    It is the largest over the phase of the echo, which turns once in half a wavelength of position.
 
     Parameters
     ----------
     information : ndarray
-        Of the known parameters, (p, p).
+        Half the Hessian of the cost by the known parameters, (p, p).
     toward : ndarray
-        Twice the products of the slopes' conjugates with the echo, whitened, (n, p).
+        Twice the products of the conjugate derivatives with the echo, both whitened, (n, p).
     """
     parts = np.stack([toward.real, toward.imag], axis=1)
     absorbed = parts @ np.linalg.solve(information, parts.swapaxes(1, 2))
@@ -183,7 +184,7 @@ def _absorbed(information: Array, toward: Complex) -> Array:
 
 
 def _information(model: ForwardModel, slopes: Complex) -> Array:
-    """Return half the second derivatives of the cost, (n, p, p), of whitened slopes."""
+    """Return half the Hessian of the cost, (n, p, p), from whitened derivatives."""
     found = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real
     own = np.arange(found.shape[1])[-len(NUISANCES) :]
     found[:, own, own] += 1 / model.priors.deviations**2

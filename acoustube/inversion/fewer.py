@@ -1,9 +1,9 @@
-"""Fits of a cycle by fewer contacts, which reveal spurious ones (ghosts).
+"""Fits of a cycle with fewer contacts, which reveal spurious ones (ghosts).
 
-A spurious contact explains what the others, misplaced, leave of a cycle. Its worth is therefore
-what the cycle loses where the others are fitted again without it. A press that deepens fast may be
-followed at too small a depth half a wavelength off, and what is left seem a contact just behind: so
-one contact is also sought in place of two neighbours.
+A spurious contact explains the residual of other, misplaced contacts. Its evidence is therefore the
+loss of likelihood where the others are fitted again without it. A press that deepens fast may be
+tracked at too small a depth half a wavelength off; the residual then resembles a contact just
+behind it. One contact is therefore also sought in place of two neighbours.
 """
 
 from __future__ import annotations
@@ -22,23 +22,24 @@ from acoustube.inversion.proposals import Proposals
 from acoustube.waves.scattering import Complex
 
 WIDER = 0.5e-3, 0.15e-3
-"""Standard deviations in m that are added to those of places and depths in a fit from elsewhere."""
+"""Standard deviations in m that are added in quadrature to those of positions and depths in a fit
+from another starting point."""
 UNUSUAL = -4.0
-"""Logarithm of the prior odds of another maximum than the one followed."""
+"""Logarithm of the prior odds of a maximum other than the one that is tracked."""
 BEFORE, BEHIND = 0.03, 0.01
-"""Reach in m in front of two neighbours and behind, within which one is sought in their place."""
+"""Distances in m before two neighbours and behind them, within which one is sought instead."""
 ITERATIONS = 4, 5
-"""Iterations of the contacts left, and of one in place of two."""
+"""Iterations of the fits of the remaining contacts, and of one contact in place of two."""
 
 
 def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Weights) -> Update:
-    """Return fits of the contacts left, also from half a wavelength away, the best first.
+    """Return fits of the remaining contacts, also from half a wavelength away, the best first.
 
     Parameters
     ----------
     model : ForwardModel
     fewer : Branches
-        One branch, of the contacts left.
+        One branch of the remaining contacts.
     samples : ndarray
         Baseband of the cycle, (n_time,).
     whiten : Weights
@@ -55,10 +56,10 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
 
 
 def widened(branches: Branches, priors: Priors) -> Array:
-    """Return the best branch's covariance (1, p, p) with that of another maximum added.
+    """Return the best branch's covariance (1, p, p), widened so as to reach another maximum.
 
-    It has `WIDER` more of places and depths, and the priors of the nuisances: a misplaced contact
-    has misled them.
+    The variances of `WIDER` are added to positions and depths, and the prior variances to the
+    nuisance parameters, which a misplaced contact has biased.
 
     Parameters
     ----------
@@ -80,17 +81,17 @@ def one_for_two(
     samples: Complex,
     whiten: Weights,
 ) -> Update | None:
-    """Return fits of one contact in place of two neighbours, None where none is found.
+    """Return fits of one contact in place of two neighbours, or None if none is found.
 
     Parameters
     ----------
     proposals : list of Proposals
-        Of each tool.
+        One for each tool.
     motion : Motion
     best : Branches
         One branch.
     first : int
-        Number of the first of the neighbours.
+        Index of the first of the two neighbours along the tube.
     samples : ndarray
         Baseband of the cycle, (n_time,).
     whiten : Weights

@@ -1,9 +1,10 @@
 """Baseband of cycles that are sampled below the Nyquist rate of their carrier.
 
-At 80 kHz the band about 42 kHz is folded about 40 kHz: a sample is the sum of two frequencies,
-one of them conjugate. Multiplied by -1 to the power of its number, such a record is the real part
-of the complex baseband about half the sampling rate, which the forward model gives as well; it
-holds half of what a record at twice the rate does.
+At a sampling rate of 80 kHz the band about 42 kHz is folded about 40 kHz: each component of the
+spectrum is the sum of those at two frequencies, one of them conjugate. With each sample multiplied
+by -1 to the power of its number, such a record is the real part of the complex baseband about half
+the sampling rate, which the forward model gives as well. It holds half the information of a record
+at twice the rate.
 
 References
 ----------
@@ -36,17 +37,17 @@ from acoustube.ranging.analogue import sent_spectrum
 from acoustube.waves.scattering import Complex
 
 HALF_BAND = 0.13
-"""Half the width of the band about half the sampling rate, in carriers."""
+"""Half width of the band about half the sampling rate, relative to the carrier frequency."""
 FARTHEST = 0.08
-"""Largest distance of the carrier from half the sampling rate, in carriers."""
+"""Largest distance of the carrier from half the sampling rate, relative to the carrier."""
 FINER = 4
-"""Factor of the sampling rate at which the ring-down is computed."""
+"""Oversampling factor with which the ring-down is computed."""
 
 
 class FoldedBaseband(Baseband):
     """Grid of frequencies and times of a folded band; its samples are real.
 
-    The voltage is not filtered before it is sampled, as in EchoTube's board. The parameters are
+    As on EchoTube's board, the voltage is not filtered before it is sampled. The parameters are
     those of :class:`acoustube.inversion.Baseband`.
 
     Raises
@@ -58,7 +59,7 @@ class FoldedBaseband(Baseband):
     freedom = 0.5
 
     def _period(self, least: int) -> int:
-        """Return the samples of the period, an even number."""
+        """Return the number of samples of the period, which is even."""
         return 2 * int(next_fast_len(-(-least // 2)))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
@@ -104,7 +105,7 @@ class FoldedBaseband(Baseband):
         return np.asarray(1.0 - 2.0 * (self.used % 2))
 
     def _of_samples(self, samples: Array) -> Complex:
-        # Both halves of the band hold the whole record.
+        # Each half of the band holds the whole record.
         return super()._of_samples(samples) / 2
 
     def _drive(self) -> Complex:
@@ -124,7 +125,7 @@ def baseband_of(
     n_samples: int | None = None,
     wrap: Wrap | None = None,
 ) -> Baseband:
-    """Return the baseband of a rangefinder: folded where its band is not below the Nyquist rate.
+    """Return the baseband of a rangefinder, folded if its band exceeds half the sampling rate.
 
     The parameters and errors are those of :class:`acoustube.inversion.Baseband`.
     """

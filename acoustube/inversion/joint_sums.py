@@ -1,8 +1,9 @@
-"""Scattering of a press between bends, and its derivatives, compiled: frequency by frequency.
+"""Scattering of a press between bends and its derivatives, in compiled loops over frequency.
 
-The equations are given in :mod:`acoustube.inversion.joints`. Joints come as arrays whose last axis
-holds, one after the other, what a joint passes (3, 3), returns to the straight bore (3, 3) and
-reflects in the bent one (3, 3), and its passing modes (n_own, 3).
+The equations are given in :mod:`acoustube.inversion.joints`. The last axis of the arrays of joints
+holds, one after the other, the transmission of a joint (3, 3), its reflection back into the
+straight bore (3, 3), that back into the bent one (3, 3), and the modes that pass the press
+(n_own, 3).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from acoustube.inversion.small_matrices import (
 from acoustube.waves.scattering import Complex
 
 PASSED, RETURNED, REFLECTED, PASSING = 0, 9, 18, 27
-"""Where the parts of a joint begin."""
+"""First index of each part of a joint."""
 
 
 @compiled
@@ -40,7 +41,7 @@ def _three(a: Complex) -> Vector:
 
 @compiled
 def _joint(at: Complex, way: Vector) -> tuple[Matrix, Matrix]:
-    """Return what a joint passes and returns, referred to the press."""
+    """Return a joint's transmission and its reflection back to the press, referred to the press."""
     ones = (1.0 + 0j, 1.0 + 0j, 1.0 + 0j)
     return scaled(way, kept(at[PASSED:]), ones), scaled(way, kept(at[RETURNED:]), way)
 
@@ -55,35 +56,35 @@ def _once_more(s: Complex, out: int, into: int, b0: Matrix, b1: Matrix) -> Matri
 
 @compiled
 def _applied(s: Complex, out: int, v0: Vector, v1: Vector) -> Vector:
-    """Return what leaves a port."""
+    """Return the amplitudes of the waves that leave a port."""
     return plus(apply(block(s, out, 0), v0), apply(block(s, out, 1), v1))
 
 
 @compiled
 def _applied_left(s: Complex, into: int, u0: Vector, u1: Vector) -> Vector:
-    """Return the row vector of what arrives at a port."""
+    """Return the row vector with which waves that arrive at a port are received."""
     return plus(apply_left(u0, block(s, 0, into)), apply_left(u1, block(s, 1, into)))
 
 
 @numba.njit(**OPTIONS)
 def joined_values(s: Complex, joints: Complex, way: Complex, through: Complex) -> Complex:
-    """Return the matrices of presses between the modes of the bends.
+    """Return the scattering matrices of presses between the modes of the bends.
 
     Parameters
     ----------
     s : ndarray
-        Between straight modes, (n, n_f, 2, 3, 2, 3).
+        Scattering matrices between straight modes, (n, n_f, 2, 3, 2, 3).
     joints : ndarray
-        At both ports, (2, n, n_f, n_parts).
+        Joints at both ports, (2, n, n_f, n_parts).
     way : ndarray
-        Factors of the straight modes from a press to a joint, (n, n_f, 3).
+        Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
     through : ndarray
-        Of the modes that pass the press, from joint to joint, (n, n_f, n_own).
+        Those of the modes that pass the press, from joint to joint, (n, n_f, n_own).
 
     Returns
     -------
     ndarray
-        (n, n_f, 2, 3, 2, 3).
+        Scattering matrices between bent modes, (n, n_f, 2, 3, 2, 3).
     """
     n, n_f = s.shape[:2]
     found = np.zeros((n, n_f, 2, 3, 2, 3), np.complex128)
@@ -118,26 +119,26 @@ def joined_changes(
     s: Complex, s_depth: Complex, s_stretch: Complex, joints: Complex, moved: Complex,
     way: Complex, warm: Complex, through: Complex, through_warm: Complex, waves: Complex,
 ) -> Complex:  # fmt: skip
-    """Return the changes of a sound that joined presses scatter, by their parameters.
+    """Return the derivatives of the received sound that joined presses scatter.
 
     Parameters
     ----------
     s, s_depth, s_stretch : ndarray
-        Matrices between straight modes and their derivatives, (n, n_f, 2, 3, 2, 3).
+        Scattering matrices between straight modes and their derivatives, (n, n_f, 2, 3, 2, 3).
     joints, moved : ndarray
-        At both ports, and their derivatives by place, (2, n, n_f, n_parts).
+        Joints at both ports, and their derivatives by position, (2, n, n_f, n_parts).
     way, through
         See :func:`joined_values`.
     warm, through_warm : ndarray
         Relative derivatives of these by temperature, (n_f, 3) and (n_f, n_own).
     waves : ndarray
-        Row vectors of what is heard of sound that leaves either port, and column vectors of what
-        arrives at them, in bent modes, (n, n_f, 4, 3).
+        Row vectors with which waves that leave the two ports are received, then column vectors of
+        the waves that arrive at the two ports, in bent modes, (n, n_f, 4, 3).
 
     Returns
     -------
     ndarray
-        By depth, stretch, place and temperature, (4, n, n_f).
+        Derivatives by depth, stretch, position and temperature, (4, n, n_f).
     """
     n, n_f = s.shape[:2]
     found = np.empty((4, n, n_f), np.complex128)

@@ -1,15 +1,16 @@
-"""A press between two bends: its scattering matrix between bent modes, and changes of it.
+"""Scattering matrix of a press between two bends, between bent modes, and its derivatives.
 
-With S its matrix between straight modes, and of the joints at its two ends E what they pass, B what
-they return to the straight bore and G what they reflect in the bent one, all block-diagonal and
-referred to the press, the matrix between bent modes is
+To first order in B, the scattering matrix between bent modes is
 
-    E^T (S + S B S) E + G + P,
+    W = E^T (S + S B S) E + G + P.
 
-to first order in B, with P what passes the press unscattered: modes antisymmetric about the plane
-of the bend, which the press does not have. Its derivatives are wanted in products u^T dW v with the
-sound v that arrives and what is heard of the sound that leaves, u; these need products of matrices
-and vectors alone.
+S is the scattering matrix of the press between straight modes. E, B and G describe the joints at
+its two ends, and are block-diagonal and referred to the press. E is their transmission, B their
+reflection back into the straight bore, and G their reflection back into the bent one. P is the
+transmission of modes that pass the press unscattered: those antisymmetric about the plane of the
+bend, which the press does not have. The derivatives are needed in products u^T dW v, where v holds
+the amplitudes of the waves that arrive, and u the factors with which leaving waves are received.
+These need only products of matrices and vectors.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ class Joined:
     Attributes
     ----------
     straight : Matrices
-        Between straight modes, of which there are three or fewer.
+        Scattering between straight modes, of which there are three or fewer.
     joints, moved : ndarray
-        At both ports, and their derivatives by place in 1/m, (2, n, n_f, n_parts); see
+        Joints at both ports, and their derivatives by position in 1/m, (2, n, n_f, n_parts); see
         :mod:`acoustube.inversion.joint_sums`.
     way : ndarray
-        Factors of the straight modes from a press to a joint, (n, n_f, 3).
+        Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
     warm : ndarray
         Their relative derivatives by temperature in 1/K, (n_f, 3).
     through, through_warm : ndarray
-        The same of the modes that pass from joint to joint, (n, n_f, n_own) and (n_f, n_own).
+        The same for modes that pass from joint to joint, (n, n_f, n_own) and (n_f, n_own).
     untouched : ndarray
-        Factor of the plane wave from port to port of a bend without a press, (n, n_f).
+        Transmission of the plane wave from port to port of a bend without a press, (n, n_f).
     """
 
     straight: Matrices
@@ -55,7 +56,7 @@ class Joined:
 
     @cached_property
     def value(self) -> Complex:
-        """Matrices between bent modes, (n, n_f, 2, 3, 2, 3)."""
+        """Scattering matrices between bent modes, (n, n_f, 2, 3, 2, 3)."""
         from acoustube.inversion.joint_sums import joined_values  # Numba, as in `tables`
 
         return np.asarray(joined_values(self.straight.value, self.joints, self.way, self.through))
@@ -67,20 +68,20 @@ class Joined:
         out: Complex | None = None,
         into: Complex | None = None,
     ) -> Complex:
-        """Return derivatives of what is heard of the sound that the presses scatter.
+        """Return the derivatives of the received part of the sound that the presses scatter.
 
         Parameters
         ----------
         left, right : ndarray, optional
-            What is heard of sound that leaves at the first port, and the sound that arrives there,
-            (n, n_f, 3); nothing by default.
+            Factors with which waves that leave the first port are received, and amplitudes of the
+            waves that arrive there, (n, n_f, 3); zero by default.
         out, into : ndarray, optional
             The same at the second port.
 
         Returns
         -------
         ndarray
-            By depth, stretch, place and temperature, (4, n, n_f).
+            Derivatives by depth, stretch, position and temperature, (4, n, n_f).
         """
         from acoustube.inversion.joint_sums import joined_changes
 
@@ -92,9 +93,9 @@ class Joined:
         ))  # fmt: skip
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's transmission both ways, and changes by depth and stretch.
+        """Return the plane wave's two-way transmission, and its derivatives by depth and stretch.
 
-        Relative to the bend without a press, as clutter behind it is.
+        They are relative to the bend without a press, as is the clutter behind it.
         """
         plane = np.zeros(self.way.shape, complex)
         plane[..., 0] = 1.0

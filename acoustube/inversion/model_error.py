@@ -1,13 +1,13 @@
-"""Error of the forward model as it is found in a recording, and what it adds to places and depths.
+"""Error of the forward model, estimated from a recording, and its effect on positions and depths.
 
-The error of the model sits in the shape of the echo: a wall on another mesh or a lumen on another
-grid scatters much as the library's at another depth. That part of the error lies along the
-derivative of the echo, where no residual shows it, whereas noise of as much power would mostly be
-perpendicular to it.
+The error of the model changes the shape of the echo: a wall on another mesh or a lumen on another
+grid scatters much as the library's at another depth. This part of the error lies along the
+derivative of the echo and leaves no residual, whereas noise of the same power would mostly be
+perpendicular to the derivative.
 
 References
 ----------
-* Discrepancy of a model, of which data tell only a part: Kennedy, M. C. and O'Hagan, A. (2001).
+* Discrepancy of a model, which data reveal only in part: Kennedy, M. C. and O'Hagan, A. (2001).
   Journal of the Royal Statistical Society B 63, 425-464. doi:10.1111/1467-9868.00294
 * Variance by the likelihood of the residuals alone: Patterson, H. D. and Thompson, R. (1971).
   Biometrika 58, 545-554. doi:10.1093/biomet/58.3.545
@@ -29,14 +29,14 @@ from acoustube.waves.scattering import Complex
 
 
 class Discrepancy(NamedTuple):
-    """Weights of the maxima, and deviations of places and depths by the error of the model.
+    """Weights of the maxima, and deviations of positions and depths due to the error of the model.
 
     Attributes
     ----------
     level : ndarray
-        Minus twice the logarithms of the maxima's weights, but for a constant, (n,).
+        Minus twice the logarithms of the weights of the maxima, up to a constant, (n,).
     deviation : ndarray
-        Standard deviation of place and depth of each press in turn in m, (n, 2 n_presses).
+        Standard deviations in m of position and depth of each press in turn, (n, 2 n_presses).
     """
 
     level: Array
@@ -49,9 +49,9 @@ def discrepancy(
     """Return the discrepancy of the model about each maximum of a hypothesis.
 
     The relative errors of :data:`acoustube.inversion.hypotheses.ERRORS` are equally likely a
-    priori. Parameters are marginalised, since a fit absorbs a part of the error; then the error
-    itself. Its root mean square times the echo of a press is taken to lie along the derivative by
-    place and by depth, besides the offsets of the priors.
+    priori. The parameters are marginalised first, since a fit absorbs a part of the error, and then
+    the error is. Its root mean square times the echo of a press is taken as wholly along the
+    derivative by position, and by depth. The offsets of the priors are added in quadrature.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def discrepancy(
     samples : ndarray
         Baseband of the cycles, (n_time,).
     noise : float
-        Variance of a sample.
+        Variance of the noise of a sample.
     """
     places, depths, nuisances = split(known.fits.parameters)
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)
@@ -79,7 +79,7 @@ def discrepancy(
     deviance = np.array([restricted(error) for error in ERRORS])
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
-    # The error changes an echo as a whole: it tells maxima apart less than its samples would.
+    # The error changes an echo as a whole: it distinguishes maxima less than its samples would.
     level = restricted(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
@@ -95,10 +95,10 @@ def discrepancy(
 def restricted_deviance(
     model: ForwardModel, parameters: Array, rest: Complex, slopes: Complex, logarithm: float
 ) -> Array:
-    """Return minus twice the log likelihood of errors, parameters marginalised, (n,).
+    """Return minus twice the log likelihood of errors, with the parameters marginalised, (n,).
 
-    By a linear model about each of some sets of parameters, within the largest steps of an
-    iteration, and but for a constant.
+    The model is linearised about each set of parameters, within the largest steps of an iteration.
+    The result omits a constant.
 
     Parameters
     ----------
@@ -106,18 +106,18 @@ def restricted_deviance(
     parameters : ndarray
         (n, n_parameters).
     rest : ndarray
-        Samples less the model's, whitened, (n, n_time).
+        Residual, whitened, (n, n_time).
     slopes : ndarray
         Derivatives of the model, whitened, (n, n_parameters, n_time).
     logarithm : float
-        Of the determinant of the covariance.
+        Logarithm of the determinant of the covariance.
     """
     precision = np.zeros(parameters.shape[1])
     precision[-len(NUISANCES) :] = 1 / model.priors.deviations**2
     information = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real + np.diag(precision)
     gradient = precision * parameters - 2 * (slopes.conj() @ rest[..., None])[..., 0].real
     step = np.asarray(np.linalg.solve(information, gradient[..., None])[..., 0], float)
-    # As far towards the minimum as the linear model holds: it may lie beyond a bound.
+    # Step towards the minimum as far as the linear model holds: it may lie beyond a bound.
     part = np.min(
         limited(step) / np.where(step == 0, 1.0, step), axis=1, initial=1.0, where=step != 0
     )

@@ -1,7 +1,8 @@
 """Motion of contacts between cycles, and the update of their distribution by a cycle.
 
-The state holds place and depth of each contact in turn, the nuisances, and the velocities of
-places and depths in turn. Several normal distributions, the branches, share one set of tools.
+The state holds position and depth of each contact in turn, the nuisance parameters, and the
+velocities of positions and depths in turn. Several normal distributions, the branches, share one
+set of tools.
 
 References
 ----------
@@ -32,13 +33,13 @@ from acoustube.waves.scattering import Complex
 Numbers = NDArray[np.integer[Any]]
 
 LIMITS = 2 * LARGEST_STEPS[0], 2 * LARGEST_STEPS[1]
-"""Largest changes of place and depth in an iteration, in m."""
+"""Largest changes of position and depth in an iteration, in m."""
 CONVERGED = 0.1
-"""Decrease of the cost in an iteration that ends the iterations."""
+"""Expected decrease of the cost in an iteration below which the iterations end."""
 LOST = 60.0
-"""Cost over the least from which a branch is not refined further after its second iteration."""
+"""Excess over the least cost above which a branch is not refined after its second iteration."""
 DISTINCT = 0.5e-3, 0.05e-3
-"""Differences of place and depth in m up to which two branches are one."""
+"""Differences of position and depth in m up to which two branches count as one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ class Motion:
     drift : float
         Correlation time of the nuisances in s. Default 30.
     survival : float
-        Probability that a contact is still there a cycle later, without a look. Default 0.9.
+        Prior probability that a contact is still present one cycle later. Default 0.9.
     """
 
     slide: float = 0.03
@@ -80,13 +81,13 @@ class Branches:
     Attributes
     ----------
     tools : tuple of int
-        Number of the tool of each contact in the library, by place.
+        Number in the library of the tool of each contact, in the order along the tube.
     mean : ndarray
-        (n, 4 n_contacts + 6).
+        Means of the state, (n, 4 n_contacts + 6).
     covariance : ndarray
-        (n, 4 n_contacts + 6, 4 n_contacts + 6).
+        Covariances of the state, (n, 4 n_contacts + 6, 4 n_contacts + 6).
     level : ndarray
-        Logarithms of the weights, the largest zero, (n,).
+        Logarithms of the weights, of which the largest is zero, (n,).
     """
 
     tools: tuple[int, ...]
@@ -96,11 +97,11 @@ class Branches:
 
     @property
     def parameters(self) -> int:
-        """Number of parameters of the forward model: all of the state but the velocities."""
+        """Number of parameters of the forward model: the state without the velocities."""
         return 2 * len(self.tools) + len(NUISANCES)
 
     def take(self, rows: Numbers) -> Branches:
-        """Return some of the branches, the largest level zero."""
+        """Return some of the branches, with the largest level shifted to zero."""
         level = self.level[rows]
         return Branches(self.tools, self.mean[rows], self.covariance[rows], level - level.max())
 
@@ -124,17 +125,17 @@ class Branches:
     def added(
         self, rank: int, tool: int, place: Array, depth: Array, deviations: Array
     ) -> Branches:
-        """Return the first branch with one contact more, independent of the others.
+        """Return the first branch with one additional contact, independent of the others.
 
         Parameters
         ----------
         rank : int
-            Number of the contact by place.
+            Index of the new contact along the tube.
         tool : int
         place, depth : ndarray
-            In m, (n,): a branch each.
+            In m, (n,), one branch for each.
         deviations : ndarray
-            Standard deviations of place, depth and their velocities, (4,).
+            Standard deviations of position and depth in m and of their velocities in m/s, (4,).
         """
         n, p, old = len(place), self.parameters, self.mean.shape[1]
         own = [2 * rank, 2 * rank + 1, p + 2 + 2 * rank, p + 3 + 2 * rank]
@@ -149,27 +150,27 @@ class Branches:
 
 
 def at_rest(priors: Priors) -> Branches:
-    """Return the distribution of the nuisances alone, without contacts."""
+    """Return the distribution of the nuisance parameters alone, without contacts."""
     n = len(NUISANCES)
     return Branches((), np.zeros((1, n)), np.diag(priors.deviations**2)[None], np.zeros(1))
 
 
 def velocities(motion: Motion, contacts: int) -> Array:
-    """Return the standard deviations of the velocities of contacts, (2 n_contacts,)."""
+    """Return the standard deviations in m/s of the velocities of contacts, (2 n_contacts,)."""
     return np.tile([motion.slide, motion.sink], contacts)
 
 
 def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -> Branches:
-    """Return the distribution a time later.
+    """Return the predicted distribution after a step of time.
 
     Parameters
     ----------
     branches : Branches
     motion : Motion
     priors : Priors
-        Stationary distribution of the nuisances.
+        Stationary distribution of the nuisance parameters.
     step : float
-        In s.
+        Time in s.
     """
     m, p = len(branches.tools), branches.parameters
     q = p + 2 * m
@@ -180,7 +181,7 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
     change[own, own] = slow
     noise = np.zeros((q, q))
     added = velocities(motion, m) ** 2 * (1 - kept**2)
-    # A velocity that changes evenly over the step.
+    # The variance that is added to a velocity grows evenly over the step.
     noise[speed, speed], noise[place, place] = added, added * step**2 / 3
     noise[place, speed] = noise[speed, place] = added * step / 2
     noise[own, own] = priors.deviations**2 * (1 - slow**2)
@@ -190,20 +191,20 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """Distribution after a cycle, and what it was found from.
+    """Distribution after a cycle, and the quantities from which it was computed.
 
     Attributes
     ----------
     branches : Branches
         Sorted by weight, the most likely first.
     evidence : ndarray
-        Logarithm of the likelihood of the cycle given the earlier ones, but for a constant, (n,).
+        Logarithm of the likelihood of the cycle given the earlier ones, up to a constant, (n,).
     rest : ndarray
-        What the model leaves of the cycle, (n, n_time).
+        Residual of the cycle, (n, n_time).
     slopes : ndarray
         Whitened Jacobian, (n, n_parameters, n_time).
     information : ndarray
-        Fisher's, of this cycle alone, (n, n_parameters, n_parameters).
+        Fisher information of this cycle alone, (n, n_parameters, n_parameters).
     """
 
     branches: Branches
@@ -247,15 +248,15 @@ def updated(
     ----------
     model : ForwardModel
     prior : Branches
-        Predicted.
+        Predicted distribution.
     samples : ndarray
         Baseband of the cycle, (n_time,).
     whiten : Weights
     iterations : int
     forget : float
-        Factor of the levels before this cycle's evidence is added.
+        Factor by which the levels are multiplied before the evidence of this cycle is added.
     limit : float
-        Cost from which a branch is not refined after its first iteration.
+        Cost above which a branch is not refined after its first iteration.
     """
     p, n = prior.parameters, len(prior.mean)
     expected, covariance = prior.mean[:, :p], prior.covariance[:, :p, :p]
@@ -301,13 +302,13 @@ def updated(
 
 
 def likely(found: Update, worst: float, most: int) -> Update:
-    """Return the likely branches that differ, the best first.
+    """Return the branches that are likely and distinct, the best first.
 
     Parameters
     ----------
     found : Update
     worst : float
-        Logarithm of the odds to the best branch below which one is left out.
+        Logarithm of the odds relative to the best branch below which a branch is left out.
     most : int
         Largest number of branches.
     """
@@ -322,7 +323,7 @@ def likely(found: Update, worst: float, most: int) -> Update:
 
 
 class _Quadratic:
-    """Cost of parameters, half its gradient, and the information of the data, in bulk."""
+    """Cost, half its gradient, and Fisher information of the data, for many sets of parameters."""
 
     def __init__(
         self,
@@ -346,13 +347,13 @@ class _Quadratic:
         self.information = 2 * (self.slopes.conj() @ self.slopes.swapaxes(1, 2)).real
 
     def replace(self, rows: Array, other: _Quadratic, taken: Array) -> None:
-        """Take some rows of another."""
+        """Replace rows by the taken ones of another."""
         for name in ("rest", "slopes", "cost", "gradient", "information"):
             getattr(self, name)[rows] = getattr(other, name)[taken]
 
 
 def _limited(step: Array, contacts: int) -> Array:
-    """Return steps whose changes of places and depths are not too large."""
+    """Return steps with the changes of positions and depths limited to :data:`LIMITS`."""
     for i, largest in enumerate(LIMITS):
         part = slice(i, 2 * contacts, 2)
         step[:, part] = np.clip(step[:, part], -largest, largest)
@@ -362,7 +363,7 @@ def _limited(step: Array, contacts: int) -> Array:
 def _with_velocities(
     prior: Branches, at: Array, precision: Array, posterior: Array
 ) -> tuple[Array, Array]:
-    """Return mean and covariance of the whole state: velocities follow by regression."""
+    """Return mean and covariance of the whole state; the velocities follow by regression."""
     p = prior.parameters
     gain = prior.covariance[:, p:, :p] @ precision
     speed = prior.mean[:, p:] + np.einsum("nij,nj->ni", gain, at - prior.mean[:, :p])

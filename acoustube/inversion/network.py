@@ -1,9 +1,10 @@
-"""Reflection at the face of presses joined by straight tube, with derivatives by all parameters.
+"""Echo of presses joined by straight tube, and its derivatives by all parameters.
 
-The input reflection matrices are built up from the last press to the face (Redheffer's star
-product, as in :mod:`acoustube.waves.network`). Derivatives come from the adjoint: with the row
-vector of the waves that reach the face from a plane, and the column vector of those that reach the
-plane from the face, the derivative of the echo is that of the reflection there between the two.
+Input reflection matrices are computed press by press, from the last one to the face (Redheffer's
+star product, as in :mod:`acoustube.waves.network`). Derivatives are computed by the adjoint method.
+Take the row vector of the waves that reach the face from a plane, and the column vector of the
+waves that reach the plane from the face. A change of the reflection matrix at that plane changes
+the echo by its product with both vectors.
 """
 
 from __future__ import annotations
@@ -23,15 +24,17 @@ class Echo(NamedTuple):
     Attributes
     ----------
     value : ndarray
-        (n, n_f).
+        Relative echo, (n, n_f).
     by_place : ndarray
-        Per m, (n, n_presses, n_f).
+        Derivatives by the places of the presses, per m, (n, n_presses, n_f).
     by_depth : ndarray
-        Per m, (n, n_presses, n_f).
+        Derivatives by the depths of the presses, per m, (n, n_presses, n_f).
     by_temperature : ndarray
-        Of the tube between the presses, and of matrices that vary with it, per K, (n, n_f).
+        Derivative by the temperature of the tube, and of matrices that depend on it, per K,
+        (n, n_f).
     by_stretch : ndarray
-        Of the presses' matrices, per relative change of frequency, (n, n_f).
+        Derivative by the stretch of frequency in the presses' matrices, per relative change of
+        frequency, (n, n_f).
     """
 
     value: Complex
@@ -58,17 +61,18 @@ def echo(
     before : list of Matrices
         One for each press but the last, from the face on.
     last : FrontCoefficients
+        Of the last press.
     places : ndarray
-        Distances from the face in m, rising, (n, n_presses).
+        Distances of the presses from the face in m, rising, (n, n_presses).
     waves : Waves
     face : complex
-        Reflection coefficient of the face, of all modes.
+        Reflection coefficient of the face for all modes.
 
     Returns
     -------
     Echo
-        Its value is that of (p - 1) / (1 + face), with the pressure p at the face of the plane
-        wave.
+        Its value is (p - 1) / (1 + face), with the pressure p of the plane wave at the face over
+        the launched pressure.
     """
     lengths = np.diff(places, axis=1, prepend=0.0)
     m = waves.k.shape[-1]

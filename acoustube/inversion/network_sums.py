@@ -1,6 +1,6 @@
-"""Echo of presses joined by straight tube, and its derivatives, compiled: frequency by frequency.
+"""Compiled loops for the echo of presses joined by straight tube, and its derivatives.
 
-The equations are given in :mod:`acoustube.inversion.network`.
+They run frequency by frequency. The equations are given in :mod:`acoustube.inversion.network`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from acoustube.waves.scattering import Complex
 
 @compiled
 def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vector) -> complex:
-    """Return the change of the echo for a change of the matrix of a press before others."""
+    """Return the change of the echo by a change of the matrix of any press but the last."""
     first = plus(apply(block(change, 0, 0), right), apply(block(change, 0, 1), into))
     second = plus(apply(block(change, 1, 0), right), apply(block(change, 1, 1), into))
     return dot(left, first) + dot(out, second)
@@ -48,23 +48,25 @@ def echoes(
     Parameters
     ----------
     s, s_depth, s_stretch : ndarray
-        Matrices of the presses but the last, and their derivatives by depth and stretch,
+        Matrices of all presses but the last, and their derivatives by depth and stretch,
         (n_presses - 1, n, n_f, 2, 3, 2, 3).
     last, last_depth, last_stretch : ndarray
-        Reflection of the last between three modes, row by row, and its derivatives, (n, n_f, 9) or
-        more.
+        Reflection coefficients of the last press between three modes, row by row, and their
+        derivatives, (n, n_f, 9) or more columns.
     lengths : ndarray
-        Of the straight tube before each press in m, (n, n_presses).
+        Lengths of the straight tube before each press in m, (n, n_presses).
     path : ndarray
-        Factors of the modes over these, (n, n_presses, n_f, 3).
+        Propagation factors of the modes over these lengths, (n, n_presses, n_f, 3).
     k, heat : ndarray
-        Wavenumbers in 1/m and their derivatives by temperature, (n, n_f, 3).
+        Wavenumbers in 1/m and their derivatives by temperature in 1/(m K), (n, n_f, 3).
     face : complex
+        Reflection coefficient of the face for all modes.
 
     Returns
     -------
     tuple of ndarray
-        (n, n_f), (n, n_presses, n_f) twice, (n, n_f) twice.
+        Echo, (n, n_f); derivatives by lengths and depths, (n, n_presses, n_f) each; derivatives by
+        temperature and stretch, (n, n_f) each.
     """
     n, p, n_f = path.shape[:3]
     value = np.empty((n, n_f), np.complex128)
@@ -73,8 +75,8 @@ def echoes(
     load, loop = np.empty((2, p, 9), np.complex128)
     for a in range(n):
         for f in range(n_f):
-            # From the last press to the face: the reflection seen before each, and for the
-            # multiple reflections behind it the inverse of I - B R2.
+            # From the last press to the face: the reflection matrix seen before each press, and
+            # the inverse of I - B R2 for the multiple reflections behind it.
             for i in range(p - 1, -1, -1):
                 if i == p - 1:
                     found = kept(last[a, f])
@@ -98,7 +100,7 @@ def echoes(
                 (k[a, f, 0], k[a, f, 1], k[a, f, 2]),
                 (heat[a, f, 0], heat[a, f, 1], heat[a, f, 2]),
             )
-            # From the face on: what reaches it from each press, and each press from it.
+            # From the face on: the waves that reach it from each press, and each press from it.
             for i in range(p):
                 seen = kept(load[i])
                 both = plus(each(left, apply(seen, right)), each(apply_left(left, seen), right))

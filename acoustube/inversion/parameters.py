@@ -8,14 +8,14 @@ from acoustube.base.types import Array
 from acoustube.inversion.model import NUISANCES, ForwardModel
 
 LARGEST_STEPS = 1.5e-3, 4e-4
-"""Largest changes of place and depth in an iteration, in m."""
+"""Largest changes of place and depth per iteration, in m."""
 CLOSEST = 0.03
-"""Smallest distance of two presses in m; their deformed parts meet earlier."""
+"""Smallest distance between two presses in m; their deformed parts overlap at larger ones."""
 PRESS_ODDS = 2 * np.log([1e4, 1e9, 1e12])
 """Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
-1e-4, 1e-9 and 1e-12. Errors of the model count as independent, so that a press that is none, far
-behind one whose trapped sound differs from the model's, reaches odds of 1e6 to 1e8, a third of
-1e11; of pairs of 20 cycles a real second one had 1e14 at least."""
+1e-4, 1e-9 and 1e-12. The likelihood takes errors of the model as independent. A false detection far
+behind a press whose trapped sound differs from the model's therefore reaches odds of 1e6 to 1e8, or
+1e11 as a third press. A real second press, in 20 cycles of a pair, had odds of at least 1e14."""
 
 
 def split(parameters: Array) -> tuple[Array, Array, Array]:
@@ -43,7 +43,7 @@ def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> A
 
 
 def limited(step: Array) -> Array:
-    """Return steps whose changes of places and depths are not too large."""
+    """Return steps with changes of places and depths limited to :data:`LARGEST_STEPS`."""
     found = step.copy()
     m = (step.shape[1] - len(NUISANCES)) // 2
     for i, largest in enumerate(LARGEST_STEPS):

@@ -23,9 +23,9 @@ class Section(NamedTuple):
     Attributes
     ----------
     factor : ndarray
-        Of the amplitudes, (n, n_f, m).
+        Propagation factor of the modes' amplitudes, (n, n_f, m).
     at_start, at_end : ndarray
-        Wavenumbers in 1/m at its ends, broadcast to (n, n_f, m).
+        Wavenumbers in 1/m at the ends of the section, broadcast to (n, n_f, m).
     by_temperature : ndarray
         Derivative of the phase by temperature, in rad/K, (n, n_f, m).
     """
@@ -37,15 +37,15 @@ class Section(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """The way from the face to where a tube is bent.
+    """Propagation from the face to the point where the bend of a tube begins.
 
     Attributes
     ----------
     matrix : ndarray
-        Amplitudes of the bent tube's modes for those of the straight tube at the face,
-        (n, n_f, m, m_s); its transpose in the other direction.
+        Amplitudes of the bent tube's modes at that point for unit amplitudes of the straight tube's
+        modes at the face, (n, n_f, m, m_s). Its transpose holds for the opposite direction.
     by_temperature : ndarray
-        Derivative of the phases of the straight modes up to there, in rad/K, (n_f, m_s).
+        Derivative of the phases of the straight modes up to that point, in rad/K, (n_f, m_s).
     """
 
     matrix: Complex
@@ -58,12 +58,12 @@ class Path(Protocol):
     Attributes
     ----------
     modes : int
-        Number of modes by which sound propagates between presses.
+        Number of modes that propagate between presses.
     stretch : float
-        Largest length in m over which the presses' matrices hardly vary.
+        Largest length in m over which the presses' matrices are taken as constant.
     converts : bool
-        Whether the presses' matrices couple the modes of the sections by themselves, so that all
-        their coefficients are needed.
+        Whether the joints at a press convert modes, so that all coefficients of its matrix are
+        needed, also of the last press.
     """
 
     modes: int
@@ -74,7 +74,7 @@ class Path(Protocol):
         """Return the range of places in m where presses are sought."""
 
     def entry(self, temperature: Array) -> Entry | None:
-        """Return the way to where the tube is bent, if it is, at deviations in K, (n,)."""
+        """Return the propagation to the bend, if any, at deviations of temperature in K, (n,)."""
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
         """Return the propagation before each press, at places (n, n_presses) in m."""
@@ -83,13 +83,13 @@ class Path(Protocol):
         """Return presses at places (n,), with matrices between the modes of the sections."""
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
-        """Return the phases up to presses at places (n,), or to behind them, (n, n_f, m)."""
+        """Return the modes' phases in rad before or behind presses at places (n,), (n, n_f, m)."""
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases at places (n,), and per K, (n_f, n)."""
+        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m from which the plane wave is back after times in s."""
+        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
 
 
 class StraightPath:
@@ -115,7 +115,7 @@ class StraightPath:
         return nearest, length - 0.02
 
     def entry(self, temperature: Array) -> Entry | None:  # noqa: ARG002
-        """Return nothing: the tube is not bent."""
+        """Return None: the tube is not bent."""
         return None
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
@@ -132,15 +132,15 @@ class StraightPath:
         return matrices
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:  # noqa: ARG002
-        """Return the phases at places (n,), (n, n_f, m)."""
+        """Return the modes' phases in rad at places (n,) in m, (n, n_f, m)."""
         return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases at places (n,), and per K, (n_f, n)."""
+        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
         return np.outer(self.k[:, 0], places), np.outer(self.by_temperature[:, 0], places)
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m from which the plane wave is back after times in s."""
+        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
         return np.asarray(time * self.speed / 2)
 
 

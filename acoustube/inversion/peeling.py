@@ -1,8 +1,8 @@
-"""Presses found one after the other in the order of time.
+"""Detection of presses one after the other, in the order of time.
 
-What has come back until a moment is caused by the presses up to half its way: the echo of a press
-is fitted in the first part of what is unexplained, in which those behind it do not sound yet,
-jointly with the presses before it.
+What has been received up to a moment is caused by the presses up to half the distance that sound
+has travelled by then. The next press is therefore fitted to the first part of the residual, before
+the echoes of presses behind it arrive, jointly with the presses before it.
 """
 
 from __future__ import annotations
@@ -13,24 +13,25 @@ from acoustube.base.types import Array
 from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
 
 PARTS = 0.7e-3, 1.2e-3
-"""Lengths in s of the first part of an echo that are tried."""
+"""Durations in s of the first part of an echo, tried one after the other."""
 EXPLAINED = 1.5
-"""Mean square of the whitened residual up to which an explanation leaves nothing to be sought."""
+"""Mean square of the whitened residual up to which a hypothesis explains the recording."""
 LEADING = 0.1
-"""Level at which an echo begins, over the highest that follows: the band's edges ring before it."""
+"""Level at which an echo begins, relative to the highest level soon after: the edges of the band
+make it ring before its onset."""
 AHEAD = 0.5e-3
-"""Time in s within which it follows."""
+"""Time in s after a sample within which that highest level is taken."""
 EARLIER = 0.3
-"""Distance in m before the place whose echo ends when an echo begins to be seen, from which on a
-press is sought: its first part may be too weak to be seen."""
+"""Distance in m by which the search for a press begins before its apparent place, besides half the
+length of the drive: the first part of its echo may be too weak to be seen."""
 BEAM = 2
-"""Hypotheses of each number of presses that are followed."""
+"""Number of hypotheses that are followed for each number of presses."""
 ALIKE = 1e-3
-"""Distance in m up to which the places of two hypotheses are the same."""
+"""Difference in m up to which places of two hypotheses count as the same."""
 
 
 def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
-    """Return hypotheses of one press, of two and so on, fitted to the first part of a recording.
+    """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
 
 
 def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses with the next press in time, the residual that of the first part."""
+    """Return hypotheses with the next press in time; the residual is that of the fitted part."""
     rest = builder.residual_of(known)
     base = builder.model.base
     start = leading_edge(np.abs(known.whiten(rest)), base.interval)
@@ -77,9 +78,9 @@ def leading_edge(level: Array, step: float) -> int | None:
     Parameters
     ----------
     level : ndarray
-        Absolute values, (n_time,).
+        Absolute values of the whitened samples, (n_time,).
     step : float
-        In s.
+        Interval between samples in s.
     """
     smooth = np.sqrt(np.convolve(level**2, np.ones(4) / 4, "same"))
     ahead = np.lib.stride_tricks.sliding_window_view(
@@ -90,7 +91,7 @@ def leading_edge(level: Array, step: float) -> int | None:
 
 
 def _distinct(found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return the hypotheses whose places differ, that of the smallest residual first."""
+    """Return the hypotheses that differ in places or tools, in the order of rising residual."""
     kept: list[Hypothesis] = []
     for one in sorted(found, key=lambda one: one.residual):
         ends = 2 * len(one.tools)

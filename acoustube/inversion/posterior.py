@@ -1,4 +1,4 @@
-"""Distributions of a hypothesis's parameters: mixtures of normal ones, and their intervals."""
+"""Posterior distributions of a hypothesis's parameters: mixtures of normal distributions."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from acoustube.inversion.hypotheses import Hypothesis
 from acoustube.inversion.model_error import Discrepancy
 
 LEVELS = 0.68, 0.9
-"""Probabilities of the intervals."""
+"""Probabilities of the central intervals that are reported."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A quantity of a contact.
+    """Estimate of one quantity, with its posterior distribution.
 
     Attributes
     ----------
     value : float
-        Of the most likely maximum.
+        Value at the most likely maximum.
     deviation : float
         Standard deviation of the posterior.
     intervals : dict of float
         Ends of the central interval of each probability of :data:`LEVELS`.
     weights, means, deviations : ndarray
-        Of the normal distributions that the posterior is a mixture of, (n,).
+        Weights, means and standard deviations of the normal distributions whose mixture is the
+        posterior, (n,).
     """
 
     value: float
@@ -56,7 +57,7 @@ class Posterior:
     ----------
     hypothesis : Hypothesis
     off : Discrepancy
-        Of the model.
+        Effect of the model's error on the weights of the maxima and on places and depths.
     """
 
     def __init__(self, hypothesis: Hypothesis, off: Discrepancy) -> None:
@@ -71,7 +72,7 @@ class Posterior:
         self.weight /= self.weight.sum()
 
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
-        """Return the marginal distribution of a parameter with an independent error added."""
+        """Return the marginal distribution of a parameter, with a further independent `error`."""
         deviation = np.sqrt(self.variance[:, parameter] + error**2)
         return mixture(self.weight, self.mean[:, parameter], deviation)
 
@@ -81,15 +82,18 @@ class Posterior:
         function: Callable[[Array, int], Array],
         error: Callable[[Array], Array],
     ) -> Estimate:
-        """Return the distribution of an increasing function of a parameter, its own error added.
+        """Return the distribution of an increasing function of a parameter.
+
+        The error of the function itself is added.
 
         Parameters
         ----------
         parameter : int
+            Index of the parameter.
         function : callable
-            Takes values and the order of a derivative.
+            Takes values of the parameter and the order of the derivative to return.
         error : callable
-            Takes values; standard deviation of the function itself.
+            Takes values of the parameter and returns the standard deviation of the function itself.
         """
         mean = self.mean[:, parameter]
         slope = function(mean, 1)
@@ -98,11 +102,12 @@ class Posterior:
 
 
 def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
-    """Return the estimate of a mixture of normal distributions, the most likely one first.
+    """Return the estimate of a quantity whose distribution is a mixture of normal distributions.
 
     Parameters
     ----------
     weight, mean, deviation : ndarray
+        Weights, means and standard deviations of the normal distributions, the most likely first,
         (n,).
     """
     deviation = np.maximum(deviation, 1e-15)

@@ -1,8 +1,8 @@
 """Voltage estimated from cycles of a rounding converter with little dither.
 
-With noise of a fifth of a count the mean of rounded samples is a softened staircase of the voltage:
-a weak echo is received with 0.3 to 1.7 times its amplitude, as the offset lies. Offset and noise
-are known, and the staircase is inverted.
+With noise of a fifth of a count, the mean of rounded samples is a smoothed staircase function of
+the voltage. A weak echo is then recorded with 0.3 to 1.7 times its amplitude, depending on the
+offset. Since offset and noise are known, the staircase can be inverted.
 
 References
 ----------
@@ -21,23 +21,25 @@ from acoustube.base.types import Array
 
 HARMONICS = 3
 LEAST_NOISE, MOST_NOISE = 0.19, 0.6
-"""Noise in counts, rms, between which the staircase can be inverted and is worth it."""
+"""Least rms noise in counts at which the staircase can be inverted, and largest at which it needs
+to be."""
 ITERATIONS = 6
 BISECTIONS = 20
-"""Halvings of a count, to 1e-6, in which an offset is found."""
+"""Bisections of an interval of one count, by which an offset is found to 1e-6 counts."""
 LARGEST_STEP = 0.3
 """Largest change of a sample in an iteration, in counts."""
 
 
 class Linearised(NamedTuple):
-    """Mean of cycles, and the deviations of each that add up to its error.
+    """Mean voltage of cycles, and the deviations of the single cycles from it.
 
     Attributes
     ----------
     mean : ndarray
         Voltage in counts, without offset, (n_samples,).
     deviations : ndarray
-        Whose mean over the cycles is an error of `mean`, (n_cycles, n_samples).
+        Deviations in counts whose mean over the cycles is an error of `mean`,
+        (n_cycles, n_samples).
     """
 
     mean: Array
@@ -45,7 +47,7 @@ class Linearised(NamedTuple):
 
 
 def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Linearised:
-    """Return the voltage of cycles of rounded counts.
+    """Return the mean voltage of cycles of rounded counts.
 
     Parameters
     ----------
@@ -55,12 +57,13 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
         Standard deviation of the noise before rounding, in counts; 0 for cycles that are not
         rounded.
     quiet : int
-        Number of the last samples of a cycle, from which its offset is estimated.
+        Number of samples at the end of a cycle from which its offset is estimated.
 
     Notes
     -----
-    By least squares over the cycles, whose offsets drift, by Gauss and Newton. Without enough noise
-    to invert the mean, or with enough to need no correction, it is the plain mean.
+    Least squares over the cycles, whose offsets drift, by Gauss-Newton iterations. With too little
+    noise to invert the staircase, or so much that no correction is needed, the plain mean of the
+    cycles is returned.
     """
     given = np.asarray(counts, float)
     if not LEAST_NOISE <= noise <= MOST_NOISE:
@@ -78,8 +81,8 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
 
 
 def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
-    """Return the mean of rounded samples of a voltage with noise, and its slope, both in counts."""
-    # One sine and cosine, and the multiples of the angle by recurrence.
+    """Return the mean in counts of rounded noisy samples of a voltage in counts, and its slope."""
+    # One sine and cosine; those of the multiples of the angle by recurrence.
     turn = np.exp(2j * np.pi * voltage)
     power, value, slope = np.ones_like(turn), voltage.copy(), np.ones_like(voltage)
     for k in range(1, HARMONICS + 1):
@@ -91,7 +94,7 @@ def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
 
 
 def _inverted(mean: Array, noise: float) -> Array:
-    """Return the voltages whose rounded samples have given means, by bisection."""
+    """Return the voltages in counts whose rounded samples have given means, by bisection."""
     low, high = mean - 0.5, mean + 0.5
     for _ in range(BISECTIONS):
         middle = (low + high) / 2

@@ -23,7 +23,7 @@ compiled: Compiled = numba.njit(**OPTIONS, forceinline=True)
 
 @compiled
 def block(s: Complex, out: int, into: int) -> Matrix:
-    """Return a block of a scattering matrix (2, 3, 2, 3)."""
+    """Return the block of a scattering matrix (2, 3, 2, 3) from side `into` to side `out`."""
     return (
         s[out, 0, into, 0], s[out, 0, into, 1], s[out, 0, into, 2],
         s[out, 1, into, 0], s[out, 1, into, 1], s[out, 1, into, 2],
@@ -33,7 +33,7 @@ def block(s: Complex, out: int, into: int) -> Matrix:
 
 @compiled
 def kept(a: Complex) -> Matrix:
-    """Return a matrix that is kept in an array (9,)."""
+    """Read a matrix from an array (9,)."""
     return a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8]
 
 
@@ -97,7 +97,7 @@ def inverse(a: Matrix) -> Matrix:
 
 @compiled
 def scaled(rows: Vector, a: Matrix, columns: Vector) -> Matrix:
-    """Return a matrix whose rows and columns are scaled."""
+    """Return a matrix with its rows and columns multiplied by factors."""
     return (
         rows[0] * a[0] * columns[0], rows[0] * a[1] * columns[1], rows[0] * a[2] * columns[2],
         rows[1] * a[3] * columns[0], rows[1] * a[4] * columns[1], rows[1] * a[5] * columns[2],
@@ -131,7 +131,7 @@ def dot(v: Vector, w: Vector) -> complex:
 
 @compiled
 def each(v: Vector, w: Vector) -> Vector:
-    """Return the products of the components."""
+    """Return the product of two vectors, component by component."""
     return v[0] * w[0], v[1] * w[1], v[2] * w[2]
 
 

@@ -1,7 +1,7 @@
-"""Sums of splines over depth and frequency, and over place and temperature, compiled.
+"""Compiled evaluation of splines over depth and frequency, and over place and temperature.
 
-Complex coefficients over depth are given as twice as many real ones, of which the processor takes
-several at once.
+Complex coefficients over depth are passed as twice as many real ones, so that the loops are
+vectorised.
 """
 
 from __future__ import annotations
@@ -31,25 +31,27 @@ def sums(
 ) -> Array:
     """Return a spline's values and its derivatives by depth and by a shift of the frequencies.
 
-    Hermite's cubics over the depths, B-splines over the frequencies.
+    Cubic Hermite interpolation over the depths, cubic B-splines over the frequencies.
 
     Parameters
     ----------
     values, slopes : ndarray
-        Coefficients over frequency and their slopes by depth, at the depths, (n_depths, n_c, q).
+        B-spline coefficients over frequency, and their derivatives by depth, at each of `depths`,
+        (n_depths, n_c, q).
     depths : ndarray
-        (n_depths,).
+        Depths of the coefficients, rising, in m, (n_depths,).
     depth : ndarray
-        Wanted, (n,).
+        Depths to interpolate to, in m, (n,).
     places : ndarray
-        Of the frequencies wanted among the coefficients, rising, (n, n_f).
+        Positions of the frequencies to interpolate to, in steps of the coefficients, rising,
+        (n, n_f).
     rates : ndarray
-        Changes of these by the shift, (n_f,).
+        Derivatives of these positions by the shift, (n_f,).
 
     Returns
     -------
     ndarray
-        (3, n, n_f, q).
+        Values, derivatives by depth and derivatives by the shift, (3, n, n_f, q).
     """
     n, n_f = places.shape
     count, q = values.shape[1:]
@@ -93,16 +95,16 @@ def sums(
 def between(
     values: NDArray[np.complex64], slopes: NDArray[np.complex64], rows: Array, columns: Array
 ) -> Complex:
-    """Return values, their derivatives by column and by row, of even tables, (3, n, n_f).
+    """Interpolate evenly spaced tables: values, derivatives by column and by row, (3, n, n_f).
 
-    Hermite's cubics over the rows, linear over the columns; all lengths in steps.
+    Cubic Hermite interpolation over the rows, linear over the columns; all lengths in steps.
 
     Parameters
     ----------
     values, slopes : ndarray
         Values and their derivatives by row, (n_rows, n_columns, n_f).
     rows, columns : ndarray
-        Wanted, within the tables, (n,).
+        Positions to interpolate to, in steps, within the tables, (n,).
     """
     n_f = values.shape[2]
     found = np.empty((3, len(rows), n_f), np.complex128)

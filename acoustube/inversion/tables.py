@@ -1,4 +1,4 @@
-"""Scattering of a tool at any depth and stretch of frequency, with both derivatives, in bulk."""
+"""Scattering of a tool, interpolated over depth and stretch of frequency, with derivatives."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 FINER = 2
-"""Ratio of the steps of the tool's frequencies and of those of the splines."""
+"""Ratio of the frequency step of the tool to that of the splines."""
 WIDEST_STRETCH = 0.02
 """Largest relative frequency shift that the splines cover."""
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
-"""Start in s of a press's impulse response relative to its reference plane's; decay time in s of
-its power; least power that is kept, relative to the largest."""
+"""Start in s of the impulse response of a press, relative to a reflection at its reference plane;
+decay time in s of its power; floor of its power, relative to the largest."""
 MOST_MODES = 3
-"""Modes that carry sound between presses: those that propagate below 1.2 times 42 kHz."""
+"""Number of modes that propagate between presses: those with cut-ons below 1.2 times 42 kHz."""
 ONWARDS, BACK = 9, 10
 """Indices of the transmission coefficients in :class:`FrontCoefficients`."""
 ROUNDING = 1e-5
-"""Errors of the coefficients to be smoothed, relative to their size."""
+"""Rms error of the coefficients that the interpolation assumes, relative to their rms."""
 
 
 class Matrices(NamedTuple):
@@ -48,18 +48,18 @@ class Matrices(NamedTuple):
     by_stretch: Complex
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's transmission both ways, and changes by depth and stretch."""
+        """Return the plane wave's two-way transmission, and derivatives by depth and stretch."""
         return round_trip(
             [one[..., 1, 0, 0, 0] for one in self], [one[..., 0, 0, 1, 0] for one in self]
         )
 
 
 class FrontCoefficients(NamedTuple):
-    """Reflection at the front of presses, and two-way transmission, with derivatives.
+    """Reflection at the front of presses, and transmission onwards and back, with derivatives.
 
-    What the echo depends on where nothing lies behind a press. Each (n, n_f, 11): the reflection
-    coefficients between three modes, row by row, and the plane wave's transmission coefficients
-    onwards and back.
+    The echo of a press with no other press behind it depends on these alone. Each is (n, n_f, 11):
+    the reflection coefficients between three modes, row by row, and the plane wave's transmission
+    coefficients onwards and back.
 
     Attributes
     ----------
@@ -75,26 +75,27 @@ class FrontCoefficients(NamedTuple):
     by_stretch: Complex
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's transmission both ways, and changes by depth and stretch."""
+        """Return the plane wave's two-way transmission, and derivatives by depth and stretch."""
         return round_trip([one[..., ONWARDS] for one in self], [one[..., BACK] for one in self])
 
 
 def round_trip(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
-    """Return the two-way transmission coefficient and its derivatives, from both one-way ones."""
+    """Return the two-way transmission coefficient and its derivatives, from the one-way ones."""
     by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
     return there[0] * here[0], by_depth, by_stretch
 
 
 @lru_cache(maxsize=8)
 def table_of(tool: Tool, frequency: bytes, modes: int) -> ToolTable:
-    """Return the splines of a tool, kept for other temperatures of the same recorder.
+    """Return the splines of a tool, cached for other temperatures of the same recorder.
 
     Parameters
     ----------
     tool : Tool
     frequency : bytes
-        Of an array of doubles, in Hz.
+        Frequencies in Hz, as the bytes of an array of doubles.
     modes : int
+        Number of modes to keep.
     """
     return ToolTable(tool, np.frombuffer(frequency), modes)
 
@@ -106,18 +107,18 @@ class ToolTable:
     ----------
     tool : Tool
     frequency : ndarray
-        In Hz, (n_f,), with a margin to the ends of the tool's band for stretches.
+        In Hz, (n_f,); with a margin to the ends of the tool's band for stretches.
     modes : int
         Number of modes to keep, at most three, the plane mode first.
 
     Notes
     -----
-    Trapped sound rings for so long that the tool's frequencies sample it just densely enough:
-    cubics between them lose what sounds later than 2 ms. They are first interpolated to finer ones
-    by the conditional mean of a stationary Gaussian process, whose covariance is the Fourier
-    transform of the power expected of the impulse response over time; steps at cut-ons are
-    subtracted before (:mod:`acoustube.waves.interpolation`). Between these frequencies,
-    which are even, coefficients of B-splines are used; between the depths, which are not, cubic
+    Trapped sound rings for so long that the tool's frequencies are only just dense enough: cubic
+    splines between them lose what is radiated later than 2 ms. The coefficients are first
+    interpolated to finer frequencies by the conditional mean of a stationary Gaussian process. Its
+    covariance is the Fourier transform of the expected power of the impulse response over time.
+    Steps at cut-ons are subtracted before (:mod:`acoustube.waves.interpolation`). Over these
+    frequencies, which are evenly spaced, B-splines are used; over the depths, which are not, cubic
     splines. Derivatives are those of the interpolation itself.
     """
 
@@ -146,7 +147,7 @@ class ToolTable:
         return float(self.tool.depth[0]), float(self.tool.depth[-1])
 
     def __call__(self, depth: Array, stretch: Array) -> Matrices:
-        """Return the matrices at depths and stretches.
+        """Return the matrices and their derivatives at depths and stretches of frequency.
 
         Parameters
         ----------
@@ -159,19 +160,19 @@ class ToolTable:
         return Matrices(*parts.reshape(*parts.shape[:3], 2, self.modes, 2, self.modes))
 
     def front(self, depth: Array, stretch: Array) -> FrontCoefficients:
-        """Return the coefficients at the front alone, with the same arguments."""
+        """Return the front coefficients alone; the arguments are those of a call."""
         return FrontCoefficients(*self._sums(*self._front, depth, stretch))
 
     @cached_property
     def _front(self) -> tuple[Complex, Complex]:
-        """Coefficients of :class:`FrontCoefficients` and their slopes by depth."""
+        """Spline coefficients of :class:`FrontCoefficients` and their derivatives by depth."""
         return _front_coefficients(self.value, self.modes), _front_coefficients(
             self.slope, self.modes
         )
 
     def _sums(self, values: Complex, slopes: Complex, depth: Array, stretch: Array) -> Complex:
         """Return coefficients and their derivatives, (3, n, n_f, n_coefficients)."""
-        from acoustube.inversion.spline_sums import sums  # Numba, without which the sensor does
+        from acoustube.inversion.spline_sums import sums  # imports Numba, not needed by the sensor
 
         place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
         return np.asarray(sums(
@@ -181,7 +182,7 @@ class ToolTable:
 
 
 def _front_coefficients(part: Complex, modes: int) -> Complex:
-    """Return front coefficients (n_depths, n_f, 11) of those of whole matrices."""
+    """Return front coefficients (n_depths, n_f, 11) from the coefficients of whole matrices."""
     s = part.reshape(*part.shape[:2], 2, modes, 2, modes)
     found = np.zeros((*part.shape[:2], BACK + 1), part.dtype)
     between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_MODES, MOST_MODES)
@@ -191,7 +192,7 @@ def _front_coefficients(part: Complex, modes: int) -> Complex:
 
 
 def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
-    """Return coefficients (n_depths, n_given, n) at finer frequencies, (n_depths, n_wanted, n)."""
+    """Interpolate coefficients (n_depths, n_given, n) over frequency: (n_depths, n_wanted, n)."""
     found = steps(given, wanted, onsets(cut_ons))
     matrix = _refinement(given, wanted)
     return np.stack([restored(found, matrix @ without(found, one), one) for one in flat])
@@ -200,16 +201,17 @@ def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Comp
 def _refinement(given: Array, wanted: Array) -> Complex:
     """Return the matrix (n_wanted, n_given) that interpolates scattering over frequency.
 
-    Conditional mean of a Gaussian process whose impulse response has independent values of a power
-    that falls exponentially from :data:`EARLIEST` on: with the time constant :data:`DECAY`, and to
-    :data:`FAINTEST` of it where the samples do not distinguish later from earlier times.
+    It returns the conditional mean of a Gaussian process whose impulse response has independent
+    values. Their power is constant from :data:`EARLIEST` to 0 and then decays exponentially, with
+    the time constant :data:`DECAY`, to the floor :data:`FAINTEST`. The response ends where the
+    given frequencies no longer distinguish later from earlier times.
     """
     period = 1 / (given[1] - given[0])
     time = np.linspace(EARLIEST, EARLIEST + 0.98 * period, 4 * len(given))
     power = np.exp(-np.maximum(time, 0.0) / DECAY) + FAINTEST
 
     def covariance(a: Array, b: Array) -> Complex:
-        # Of a - b: by the outer product of the phases of a and of b.
+        # A function of a - b, from the outer products of the phases of a and of b.
         left, right = (np.exp(-2j * np.pi * np.outer(f - given[0], time)) for f in (a, b))
         return np.asarray((left * power) @ right.conj().T)
 

@@ -28,9 +28,9 @@ from acoustube.base.units import MM
 from acoustube.waves.scattering import Complex
 
 FEWEST_DEPTHS = 4
-"""Depths of a tool between which its scattering can be interpolated."""
+"""Least number of depths of a tool between which its scattering can be interpolated."""
 FEWEST_FREQUENCIES, UNEVEN = 4, 1e-2
-"""Frequencies between which it can be interpolated, and largest relative error of their spacing."""
+"""Least number of frequencies for interpolation, and largest relative range of their spacing."""
 POSITIVE = Reals(0, 1e50, ndim=1)
 FIELDS = {
     "shape": Choice(("rod", "punch", "sphere")), "diameter": LENGTH, "radius": BORE,
@@ -63,25 +63,25 @@ class Tool:
     force_error : ndarray
         Estimated errors of the forces in N, (n,).
     frequency : ndarray
-        Even, in Hz, (n_f,).
+        Evenly spaced, in Hz, (n_f,).
     modes : tuple of str
-        As of :class:`acoustube.waves.ModalScattering`.
+        Names of the modes, as in :class:`acoustube.waves.ModalScattering`.
     s : ndarray
-        Scattering matrices, (n, n_f, 2, m, 2, m), as of :class:`acoustube.waves.ModalScattering`.
+        Scattering matrices, (n, n_f, 2, m, 2, m), as in :class:`acoustube.waves.ModalScattering`.
     error : ndarray
-        Estimated errors of the coefficients at 75 % of the frequencies, (n,).
+        Estimated errors of the coefficients, not exceeded at 75 % of the frequencies, (n,).
     interpolation_error : ndarray
         Estimated rms errors of interpolated coefficients between each depth and the next: of the
         reflection of the plane wave relative to its rms, or of the transmission, (n - 1,).
     sound_speed : float
         In m/s, of the air in which the scattering was computed.
     young_modulus : float
-        Of the wall in Pa, to which the forces are proportional; nan where it is not known, or the
-        ground yields, so that they are not.
+        Of the wall in Pa, to which the forces are proportional; nan where it is not known, or where
+        the forces are not proportional to it because the ground yields.
     poisson_ratio : float
         Of the wall.
     stiffness_error : float
-        Relative standard deviation of that modulus; 0 for an exact one.
+        Relative standard deviation of Young's modulus; 0 for an exact one.
     """
 
     shape: str
@@ -127,7 +127,7 @@ class Tool:
 
     @property
     def name(self) -> str:
-        """The tool in words."""
+        """Diameter and shape of the tool in words."""
         return f"{MM * self.diameter:g} mm {self.shape}"
 
     @checked(depth=DEPTHS, derivative=ORDER)
@@ -144,7 +144,7 @@ class Tool:
         Returns
         -------
         ndarray
-            (..., n_f, 2, m, 2, m), per m for each order.
+            (..., n_f, 2, m, 2, m), in 1/m to the power of the order.
         """
         return np.asarray(self._spline(np.asarray(depth, float), derivative))
 
@@ -180,7 +180,7 @@ class Library:
     Raises
     ------
     ConfigError
-        If there is none, or they differ.
+        If there is no tool, or tools differ in bore, frequencies or modes.
     """
 
     tools: tuple[Tool, ...]
@@ -206,7 +206,7 @@ class Library:
 
     @checked(value=Number(1e-3, 1e15, "Pa"), deviation=Number(0, 1e15, "Pa"))
     def with_young_modulus(self, value: float, deviation: float = 0.0) -> Library:
-        """Return the library of a wall of another Young's modulus.
+        """Return the library for a wall with another Young's modulus.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class Library:
         Raises
         ------
         ConfigError
-            If the modulus of a tool is not known, or its ground yields.
+            If the modulus of a tool's wall is not known, or its ground yields.
 
         Notes
         -----
@@ -252,7 +252,7 @@ class Library:
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Modes of the matrices."""
+        """Names of the modes of the matrices."""
         return self.tools[0].modes
 
     @property

@@ -1,7 +1,7 @@
-"""Contacts followed from cycle to cycle: a posterior that each cycle of a rangefinder updates.
+"""Tracking of contacts from cycle to cycle: each cycle of a rangefinder updates their posterior.
 
-One :class:`~acoustube.inversion.tracks.Track` is followed. Where it explains the cycles badly, a
-second one begins without contacts, and takes its place if it explains them better.
+One :class:`~acoustube.inversion.tracks.Track` is followed. Where it fits the cycles badly, a second
+one starts without contacts, and replaces the first if it fits them better.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
 
 PATIENCE, TRIAL = 3, 8
-"""Cycles explained badly after which a second track begins, and cycles that it is given."""
+"""Badly fitted cycles in a row after which a second track starts; cycles for which it is tried."""
 BETTER = 5.0
-"""Logarithm of the likelihood of a cycle by which the second track must be better."""
+"""Amount by which the log likelihood of a cycle must be larger with the second track."""
 SAME = 0.05
-"""Distance in m within which contacts of two tracks are the same."""
+"""Distance in m within which contacts of two tracks count as the same."""
 TOLD = 0.5
-"""Least probability of a contact that is returned; all are followed."""
+"""Least probability of a contact that is returned; less probable ones are tracked too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """Contacts after a cycle.
+    """Contacts that the tracker reports after a cycle.
 
     Attributes
     ----------
     contacts : list of Contact
         By distance.
     numbers : list of int
-        Of the contacts, from 0 in the order of their appearance.
+        Numbers of the contacts, from 0 in the order of their appearance.
     misfit : float
-        Unexplained share of the echo, as of :class:`acoustube.inversion.Inversion`, without the
-        error of the model with the highest evidence; nan without contacts.
+        Unexplained share of the echo; nan without contacts. Unlike the misfit of
+        :class:`acoustube.inversion.Inversion` it leaves out the error with the highest evidence.
     temperature, gain : Estimate
         Deviations of the air's temperature in K and of the gain's logarithm.
     place : ndarray
-        Distances in m from which sound comes back at the times of the baseband, (n_time,).
+        Distances in m whose echoes arrive at the times of the baseband, (n_time,).
     measured, explained : ndarray
-        Baseband without what the untouched tube sounds, of the cycle and of the contacts,
-        (n_time,), in counts.
+        Baseband of the cycle and of the contacts' model, both without the response of the untouched
+        tube, (n_time,), in counts.
     """
 
     contacts: list[Contact]
@@ -76,7 +76,7 @@ class Tracked:
 
 
 class ContactTracker:
-    """Contacts in the cycles of one sensor, one cycle at a time.
+    """Tracker of the contacts in the cycles of one sensor, one cycle at a time.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class ContactTracker:
         noise = model.base.noise(1)
         self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
-        self.threads = ThreadpoolController()  # finding the libraries takes milliseconds
+        self.threads = ThreadpoolController()  # looking up the libraries takes milliseconds
         self.n_cycles = 0
         self.track = self._new(at_rest(model.priors))
         self.second: Track | None = None
@@ -115,14 +115,14 @@ class ContactTracker:
 
     @checked(counts=Reals(ndim=1), elapsed=Optional(Number(1e-9, 1e6, "s")))
     def update(self, counts: ArrayLike, elapsed: float | None = None) -> Tracked:
-        """Return the contacts after one cycle more.
+        """Update the contacts with one more cycle and return them.
 
         Parameters
         ----------
         counts : ndarray
-            Of the converter, (n_samples,).
+            Counts of the converter, (n_samples,).
         elapsed : float, optional
-            Time in s since the cycle before; a period of the cycles by default.
+            Time in s since the previous cycle; a period of the cycles by default.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class ContactTracker:
             return self._told(found, samples)
 
     def _followed(self, cycle: Cycle, step: float) -> Update:
-        """Return the distribution of the track that explains the cycles best."""
+        """Update the tracks, and return the distribution of the one that fits the cycles better."""
         found = self.track.update(cycle, step)
         if self.second is None:
             if self.track.n_bad > PATIENCE and cycle.number % TRIAL == 0:
@@ -182,7 +182,7 @@ class ContactTracker:
                 one.number, track.numbers = track.numbers, track.numbers + 1
 
     def _told(self, found: Update, samples: Complex) -> Tracked:
-        """Return the contacts of the branches."""
+        """Return the contacts to report, from the branches."""
         model, best = self.model, found.branches
         places = split(best.mean[:1, : best.parameters])[0]
         measured = samples - self.track.untouched
@@ -220,11 +220,11 @@ class ContactTracker:
         )  # fmt: skip
 
     def _lasting(self, found: Update) -> Array:
-        """Return the variance of the parameters by errors that do not change from cycle to cycle.
+        """Return the variance of the parameters by errors that are the same in all cycles.
 
-        Noise averages out, but the errors of model and clutter, which the weights hold too, do not:
-        with Fisher's information I of a cycle they leave I^-1 (I - N) I^-1, in which N is the part
-        of the noise alone.
+        Noise averages out over cycles. The errors of model and clutter, which are also part of the
+        weights, do not: with the Fisher information I of a cycle they leave the covariance
+        I^-1 (I - N) I^-1, in which N is the part of I due to noise alone.
         """
         noise = self.model.base.noise(1)
         p = found.branches.parameters

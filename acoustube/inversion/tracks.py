@@ -1,9 +1,9 @@
-"""One explanation of the cycles so far, updated by each cycle: contacts that appear and disappear.
+"""One hypothesis about the cycles so far, updated by each cycle: contacts appear and disappear.
 
 The distribution is a mixture of normal distributions, the branches, over one set of contacts
-(:mod:`acoustube.inversion.motion`). A contact appears where the matched filter of what is not
-explained finds one, in a cycle or in the mean of several, and the evidence rises; it disappears
-where the cycles are as likely without.
+(:mod:`acoustube.inversion.motion`). A contact is added where the matched filter detects one in the
+residual of a cycle, or in the mean residual of several, and the evidence rises. It is removed where
+the cycles are as likely without it.
 """
 
 from __future__ import annotations
@@ -42,63 +42,63 @@ from acoustube.inversion.search import around
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
-"""Most branches that are followed, and while a contact is young."""
+"""Largest number of branches, usually and while a contact is young."""
 UNLIKELY = -12.0
-"""Logarithm of the odds to the best branch below which one is dropped."""
+"""Logarithm of the odds, relative to the best branch, below which a branch is dropped."""
 FORGET = 0.95
-"""Factor of the logarithms of the branches' odds from cycle to cycle: errors of the model last."""
+"""Factor per cycle of the logarithms of the branches' odds, since errors of the model persist."""
 MEAN = 8
-"""Cycles in the mean of whose rests weak contacts are sought."""
+"""Number of cycles in whose mean residual weak contacts are sought."""
 NEAR, NEAR_CONTACTS = 3, 2
-"""Number of candidates in the search for a contact near its place, and of contacts searched again
-per cycle."""
+"""Number of candidates in the search for a contact near its place, and of contacts searched for
+again per cycle."""
 RARE = float(np.log(100.0))
-"""Logarithm of the prior odds against a contact more."""
+"""Logarithm of the prior odds against one more contact."""
 SURE, GONE = 12.0, -2.0
-"""Logarithms of the odds of a contact: the most, and those at which it is given up."""
+"""Logarithms of a contact's odds: their upper limit, and the value at which it is removed."""
 FAINT, FAINT_TESTS = 0.1e-3, 3
-"""Depth in m beyond the library's first up to which a contact is not detectable, and tests until it
-is given up."""
+"""Depth in m above the library's least depth up to which a contact is not detectable, and number of
+tests in a row after which such a contact is removed."""
 NEW = 2, 4, 7
-"""Cycles after its first at which the place of a new contact is sought again, besides loud ones."""
+"""Ages in cycles at which a contact is sought again near its place, and after loud residuals."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
-"""Cycles for which a contact is young; between tests for other maxima and for weak contacts."""
+"""Cycles for which a contact is young; cycles between tests for other maxima while one is young or
+the fit is bad, between tests for weak contacts, and between other tests for other maxima."""
 MERGED = 3
 """Cycles between tests of whether a young contact and its neighbour are one."""
 LOUD = 3.0
-"""Level of whitened samples, smoothed, that is tested for a new contact at once."""
+"""Smoothed level of the whitened residual above which a new contact is sought at once."""
 BAD = 3.0
-"""Mean square of the whitened residual of a bad explanation; or a misfit, see there."""
+"""Mean square of the whitened residual above which a fit is bad, as is one with a large misfit."""
 ADAPTED, RISE = 0.2, 1.5
-"""Weight of a cycle in the estimated error of the model, and the most that it may state of
-it: an echo that is not explained yet is no error."""
+"""Weight of a cycle in the estimated error of the model, and limit of the cycle's misfit relative
+to that error: an echo that is not explained yet is no error of the model."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
-"""Relative error of the model at first, and its range."""
+"""Initial relative error of the model, and its range."""
 SPREAD, BENT_SPREAD = 5e-4, 6e-3
-"""Error of the model at all times relative to the highest echo, of a straight tube and of one that
-is wrapped."""
+"""Error of the model at all times, relative to the highest echo: straight and wrapped tube."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
-"""Half wavelengths and depths in m by which a contact is shifted to find other maxima, every
-second one at a time; all contacts are shifted by half wavelengths together too."""
+"""Shifts of place in half wavelengths and of depth in m by which other maxima are sought, every
+second one at a time. All contacts are also shifted together by half wavelengths."""
 RESTARTED = -3.0
-"""Logarithm of the prior odds of a contact that has jumped."""
+"""Logarithm of the prior odds that a contact has jumped."""
 
 
 class Track:
-    """Explanation of cycles.
+    """Hypothesis about the contacts in the cycles so far.
 
     Parameters
     ----------
     model : ForwardModel
     proposals : list of Proposals
-        Of each tool.
+        One for each tool.
     motion : Motion
     most : int
         Largest number of contacts.
     branches : Branches
-        Before the first cycle, without contacts.
+        Distribution before the first cycle, without contacts.
     quiet : Weights
-        Of a cycle without contacts.
+        Weights of a cycle without contacts.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Track:
         self.spread = BENT_SPREAD if model.path.converts else SPREAD
 
     def update(self, cycle: Cycle, step: float) -> Update:
-        """Return the distribution a time in s later, after a cycle more."""
+        """Update the distribution with a cycle, a time in s after the previous, and return it."""
         error = self.error if self.known else 0.0
         self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
@@ -157,7 +157,7 @@ class Track:
         return any(one.age < YOUNG for one in self.known)
 
     def _judge(self, found: Update, cycle: Cycle) -> None:
-        """Adapt the model's error to the residual, and count cycles that are explained badly."""
+        """Adapt the error of the model to the residual, and count badly fitted cycles in a row."""
         self.n_bad = self.n_bad + 1 if self._bad(found, cycle) else 0
         misfit = self.misfit(found, cycle)
         if self.known:
@@ -177,7 +177,7 @@ class Track:
     def misfit(self, found: Update, cycle: Cycle) -> float:
         """Return the fraction of the echo that noise, clutter and the model do not explain.
 
-        The echo is that of the contacts in the cycle before, or, in their first one, unlimited.
+        It is relative to the echo of the contacts in the previous cycle, and 0 if there is none.
         """
         if self.echo is None:
             return 0.0
@@ -187,14 +187,14 @@ class Track:
         return float(np.sqrt(max(power[0] - expected, 0.0) / power[1]))
 
     def _keep_echo(self, found: Update, cycle: Cycle) -> None:
-        """Keep the echo of the contacts, for the weights of the next cycle."""
+        """Store the echo of the contacts for the weights of the next cycle."""
         own = self.branches.mean[:1, 2 * len(self.known) : self.branches.parameters]
         self.untouched = self.model.without_presses(own)[0]
         explained = cycle.samples - found.rest[0]
         self.echo = Echo(explained - self.untouched, None) if self.known else None
 
     def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
-        """Return the branches after a look for new contacts or for other maxima."""
+        """Search for new contacts or other maxima, and return the branches."""
         turn, room = cycle.number, len(self.known) < self.most
         if room and self._loud(found) and (not self.known or self.n_bad or turn % 2 == 0):
             return self._born(found, cycle, prior)
@@ -211,16 +211,16 @@ class Track:
         return bool(np.sqrt(np.convolve(power, np.ones(4) / 4, "same").max()) > LOUD)
 
     def _born(self, found: Update, cycle: Cycle, prior: Branches | None = None) -> Update:
-        """Return the branches with one contact more, if the evidence for it suffices.
+        """Return the branches with one more contact, if the evidence for it suffices.
 
         Parameters
         ----------
         found : Update
         cycle : Cycle
         prior : Branches, optional
-            Before the cycle. From there too a contact is sought then: one that lands in front of
-            others changes their echoes, to which they have been fitted without it. Otherwise one
-            is sought in the mean of what the last cycles leave.
+            Branches before the cycle. If given, a contact is sought from these too: one in front of
+            others changes their echoes, and the others have been fitted to the cycle without it. If
+            not given, a contact is sought in the mean residual of the last cycles.
         """
         branches, whiten = found.branches.take(np.arange(1)), self.whiten
         rest, samples, known = found.rest[0], cycle.samples, [branches]
@@ -251,7 +251,7 @@ class Track:
         if odds < 0:
             return found
         best = self._in_place(fewer, best, rank, samples, whiten)
-        for one in self.known:  # their echoes were other ones
+        for one in self.known:  # the new contact changes their echoes
             one.age = min(one.age, NEW[-1] + 1)
         self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
         self.numbers += 1
@@ -263,10 +263,10 @@ class Track:
     def _in_place(
         self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
     ) -> Update:
-        """Return fits of a new contact without the young one behind it, if that is as likely.
+        """Return fits of a new contact without the young one behind it, if they are as likely.
 
-        Until the new one was loud enough to be found, the change that it makes to the echoes from
-        behind it may have seemed a contact there.
+        Until the echo of the new contact was high enough to be detected, its effect on the echoes
+        from behind it may have been taken for a contact there.
         """
         for i in range(rank, len(fewer.tools)):
             if self.known[i].age >= YOUNG:
@@ -284,8 +284,8 @@ class Track:
         return best
 
     def _sought_near(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
-        """Return the branches and those with a contact at any depth, near its place."""
-        # The youngest, of equals in turn.
+        """Search for contacts again near their places, at all depths, and return all branches."""
+        # The youngest first; contacts of equal age take turns.
         order = sorted(
             range(len(prior.tools)),
             key=lambda i: (min(self.known[i].age, YOUNG), (i + cycle.number) % len(prior.tools)),
@@ -312,7 +312,7 @@ class Track:
         return found
 
     def _shifted(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
-        """Return the branches and those half a wavelength or some depth from the best."""
+        """Return the branches and those started from shifts of the best by :data:`SHIFTS`."""
         turn, best = self.n_shifts, found.branches
         self.n_shifts += 1
         among = [i for i, one in enumerate(self.known) if one.age < YOUNG]
@@ -333,7 +333,7 @@ class Track:
     def _with_others(
         self, found: Update, start: Branches, cycle: Cycle, prior_odds: float
     ) -> Update:
-        """Return the branches and fits of others to this cycle."""
+        """Fit further branches to this cycle, and return them with the present ones."""
         plain = 2 * float(np.sum(np.abs(self.whiten(found.rest[0])) ** 2))
         tried = updated(
             self.model, start, cycle.samples, self.whiten, iterations=4, limit=plain + LOST
@@ -346,9 +346,9 @@ class Track:
         return likely(found, UNLIKELY, YOUNG_BRANCHES if self._young() else BRANCHES)
 
     def _without_gone(self, found: Update, cycle: Cycle) -> Update:
-        """Return the branches after a test of one contact: whether the cycle is likely without.
+        """Test one contact, and return the branches without it if it is too improbable or faint.
 
-        The others are fitted again without it.
+        For the test, the other contacts are fitted again without it.
         """
         if not self.known:
             return found
@@ -370,13 +370,13 @@ class Track:
         return self._pruned(refit)
 
     def _gained(self, found: Update, fewer: Update) -> float:
-        """Return by how much the logarithm of a cycle's likelihood exceeds that of another fit."""
+        """Return the log likelihood ratio of a cycle between a fit and one with fewer contacts."""
         rest = self.whiten(np.stack([fewer.rest[0], found.rest[0]]))
         without, with_all = np.sum(np.abs(rest) ** 2, axis=1)
         return float(without - with_all)
 
     def _merged(self, found: Update, cycle: Cycle) -> Update:
-        """Return fits of one contact in place of two neighbours, if the cycle is as likely."""
+        """Return fits with one contact in place of two neighbours, if the cycle is as likely."""
         ages = [one.age for one in self.known]
         pairs = [i for i in range(len(ages) - 1) if min(ages[i : i + 2]) < YOUNG]
         if not pairs:

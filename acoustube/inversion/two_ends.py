@@ -1,9 +1,9 @@
 """Contacts of a tube with a rangefinder at each end: the posteriors of both, joined.
 
-Each end is inverted by itself, since its noise, clutter and nuisance parameters are its own. A
-contact that both find has the product of its two distributions; of maxima half a wavelength apart
-those that coincide from both sides remain, as far as the tube's length is known. A contact behind a
-hard one, whose echo from one side lies below that one's own, is heard from the other.
+Each end is inverted separately, since its noise, clutter and nuisance parameters are its own. The
+posterior of a contact that both ends detect is the product of its two distributions. Of maxima half
+a wavelength apart, those that coincide from both ends remain, as far as the tube's length is known.
+A contact behind a hard one, whose echo masks its own at one end, is received at the other end.
 """
 
 from __future__ import annotations
@@ -21,30 +21,31 @@ from acoustube.inversion.posterior import Estimate, mixture
 from acoustube.inversion.tools import Library
 
 SAME_PLACE, FARTHEST = 0.03, 0.06
-"""Distance in m within which contacts told from both ends are one, and the largest distance of two
-whose places are known worse."""
+"""Distance in m within which contacts reported by both ends are one, and upper limit of this
+distance for contacts whose places are less certain."""
 DEVIATIONS = 3.0
-"""Standard deviations of their distance within which they are one, up to the latter."""
+"""Number of standard deviations of their distance within which they are one, up to that limit."""
 CONTRADICTION = 16.0
-"""Squared deviation of place and depth together, of the maxima that agree best, beyond which both
-ends contradict each other."""
+"""Squared difference of place and depth in standard deviations, summed, of the maxima that agree
+best, above which the two ends contradict each other."""
 LEAST = 0.1
-"""Part of a deviation that is each end's own at least, beside the error that both share."""
+"""Least share of a standard deviation that is independent of the other end's, besides the error
+that both share."""
 NEGLIGIBLE = 1e-9
-"""Weight of a maximum, relative to the largest, that is left out."""
+"""Weight of a maximum, relative to the largest, up to which it is left out."""
 
 
 class MatchedContact(NamedTuple):
-    """A contact, and which contacts of the two ends it is.
+    """A contact, and its indices among the contacts of each end.
 
     Attributes
     ----------
     contact : Contact
         With its distance from the near end.
     near, far : int or None
-        Numbers among those of each end; None where that end does not tell it.
+        Index among the contacts of each end; None where that end does not report it.
     agree : bool
-        Whether both ends tell the same place and depth within their deviations.
+        False if both ends report it with contradicting places and depths.
     """
 
     contact: Contact
@@ -60,12 +61,12 @@ def joined_contacts(
     library: Library,
     priors: Priors,
 ) -> list[MatchedContact]:
-    """Return contacts told from one end or both, by distance from the near one.
+    """Return the contacts reported by one end or both, by distance from the near end.
 
     Parameters
     ----------
     near, far : sequence of Contact
-        Each with distances from its own end.
+        Contacts of each end, with distances from that end.
     length : float
         Of the tube between both transducers in m; ``priors.length`` is its standard deviation.
     library : Library
@@ -74,8 +75,8 @@ def joined_contacts(
 
     Notes
     -----
-    Where both ends tell a contact by different tools, or contradict each other, it is the one whose
-    place is told better.
+    Where both ends report a contact with different tools, or contradict each other, the report with
+    the smaller standard deviation of the place is used.
     """
     turned = [_from_other_end(one, length, priors.length) for one in far]
     pairs = [(i, j) for i, a in enumerate(near) for j, b in enumerate(turned) if _same(a, b)]
@@ -112,15 +113,16 @@ def _same(one: Contact, other: Contact) -> bool:
 def _product(
     one: Contact, other: Contact, library: Library, priors: Priors
 ) -> tuple[Contact, bool]:
-    """Return a contact that both ends tell, with the product of its distributions.
+    """Return a contact that both ends report, and whether they agree.
 
-    And whether they agree; else it is the one whose place is told better.
+    Its distributions are the products of both ends'. If the ends disagree, or name different tools,
+    it is the report with the smaller standard deviation of the place.
     """
     probability = 1 - (1 - one.probability) * (1 - other.probability)
     best = replace(min(one, other, key=lambda it: it.distance.deviation), probability=probability)
     if one.tool != other.tool:
         return best, True
-    # What the model errs by in depth, it errs by from both ends.
+    # The error of the model in depth is the same from both ends.
     shared = float(priors.offsets(np.array([[one.depth.value]]))[0, 1])
     place, place_spread, place_off, place_weight = _combined(one.distance, other.distance, 0.0)
     depth, depth_spread, depth_off, depth_weight = _combined(one.depth, other.depth, shared)
@@ -143,12 +145,12 @@ def _product(
 
 
 def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Array, Array, Array]:
-    """Return the products of the normal distributions of two mixtures, each with each.
+    """Return the products of all pairs of normal distributions of two mixtures.
 
     Parameters
     ----------
     one, other : Estimate
-        Of n and m distributions.
+        Mixtures of n and m distributions.
     shared : float
         Standard deviation of an error that both have in common.
 

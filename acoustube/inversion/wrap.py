@@ -1,17 +1,17 @@
 """Propagation along a wrapped tube by the modes of the bent tube, with joints at each press.
 
-The scattering of a press is computed in a straight tube. In a wrapped one a part about the press is
-taken as straight, the rest as bent. In a bend the straight tube's modes couple all along; the bent
-tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
-wavenumber, and sound is converted only where the tube becomes straight, at a press and at the start
-of the wrap. So the network of presses is that of a straight tube, but for its modes and the joints,
-which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and torsion vary
-along the arm, so slowly that the bent modes follow them (the adiabatic approximation): the phase is
-the integral of the wavenumber.
+The scattering of a press is computed in a straight tube. In a wrapped tube, a part about the press
+is taken as straight, the rest as bent. In a bend the straight tube's modes couple all along. The
+bent tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
+wavenumber, and modes are converted only where the tube becomes straight, at a press and at the
+start of the wrap. The network of presses is therefore that of a straight tube, but for its modes
+and the joints, which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and
+torsion vary so slowly along the arm that the bent modes follow them (adiabatic approximation): the
+phase is the integral of the wavenumber.
 
-The bent modes kept are three, which become (0,0) and both (1,1) where the tube is straight. Modes
-antisymmetric about the plane of the bend, which the torsion excites, pass a press as if it were not
-there: the presses' matrices do not have them.
+Three bent modes are kept, which become (0,0) and both (1,1) where the tube is straight. Modes
+antisymmetric about the plane of the bend, which the torsion excites, pass a press unscattered: the
+presses' matrices do not contain them.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.scattering import Complex
 
 MODES = 3
-"""Modes of the bent tube that are kept."""
+"""Number of modes of the bent tube that are kept."""
 REACH = 0.03
 """Half length in m of the straight part about a press: 29 mm from a 25 mm rod the lumen has 99 % of
 its area."""
 NEARLY = 1e-3
 """Length in m by which a wrap may end beyond its tube, as lengths are rounded."""
 STRETCH = 0.3
-"""Length in m over which templates take the joints as constant."""
+"""Largest length in m over which templates take the joints as constant."""
 CURVES = Reals(0, 1e6, "1/m", ndim=1)
 TURNS = Reals(-1e6, 1e6, "1/m", ndim=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wrap:
-    """Curvature of a tube's centre line, from where it begins to be wrapped to where it ends.
+    """Curvature and torsion of a tube's centre line over its wrapped part.
 
     Attributes
     ----------
     place : ndarray
-        Rising distances from the sensor in m, (n,), two or more: the wrap is from the first to the
-        last, and curvature and torsion are interpolated between.
+        Rising distances from the sensor in m, (n,), two or more. The wrap extends from the first to
+        the last; curvature and torsion are interpolated between them.
     curvature, torsion : ndarray
-        As of :class:`acoustube.waves.Bent`, in 1/m, (n,).
+        As in :class:`acoustube.waves.Bent`, in 1/m, (n,).
     ovality : float
-        As of :class:`acoustube.waves.Bent`.
+        As in :class:`acoustube.waves.Bent`.
     reach : float
         Half length in m of the straight part about a press.
     """
@@ -81,12 +81,12 @@ class Wrap:
             raise ConfigError("place of a wrap must hold two or more rising distances; sort them")
 
     def from_other_end(self, length: float) -> Wrap:
-        """Return the wrap of the same tube, of a length in m, from its other end.
+        """Return the wrap with places measured from the other end of a tube of a length in m.
 
         Raises
         ------
         ConfigError
-            If the wrap is longer than the tube.
+            If the wrap ends beyond the tube.
         """
         if self.stop > length + NEARLY:
             raise ConfigError(
@@ -100,12 +100,12 @@ class Wrap:
 
     @property
     def start(self) -> float:
-        """Distance in m from which on the tube is bent."""
+        """Distance in m from the sensor at which the bend begins."""
         return float(self.place[0])
 
     @property
     def stop(self) -> float:
-        """Distance in m up to which it is bent."""
+        """Distance in m from the sensor at which the bend ends."""
         return float(self.place[-1])
 
 
@@ -117,13 +117,14 @@ class WrappedPath:
     wrap : Wrap
     air : Air
     frequency : ndarray
-        Even, in Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
+        Evenly spaced, in Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
     radius : float
         Of the bore in m.
     modes : tuple of str
-        Of the presses' matrices, the plane mode first.
+        Names of the modes of the presses' matrices, the plane mode first.
     k, by_temperature : ndarray
-        Their wavenumbers in the straight tube and derivatives, (n_f, m_s).
+        Axial wavenumbers of these modes in the straight tube in 1/m, and their derivatives in
+        1/(m K), (n_f, m_s).
     heat : float
         Relative change of the speed of sound per K.
     """
@@ -170,7 +171,7 @@ class WrappedPath:
         )
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
-        """Return the range of places in m where presses are sought: those on the wrap."""
+        """Return the range of places in m where presses are sought: on the wrap."""
         wrap = self.wrap
         low = max(nearest, wrap.start + wrap.reach)
         high = min(wrap.stop - wrap.reach, length - 0.02)
@@ -182,8 +183,8 @@ class WrappedPath:
         return low, high
 
     def entry(self, temperature: Array) -> Entry:
-        """Return the way to the start of the wrap."""
-        # Antisymmetric modes too: the face reflects them.
+        """Return the propagation to the start of the wrap, at deviations of temperature in K."""
+        # Antisymmetric modes are included, since the face reflects them.
         k = np.concatenate([self.k, self.own_k], axis=1)
         by_temperature = np.concatenate([self.by_temperature, self.own_heat], axis=1)
         path = np.exp(-1j * (k + temperature[:, None, None] * by_temperature) * self.wrap.start)
@@ -192,14 +193,14 @@ class WrappedPath:
         return Entry(np.asarray(matrix), np.asarray(self.wrap.start * by_temperature, complex))
 
     def joint(self, place: float) -> tuple[Complex, Complex]:
-        """Return what a joint at a place passes and reflects of the bent modes.
+        """Return transmission and reflection of the bent modes at a joint, at a place in m.
 
         Returns
         -------
         passed : ndarray
-            Amplitudes of the straight modes, the antisymmetric ones last, (n_f, m_s, m).
+            Transmission to the straight modes, the antisymmetric ones last, (n_f, m_s, m).
         reflected : ndarray
-            (n_f, m, m).
+            Reflection between the bent modes, (n_f, m, m).
         """
         parts = self.joints(place).reshape(len(self.k), -1, MODES)
         passed = np.concatenate([parts[:, :MODES], parts[:, 3 * MODES :]], axis=1)
@@ -222,7 +223,7 @@ class WrappedPath:
         return found
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Joined:
-        """Return presses at places (n,) between the bends."""
+        """Return presses at places (n,) in m, joined to the bends on both sides."""
         reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
         joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))
@@ -238,13 +239,13 @@ class WrappedPath:
         )  # fmt: skip
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
-        """Return the phases up to presses at places (n,), or to behind them, (n, n_f, m)."""
+        """Return the modes' phases in rad before or behind presses at places (n,), (n, n_f, m)."""
         reach = self.wrap.reach
         at = self._inside(places + (reach if behind else -reach))
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases at places (n,), and per K, (n_f, n)."""
+        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
         inside = self._inside(places)
         straight = np.where(places < self.wrap.start, places, self.wrap.start + places - inside)
         value, warmer = (
@@ -254,7 +255,7 @@ class WrappedPath:
         return value, warmer
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m from which the plane wave is back after times in s."""
+        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
         farthest = 0.5 * self.speed * float(np.max(time))
         places = np.linspace(0.0, max(farthest, self.wrap.stop), 200)
         middle = len(self.frequency) // 2
@@ -271,7 +272,7 @@ class WrappedPath:
 def _bent(
     wrap: Wrap, air: Air, frequency: Array | Complex, radius: float, modes: tuple[str, ...]
 ) -> list[BentModes]:
-    """Return the bent modes at the nodes of a wrap, one after the other, in the same order."""
+    """Return the bent modes at each node of a wrap, in the same order at all nodes."""
     found: list[BentModes] = []
     for curvature, torsion in zip(wrap.curvature, wrap.torsion, strict=True):
         part = Bent(length=1.0, curvature=float(curvature), torsion=float(torsion),
@@ -282,7 +283,7 @@ def _bent(
 
 
 def _joint(bent: BentModes, m: int) -> Complex:
-    """Return the parts of a joint with m modes of presses, (n_f, n_parts)."""
+    """Return the coefficients of a joint to m modes of presses as one row, (n_f, n_parts)."""
     n, missing = len(bent.wavenumber), (0, MODES - m)
     parts = (
         np.pad(bent.passed[:, :m], ((0, 0), missing, (0, 0))),

@@ -41,7 +41,7 @@ from acoustube.waves.scheme.pulse import check_duration
 REFLECTOR_SPACING = 0.5e-3
 """Spacing in m of the clutter's reflectors: under a quarter wavelength at 100 kHz."""
 MEASURED_SPACING = 1e-3
-"""Spacing in m of reflectors that are given: a quarter wavelength at 85 kHz."""
+"""Spacing in m of reflectors given by the caller: a quarter wavelength at 85 kHz."""
 PASSBAND = 0.8
 """End of the anti-alias filter's passband, as a fraction of the Nyquist frequency."""
 DRIVE_OVERSAMPLING = 16
@@ -99,13 +99,13 @@ def clutter(
     tube_seed: int,
     reflectors: Array | None = None,
 ) -> Complex:
-    """Return the clutter: reflections of small irregularities along a tube at its source end.
+    """Return the clutter: reflections of small irregularities along a tube, at its source end.
 
     Parameters
     ----------
     presses : sequence of PlacedScatterer
-        The transmission of a press, both ways, attenuates the clutter behind it; in a bend the
-        plane wave has the bend's wavenumber.
+        The two-way transmission of a press attenuates the clutter behind it; in a bend the plane
+        wave has the bend's wavenumber.
     air : Air
     frequency : ndarray
         In Hz, real or complex, (n,).
@@ -116,8 +116,8 @@ def clutter(
     tube_seed : int
         Random seed of the tube's irregularities.
     reflectors : ndarray, optional
-        Reflection coefficients of irregularities :data:`MEASURED_SPACING` apart, the first half of
-        that from the source end, in place of random ones.
+        Reflection coefficients of irregularities :data:`MEASURED_SPACING` apart, in place of random
+        ones. The first is half that distance from the source end.
 
     Returns
     -------
@@ -126,12 +126,12 @@ def clutter(
 
     Notes
     -----
-    Reflection coefficients r_i, normal numbers of variance ``density * REFLECTOR_SPACING``, at
-    ``z_i = (i + 1/2) REFLECTOR_SPACING``. In Born's approximation (single scattering of the plane
-    mode) their sum is ``sum r_i T_i^2 exp(-2j phi_i)``, with T_i the transmission of the presses
-    before reflector i, and phi_i the phase of the plane wave up to it, in bends by their own
-    wavenumber. Multiple reflections between a press and a reflector are neglected, and so is the
-    conversion of modes where a bend begins.
+    The reflectors are at ``z_i = (i + 1/2) REFLECTOR_SPACING``. Their reflection coefficients r_i
+    are normal with variance ``density * REFLECTOR_SPACING``. In Born's approximation (single
+    scattering of the plane mode) the clutter is ``sum r_i T_i^2 exp(-2j phi_i)``, with T_i the
+    transmission of the presses before reflector i, and phi_i the phase of the plane wave up to it,
+    with the bends' own wavenumbers in bends. Multiple reflections between a press and a reflector
+    are neglected, and so is the conversion of modes where a bend begins.
     """
     frequency = np.atleast_1d(frequency)
     spacing = REFLECTOR_SPACING if reflectors is None else MEASURED_SPACING
@@ -155,7 +155,7 @@ def clutter(
             interpolate_scattering(press.scattering, frequency),
         )
         total *= s[:, 1, plane, 0, plane] * s[:, 0, plane, 1, plane]
-        # Relative to straight tube, whose phase between the reference planes `steps` has.
+        # Relative to straight tube: `steps` contain its phase between the reference planes.
         total *= np.exp(2j * straight * np.ptp(press.scattering.planes))
         behind = first
     _add_reflectors(total, steps, number[:behind], reflectors[:behind])
@@ -165,7 +165,7 @@ def clutter(
 def _plane_waves(
     bends: Sequence[PlacedScatterer], frequency: Complex, straight: Complex, spacing: float, n: int
 ) -> tuple[Complex, NDArray[np.int_]]:
-    """Return wavenumbers of the plane wave (n_waves, n_f), and which holds at each reflector."""
+    """Return wavenumbers of the plane wave (n_waves, n_f), and the index of each reflector's."""
     places = (np.arange(n) + 0.5) * spacing
     waves, number = [straight], np.zeros(n, int)
     for bend in bends:
@@ -208,7 +208,7 @@ def response(
     tube_seed: int = 0,
     reflectors: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Return the voltage before the ADC, without noise and offset, as in every cycle.
+    """Return the voltage before the ADC, without noise and offset; it is the same in every cycle.
 
     Parameters
     ----------
@@ -241,8 +241,9 @@ def response(
     the face's reflection coefficient r and the pressure p at the face over the launched pressure,
     the voltage is
     ``send H E + gain H^2 E (p - 1) / (1 + r)``: the incident wave is received.
-    Computed in the frequency domain and filtered without delay, so that nothing is left at half
-    the sampling rate (a cosine from 0.8 of it): no finer step is needed, nothing is aliased.
+    It is computed in the frequency domain and filtered without delay, by a raised cosine that falls
+    from 0.8 of the Nyquist frequency to zero there. No finer step is needed, and nothing is
+    aliased.
     """
     rate, n = rangefinder.sampling_rate, rangefinder.n_samples
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
@@ -293,11 +294,11 @@ def drive_spectrum(
     ----------
     drive : Burst, Chirp, Tones, Pulse or SampledPulse
     frequency : ndarray
-        Multiples of ``rate / n_cycle`` in Hz, from the first to the last that is wanted, (n,).
+        Multiples of ``rate / n_cycle`` in Hz, all from the first to the last wanted, (n,).
     rate : float
-        In Hz.
+        Sampling rate in Hz.
     n_cycle : int
-        Samples of the period.
+        Number of samples of the period.
     damping : float
         Rate in 1/s of the decaying exponential that the drive is multiplied by.
     """

@@ -1,4 +1,4 @@
-"""How loud a rangefinder's drive is to the ear, relative to a steady tone.
+"""A-weighted level of a rangefinder's drive, relative to a steady tone.
 
 References
 ----------
@@ -19,7 +19,7 @@ from acoustube.ranging.rangefinder import Rangefinder
 POLES = 20.598997, 107.65265, 737.86223, 12194.217
 """Frequencies in Hz of the weighting's poles."""
 HEARD = 20e3
-"""Highest frequency in Hz that is counted."""
+"""Highest audible frequency in Hz; sound above it is not counted."""
 STEP = 10.0
 """Step in Hz of the integral."""
 
@@ -50,7 +50,7 @@ def audible_level(rangefinder: Rangefinder) -> float:
     -------
     float
         Relative to a steady tone of 1 kHz with the amplitude of the drive at the transducer's best
-        frequency; what lies over 20 kHz is not heard and not counted.
+        frequency. Frequencies above 20 kHz are inaudible and not counted.
 
     Notes
     -----

@@ -2,8 +2,8 @@
 
 References
 ----------
-* Random numbers of each cycle, whatever others are drawn: Salmon, J. K. et al., Parallel random
-  numbers: as easy as 1, 2, 3, SC '11 (2011). doi:10.1145/2063384.2063405
+* Random numbers of each cycle, independent of the other cycles drawn: Salmon, J. K. et al.,
+  Parallel random numbers: as easy as 1, 2, 3, SC '11 (2011). doi:10.1145/2063384.2063405
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.integer[Any]]
 
 CYCLES_PER_CHUNK = 256
-"""Cycles digitised at once."""
+"""Number of cycles digitised at once."""
 NOISE_STREAM, TEMPERATURE_STREAM, DRIFT_STREAM, TRIGGER_STREAM = range(4)
 """Keys of the independent streams of random numbers."""
 DRIFT_PERIODS = np.geomspace(10.0, 1000.0, 8)
-"""Periods of the drift's sines in s: long against a record, and without a common period."""
+"""Periods in s of the sines that make up the drift: much longer than a record, with no common
+period."""
 
 
 @checked(
@@ -97,7 +98,7 @@ def digitise(
 
 
 def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
-    """Return each cycle's voltage with its trigger's delay and gain; one if neither varies."""
+    """Return each cycle's voltage with its trigger delay and gain; one row if neither varies."""
     if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
         return mean
     draws = np.array([_generator(seed, TRIGGER_STREAM, cycle).normal(size=2) for cycle in cycles])
@@ -192,7 +193,7 @@ def record(
     ValueError
         As :func:`response`, or if n_cycles < 1 or first_cycle < 0.
     """
-    import xarray as xr  # with pandas 70 MB, which the fast sensor does without
+    import xarray as xr  # 70 MB with pandas, not needed by the fast sensor
 
     for name, value, least in (("n_cycles", n_cycles, 1), ("first_cycle", first_cycle, 0)):
         if value < least:

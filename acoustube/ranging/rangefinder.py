@@ -86,9 +86,9 @@ class Rangefinder(Section):
         Default 0.
     send : float
         Voltage in V received from its own steady drive at resonance, far over full scale. Default
-        170, chosen so that a press with a reflection coefficient of 0.2 has a peak of its own from
-        16 cm on, and not nearer: the dead zone of the sleeve paper and of EchoTube, 6 inches in the
-        data sheet.
+        170, chosen so that a press with a reflection coefficient of 0.2 has a separate peak at
+        distances of 16 cm and more, and not nearer: the dead zone of the sleeve paper and of
+        EchoTube, 6 inches in the data sheet.
     gain : float
         Voltage in V received from a steady drive that a lossless tube reflects completely. Default
         1.25, chosen so that the arctan of the sleeve paper's calibration has the published
@@ -101,8 +101,8 @@ class Rangefinder(Section):
         no echo of it is reported.
     clutter : float
         Power reflected by small irregularities per length of tube in 1/m. Default 1.5e-5 (-48 dB),
-        chosen so that up to 0.6 m presses of a 25 mm rod are detected from 2.5 mm on and rarely
-        below; the sleeve paper states 2.5 mm.
+        chosen so that up to 0.6 m presses of a 25 mm rod are detected at depths of 2.5 mm and more
+        and rarely below; the sleeve paper states 2.5 mm.
     noise : float
         Thermal noise at the ADC in V, rms, white up to half the sampling rate. Default 0.1 mV (0.2
         counts, less than their rounding), chosen so that beyond 1.95 m only a rod that closes the
@@ -217,7 +217,7 @@ IDEAL = Rangefinder(
     far_reflection=0.0, clutter=0.0, noise=0.0, offset=0.0, drift=0.0, quantised=False,
     temperature_bias=0.0, temperature_noise=0.0, temperature_resolution=0.0,
 )  # fmt: skip
-"""Ideal sensor: unquantised counts, and a complete reflection has the amplitude of the drive.
+"""Ideal sensor: unquantised counts, in which a complete reflection has the amplitude of the drive.
 
 Its drive is the band-limited pulse of the sleeve paper's simulations.
 """
@@ -228,8 +228,8 @@ LOUDSPEAKER = Rangefinder(
 )  # fmt: skip
 """A small loudspeaker and a microphone beside it with the default tube and converter.
 
-Chosen: the corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone;
-the amplifier is set so that the own drive just does not clip (0.88 of 0.9 V), and since the
-microphone hears launched and returning sound alike, `gain` is `send` times one and the face's
-reflection.
+Chosen: the corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone.
+The amplifier is set so that its own drive just does not clip (0.88 of 0.9 V). Since the microphone
+receives launched and returning sound alike, `gain` is `send` times 1 plus the face's reflection
+coefficient.
 """

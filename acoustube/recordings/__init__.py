@@ -1,7 +1,7 @@
 """Recordings of ultrasonic rangefinders: from files of many kinds to one dataset.
 
 Read `formats` and `tables` (named arrays of a file), `cycles` (their meaning), `checks` (silent and
-clipped cycles), `reading`; and apart from these `markers` and `echotube_stream`.
+clipped cycles), `reading`; and, independent of these, `markers` and `echotube_stream`.
 """
 
 from acoustube.recordings.reading import find, read, read_all, write

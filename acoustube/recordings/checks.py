@@ -132,11 +132,11 @@ STATED = {
     "full_scale": Number(1, 1e12, "counts"), "bore_radius": Number(1e-5, 1e3, "m"),
     "tube_length": Number(1e-2, 1e3, "m"),
 }  # fmt: skip
-"""Attributes of a recording of our own, which are also labels where they differ between cycles."""
+"""Attributes of recordings that acoustube wrote; labels instead, where they vary between cycles."""
 
 
 def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> None:
-    """Raise ConfigError unless labels and attributes in a file of our own are numbers in range.
+    """Raise ConfigError unless labels and attributes in an acoustube file are numbers in range.
 
     Parameters
     ----------

@@ -34,14 +34,14 @@ RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
 MAX_LEAD_TIME = 0.1
-"""Largest start of a time axis in s at which its zero is taken for the trigger."""
+"""Largest distance in s of a time axis's start from zero at which zero is taken for the trigger."""
 RATE_TOLERANCE = 1e-3
 """Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
 
 SUSPECT_CYCLE_LENGTH = 0.03
-"""Length of a cycle in s above which a record may hold several: sound travels 5 m and back."""
+"""Duration in s above which one cycle may be several: in it sound travels 5 m and back."""
 SUSPECT_LENGTHS = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
-"""Labels with the length in m above which another unit is suspected, and that unit."""
+"""For each label, the length in m above which another unit is suspected, and that unit."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -115,11 +115,11 @@ def assemble(
     Parameters
     ----------
     path : Path
-        The file, for messages and the attribute.
+        The file, for messages and the attribute ``file``.
     known : dict
         Values by quantity, in SI units and degC; see :func:`acoustube.recordings.tables.meaning`.
     others : dict
-        Arrays of other names in the file. Those of one value per cycle become labels.
+        Arrays of other names in the file. Arrays of one value per cycle become labels.
     labels : dict
         Further labels that were given and must fit.
     notes : list of str
@@ -193,7 +193,7 @@ def separate_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
 
 
 def _is_synonym(name: str) -> bool:
-    """Return whether a name does not begin with this package's own one for its quantity."""
+    """Return whether a name does not begin with this package's name for its quantity."""
     quantity = meaning(name)[0]
     return not quantity or not name.startswith(quantity)
 
@@ -206,7 +206,7 @@ def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
-    """Return the samples: the array ``signal``, or else the only numeric one of most dimensions."""
+    """Return the samples: the array ``signal``, or the only numeric one of the most dimensions."""
     if "signal" in known:
         return _real(path, known["signal"])
     arrays = {name: np.asarray(value) for name, value in others.items()}
@@ -360,7 +360,7 @@ def _words(path: Path, name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _of_length(others: Named, n: int, notes: list[str]) -> Named:
-    """Return the arrays of one number or word per cycle, with a note of those left out."""
+    """Return the arrays of one number or word per cycle; note which arrays are left out."""
     found = {}
     for name, value in others.items():
         values = np.asarray(value)
@@ -385,7 +385,7 @@ def _too_long(labels: Named) -> list[str]:
 def _start(known: Named, length: int) -> float:
     """Return the start of a cycle in s on its time axis, whose zero is taken for the trigger.
 
-    Zero for an axis of a whole record or far from zero, which is not relative to the trigger.
+    Zero for an axis of a whole record or one far from zero, neither of which starts at the trigger.
     """
     time = np.ravel(known.get("time", ()))
     near = time.size == length and abs(float(time[0])) < MAX_LEAD_TIME

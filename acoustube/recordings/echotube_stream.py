@@ -27,7 +27,7 @@ PULSE_WIDTH_BYTES = 2
 """Bytes of the pulse width, which replace a cycle's first samples."""
 
 QUEUE_DEPTH = 64
-"""Cycles that may wait: about three seconds."""
+"""Largest number of waiting cycles: about three seconds."""
 POLL_INTERVAL = 0.1
 """Time in s after which a waiting thread checks whether the stream has ended."""
 MISSING = (
@@ -45,8 +45,8 @@ class Frame(NamedTuple):
         Time of flight that the rangefinder itself measured, in us, 0 to 65535. If the echo arrives
         after the last sample it is that of the previous cycle: the board packs it on sampling.
     samples : array of shape (time,)
-        Unsigned 8-bit samples from the third of the cycle on: the pulse width replaces the first
-        two.
+        Unsigned 8-bit samples, beginning with the cycle's third: the pulse width replaces the
+        first two.
     """
 
     pulse_width: int
@@ -72,7 +72,7 @@ class Decoder:
         frame with a byte altered to zero counts as two; two frames whose separating zero is lost
         count as one.
     n_joined : int
-        1 if the bytes before the first zero were not a frame: the stream was joined in one.
+        1 if the bytes before the first zero were not a frame: reception began within a frame.
 
     Raises
     ------
@@ -82,13 +82,13 @@ class Decoder:
     Notes
     -----
     A frame on the line is encoded by consistent overhead byte stuffing, which leaves no zero in it,
-    and ends with a zero. Zeros that follow one another are idle. The code has no check sum, and a
-    damaged frame of the right length passes. Of simulated cycles with one byte altered 99.6 %
-    do, one sample wrong; with one byte lost 8 %, by codes that are misread and add up all the same:
-    later samples then stand one too early, and single zeros among them.
+    and ends with a zero. Consecutive zeros are idle. The code has no checksum, so that a damaged
+    frame of the right length is accepted. Of simulated cycles with one altered byte 99.6 % are
+    accepted, with one wrong sample. With one lost byte 8 % are, as misread codes still add up to
+    the right length: later samples are then one place early, with single zeros among them.
 
-    Of the pulse width the higher byte comes first. So EchoTube's firmware packs it (`echotube.ino`
-    of the repository ctejada10/echotube), into the first two of 2000 samples.
+    The higher byte of the pulse width comes first. EchoTube's firmware (`echotube.ino` of the
+    repository ctejada10/echotube) packs it so, into the first two of 2000 samples.
 
     No more than one frame and a byte are kept. A longer piece without a zero is counted as
     corrupted at once, and its rest up to the next zero is discarded.
@@ -181,7 +181,7 @@ def _cobs() -> ModuleType:
 
 
 class Port(Protocol):
-    """Interface of a serial port, as of pyserial."""
+    """Interface of a serial port, as that of pyserial."""
 
     @property
     def in_waiting(self) -> int:
@@ -202,7 +202,7 @@ class Receiver:
     port : Port
     decoder : Decoder
     depth : int
-        Cycles that may wait; with a further one the oldest is dropped.
+        Largest number of waiting cycles; with a further one the oldest is dropped.
 
     Attributes
     ----------
@@ -241,7 +241,7 @@ class Receiver:
     def take(self) -> tuple[float, Frame] | None:
         """Return arrival time and frame of the oldest waiting cycle, or None after a time-out.
 
-        The time in s of its last byte, by `time.perf_counter`.
+        The arrival time is that of its last byte, in s of `time.perf_counter`.
         """
         with self._news:
             if not self._waiting and self.failure is None and not self._stopped.is_set():

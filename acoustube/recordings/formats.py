@@ -59,7 +59,7 @@ def _wav(path: Path) -> Contents:
         if "3-byte" not in str(error):
             raise
         rate, samples = wavfile.read(path)
-        samples >>= 8  # scipy puts the three bytes at the upper end of four
+        samples >>= 8  # scipy puts the three bytes into the upper three of four
     return {"sampling_rate": rate, "signal": samples.reshape(1, len(samples), -1)}
 
 
@@ -75,7 +75,7 @@ def _flac(path: Path) -> Contents:
 
 
 def _from_child(path: Path, kind: str) -> Contents:
-    """Return arrays and known attributes by name, with the unit; of equal names the first."""
+    """Return arrays and known attributes by name with unit; the first of equal names is kept."""
     found: Contents = {}
     for label, value in child.read(kind, path, "recording"):
         name = label["name"]

@@ -56,15 +56,15 @@ def read(
     channel : int, optional
         Channel to read, from 0.
     samples : int, optional
-        Samples per cycle of a continuous record. Of an array of two axes, the axis of that length
-        is the time; without `samples` and a time axis of that length, rows are cycles.
+        Samples per cycle of a continuous record. In an array of two axes, the axis of this length,
+        or of the length of the time axis, is time; without either, rows are cycles.
 
     Returns
     -------
     xarray.Dataset
         ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
-        the labels (cycle) that are known or as long, coordinates ``cycle`` and ``time`` (s, from
-        0). Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, and ``warnings``, one a line.
+        labels (cycle): known ones and arrays of this length; coordinates ``cycle`` and ``time`` (s,
+        from 0). Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, ``warnings`` (by line).
         A file of :func:`write` is returned unchanged if no other argument is given.
 
     Raises
@@ -149,7 +149,7 @@ def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     Returns
     -------
     list of Path
-        Each once.
+        Each file once.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     Parameters
     ----------
     dataset : xarray.Dataset
-        Of :func:`read` or :func:`acoustube.ranging.record`.
+        From :func:`read` or :func:`acoustube.ranging.record`.
     path : str or Path
         A name that ends in ``.nc``; an existing file is replaced once the new one is complete.
 

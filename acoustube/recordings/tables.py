@@ -17,7 +17,7 @@ from acoustube.base.foreign import limits
 from acoustube.base.sampling import sampling_rate
 
 LONGEST_ROW = 1 << 24
-"""Characters of a row that are read before its columns are counted."""
+"""Largest number of characters of a row that are read before its columns are counted."""
 
 # Arrays and single values by the name that they have in the file, and at most one Note.
 Contents = dict[str, Any]
@@ -100,8 +100,8 @@ def read_table(path: Path) -> Contents:
     With a column ``time``, every other column without a known name is a cycle. Else, with known
     labels such as ``temperature``, or with two or more columns whose names end in a number and
     others that do not, each row is a cycle. Else the longer side is the time, and rows are cycles
-    where both are equal. In a table without names whose rows outnumber the columns, a first
-    column that increases evenly in steps under 10 ms is the time; of two columns, any that does.
+    where both are equal. In a table without names whose rows outnumber the columns, a first column
+    that increases evenly in steps under 10 ms (of two columns, in steps of any size) is the time.
     """
     names, columns, settings = _cells(path)
     return settings | (_named_columns(names, columns) if names else _unnamed_columns(columns))
@@ -136,7 +136,7 @@ def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
         low_memory=False,
     )
     if first.strip("\r\n").endswith(separator) and frame.iloc[:, -1].isna().all():
-        frame, cells = frame.iloc[:, :-1], cells[: frame.shape[1] - 1]  # each row ends with one
+        frame, cells = frame.iloc[:, :-1], cells[: frame.shape[1] - 1]  # rows end with a separator
     arrays = (frame[i].to_numpy() for i in range(frame.shape[1]))
     columns = [a if a.dtype.kind in "biuf" else a.astype(str) for a in arrays]
     if header and len(cells) != len(columns):

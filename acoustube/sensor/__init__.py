@@ -1,9 +1,9 @@
-"""Fast sensor for simulations: cycles of a rangefinder on a tube, from contacts.
+"""Fast simulation of a sensor: cycles of a rangefinder on a tube, from contacts.
 
-Reading order: `tables` (scattering of tools over depth, refined from a library), `network` (the
-echo of contacts joined by straight tube, in JAX), `cycles` (the voltage that it makes), `assembly`
-(what these need of a rangefinder and a tube), `contacts` and `tube_sensor` (contacts in, cycles
-out); `environment` for reinforcement learning.
+Reading order: `tables` (scattering of tools over depth, refined from a library), `network` (echo of
+contacts joined by straight tube, in JAX), `cycles` (voltage of that echo), `assembly` (constant
+arrays of a rangefinder and a tube), `contacts` and `tube_sensor` (contacts in, cycles out);
+`environment` for reinforcement learning.
 """
 
 from acoustube.sensor.contacts import Contact

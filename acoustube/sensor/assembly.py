@@ -1,4 +1,4 @@
-"""Arrays of a sensor, from its library, its rangefinder and its tube."""
+"""Constant arrays of a sensor, computed from its library, rangefinder and tube."""
 
 from __future__ import annotations
 
@@ -35,14 +35,16 @@ from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.scattering import Complex
 
 WRAPAROUND_ATTENUATION = 300.0
-"""Attenuation of echoes later than a cycle, which are cyclic; more costs digits of float32."""
+"""Factor by which echoes later than a cycle are attenuated, since they wrap around; a larger one
+costs digits of float32."""
 LEFT_OUT, MOST_LEFT_OUT = 5e-5, 3e-4
-"""Fraction of the received energy outside the band, and the largest, if the library ends it."""
+"""Fraction of the received energy outside the band, and its limit where the library ends the
+band."""
 
 REFLECTORS_AT_ONCE = 256
-"""Reflectors of the clutter that are computed at once, in double precision."""
+"""Number of reflectors of the clutter that are computed at once, in double precision."""
 TAPER = 0.1
-"""Part of the band over which each end is tapered."""
+"""Fraction of the band over which each of its ends is tapered."""
 
 
 def assembled(
@@ -54,22 +56,23 @@ def assembled(
     tolerance: float,
     wrap: Wrap | None = None,
 ) -> tuple[PressTables, Shape, Parts, Pair | None]:
-    """Return the tables of a sensor, what its compiled functions need, and the change by a wrap.
+    """Return the tables of a sensor, inputs of its compiled functions, and the change by a wrap.
 
-    The last is the echo of the untouched wrapped tube less that of the straight one; None without a
-    wrap.
+    The change is the echo of the untouched wrapped tube less that of the straight one; None without
+    a wrap.
 
     Parameters
     ----------
     library : Library
     rangefinder : Rangefinder
     length, temperature, tube_seed, tolerance, wrap
-        As of :class:`acoustube.sensor.TubeSensor`.
+        As in :class:`acoustube.sensor.TubeSensor`.
 
     Raises
     ------
     ConfigError
-        If the library's band does not hold the received spectrum, or its tools do not go together.
+        If the library's band does not contain the received spectrum, or its tools cannot be
+        combined.
     """
     r, air = rangefinder, air_at(temperature)
     stretch = air.sound_speed / library.sound_speed
@@ -96,7 +99,7 @@ def assembled(
         _float32(tube.tables.values), _float32(tube.decay), _float32(tube.turn), _float32(clutter),
         _float32(_triangle(tube.far)),
     )  # fmt: skip
-    # Of one memory, if on the CPU; those of a wrapped tube take 200 MB.
+    # They share memory on the CPU; those of a wrapped tube take 200 MB.
     tables = replace(tube.tables, values=np.asarray(constants.presses))
     tube = tube._replace(tables=tables)
     if tube.entry is not None:
@@ -124,14 +127,16 @@ def assembled(
 class _Tube(NamedTuple):
     """Tables, wavenumbers and ends of a straight or a wrapped tube.
 
-    As of :class:`.Constants` and :class:`.Shape`, and besides:
+    Attributes that are not listed are those of :class:`.Constants` and :class:`.Shape`.
 
     Attributes
     ----------
     phase : callable
-        Of the plane wave, complex, up to places in m (n,), (n, n_f).
+        Takes places in m, (n,); returns the complex phase in rad of the plane wave up to them,
+        (n, n_f).
     far, entry : ndarray
-        (n_f, m, m), and that of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s), or None.
+        Reflection matrix of the far end, (n_f, m, m); matrix of
+        :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s), or None.
     untouched : ndarray
         Echo of the tube without contact or clutter, (n_f,).
     """
@@ -179,7 +184,7 @@ def _wrapped(
 
 
 def _triangle(matrix: Complex) -> Array:
-    """Return real and imaginary parts on and above the diagonal, (2, m (m + 1) / 2, n_f)."""
+    """Return real and imaginary parts of the upper triangle, (2, m (m + 1) / 2, n_f)."""
     part = matrix[:, *np.triu_indices(matrix.shape[-1])].T
     return np.asarray(np.stack([part.real, part.imag]), float)
 
@@ -193,7 +198,7 @@ def _float32(array: Array | NDArray[np.float32]) -> jax.Array:
 
 
 def _band(frequency: Array, received: Complex, available: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return the mask of the frequencies that hold nearly all received energy, in one piece."""
+    """Return the mask of the contiguous band that contains nearly all received energy."""
     share = np.cumsum(np.abs(received) ** 2)
     share /= share[-1]
     wanted = (share > LEFT_OUT / 2) & (share < 1 - LEFT_OUT / 2)
@@ -211,7 +216,7 @@ def _band(frequency: Array, received: Complex, available: tuple[float, float]) -
 
 
 def _taper(n: int) -> Array:
-    """Return a taper of n frequencies, whose ends are squared sines, against ringing."""
+    """Return a taper over n frequencies against ringing, with squared sines at its ends."""
     rise = np.sin(0.5 * pi * (np.arange(n) + 0.5) / (TAPER * n)) ** 2
     rise[round(TAPER * n) :] = 1.0
     return rise * rise[::-1]
@@ -220,9 +225,9 @@ def _taper(n: int) -> Array:
 def _clutter_beyond(
     phase: Callable[[Array], Complex], n_f: int, density: float, length: float, seed: int
 ) -> tuple[NDArray[np.float32], Complex]:
-    """Return the echo of the clutter beyond each reflector, and that of all, (n_f,).
+    """Return the echo of the clutter beyond each reflector, and that of all clutter, (n_f,).
 
-    The former's real and imaginary parts, (n_reflectors + 1, 2, n_f). That of
+    The former as real and imaginary parts, (n_reflectors + 1, 2, n_f). The clutter is that of
     :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
     """
     total: Complex = np.zeros(n_f, complex)

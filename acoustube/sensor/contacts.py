@@ -1,4 +1,4 @@
-"""Contacts as a simulation states them: checked, and with depths for forces."""
+"""Contacts of a simulation: their validation, and the conversion between depth and force."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from acoustube.base.units import CM, MM
 from acoustube.sensor.tables import PressTables
 
 HALF_PRESS = 0.015
-"""Half the length in m of the tube that a contact deforms."""
+"""Half the length in m of tube that a contact deforms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +61,12 @@ class Contact:
 def contact_arrays(
     tables: PressTables, contacts: Sequence[Contact], most: int
 ) -> tuple[Array, Array, Array]:
-    """Return places, depths and diameters of contacts in m, each (1, most), depth 0 where none is.
+    """Return places, depths and diameters of contacts in m, each (1, most), padded with depth 0.
 
     Raises
     ------
     ConfigError
-        If there are too many, or a force or a diameter is outside the library's.
+        If there are too many contacts, or a force or a diameter is outside the library's range.
     """
     if len(contacts) > most:
         raise ConfigError(
@@ -83,12 +83,12 @@ def contact_arrays(
 
 
 def diameter_of(tables: PressTables, diameter: float | None) -> float:
-    """Return a diameter in m, or that of the only tool.
+    """Return a diameter in m; for None, that of the only tool.
 
     Raises
     ------
     ConfigError
-        If it is outside the library's, or None and there are several tools.
+        If it is outside the library's range, or None and there are several tools.
     """
     known = tables.diameters
     words = " and ".join(f"{MM * one:g}" for one in known)
@@ -111,7 +111,7 @@ def force_at(tables: PressTables, depth: float, diameter: float | None) -> float
     Raises
     ------
     ConfigError
-        If the depth or the diameter is outside the library's.
+        If the depth or the diameter is outside the library's range.
     """
     known, forces = _path(tables, diameter)
     Number(0, float(known[-1]), "m").check("depth", depth)
@@ -124,7 +124,7 @@ def depth_at(tables: PressTables, force: float, diameter: float | None) -> float
     Raises
     ------
     ConfigError
-        If the force or the diameter is outside the library's.
+        If the force or the diameter is outside the library's range.
     """
     known, forces = _path(tables, diameter)
     Number(0, float(forces[-1]), "N").check("force", force)
@@ -132,7 +132,7 @@ def depth_at(tables: PressTables, force: float, diameter: float | None) -> float
 
 
 def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
-    """Return depths of a tool, or of one between two, and its forces."""
+    """Return depths and forces of a tool, interpolated for a diameter between two tools."""
     size = diameter_of(tables, diameter)
     low, high, weight = _neighbours(tables, np.array(size))
     paths = []
@@ -148,7 +148,7 @@ def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
 def _neighbours(
     tables: PressTables, diameter: Array
 ) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]], Array]:
-    """Return the numbers of the tools below and above diameters, and the weight of the latter."""
+    """Return the indices of the tools below and above diameters, and the weights of the latter."""
     known = tables.diameters
     low = np.clip(np.searchsorted(known, diameter, side="right") - 1, 0, max(len(known) - 2, 0))
     high = np.minimum(low + 1, len(known) - 1)
@@ -164,17 +164,17 @@ def check_contacts(
     span: tuple[float, float],
     apart: float,
 ) -> None:
-    """Raise if a contact is beyond the tube or the library, or meets another.
+    """Raise if a contact is outside the range of the tube or the library, or too close to another.
 
     Parameters
     ----------
     tables : PressTables
     place, depth, diameter : ndarray
-        In m, (n, n_contacts); those of depth 0 do not count.
+        Of the contacts in m, (n, n_contacts); contacts of depth 0 are ignored.
     span : (float, float)
         Nearest and farthest place in m.
     apart : float
-        Least distance of two contacts in m.
+        Least distance between two contacts in m.
 
     Raises
     ------

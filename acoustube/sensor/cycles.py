@@ -1,4 +1,4 @@
-"""Change that contacts make to the voltage of a cycle, in JAX, for one cycle and for many."""
+"""Change of the voltage of a cycle by contacts, in JAX, for one cycle and for many."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from acoustube.ranging.analogue import REFLECTOR_SPACING
 from acoustube.sensor.network import Constants, Pair, Press, echo
 
 AT_ONCE = 8
-"""Cycles that are computed at once; more do not fit into the nearest caches."""
+"""Number of cycles that are computed at once; more do not fit into the nearest caches."""
 OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": False}
-"""For XLA's compiler: further optimisation makes cycles slower, by a factor of two; the emitters of
-fusions take 90 MB more, and twice the time, to compile them."""
+"""Options of XLA's compiler. Further optimisation makes cycles slower by a factor of two; with its
+fusion emitters, compilation takes twice the time and 90 MB more."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,17 @@ class Shape:
     Attributes
     ----------
     number : tuple of int
-        :attr:`acoustube.sensor.tables.PressTables.number`, flat.
+        :attr:`acoustube.sensor.tables.PressTables.number`, flattened.
     modes, period, n_samples, first_bin : int
-        Modes; samples of the cyclic time and of a cycle; number of the band's first frequency.
+        Number of modes; samples of the cyclic time and of a cycle; index of the band's first
+        frequency in the spectrum.
     ends : tuple of float
         Places in m where the modes of the sections begin and end.
     face : complex
         Reflection coefficient of the face.
     places : int
-        Places of a wrapped tube at which the scattering of contacts is known; 1 of a straight one.
+        Number of places along a wrapped tube at which the scattering of contacts is tabulated; 1
+        for a straight tube.
     """
 
     number: tuple[int, ...]
@@ -60,7 +62,7 @@ class Parts(NamedTuple):
     ----------
     constants : Constants
     depths : jax.Array
-        Of the rows of each tool in m, rising, padded with infinity, (n_tools, n_most).
+        Depths of each tool's rows in m, rising, padded with infinity, (n_tools, n_most).
     diameters : jax.Array
         Of the tools in m, rising, (n_tools,).
     first : jax.Array
@@ -68,9 +70,9 @@ class Parts(NamedTuple):
     untouched : Pair
         Echo of the untouched tube, (n_f,).
     scale : Pair
-        Spectrum of the voltage of a complete reflection, over the frequencies' step, (n_f,).
+        Spectrum of the voltage of a complete reflection times the sampling rate, in V, (n_f,).
     growth : jax.Array
-        Inverse of the exponential decay that the imaginary part of the frequencies stands for,
+        Exponential that undoes the decay due to the imaginary part of the frequencies,
         (n_samples,).
     """
 
@@ -86,15 +88,15 @@ class Parts(NamedTuple):
 def changes_of(
     shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
 ) -> jax.Array:
-    """Return the changes of cycles' voltage by contacts, from that of the untouched tube.
+    """Return the changes of cycles' voltage by contacts, relative to the untouched tube.
 
     Parameters
     ----------
     shape : Shape
     parts : Parts
     place, depth, diameter : jax.Array
-        Of the contacts in m, in any order, (n, n_contacts); of depth 0 where there is none. Outside
-        the tables those at their ends are taken.
+        Of the contacts in m, in any order, (n, n_contacts); depth 0 for no contact. Values outside
+        the tables are replaced by those at their ends.
 
     Returns
     -------
@@ -113,14 +115,14 @@ def changes_of(
 
 
 def echo_voltage(shape: Shape, parts: Parts, echo_at_face: Pair) -> Array:
-    """Return the voltage of an echo at the band's frequencies, (n_samples,)."""
+    """Return the voltage in V of an echo given at the band's frequencies, (n_samples,)."""
     received = echo_at_face * parts.scale
     band = jax.lax.complex(received.re, received.im)
     return np.asarray(_voltage(shape, parts, band[None])[0], float)
 
 
 def _voltage(shape: Shape, parts: Parts, band: jax.Array) -> jax.Array:
-    """Return the voltage of spectra at the band's frequencies, (n, n_samples)."""
+    """Return the voltage in V of spectra given at the band's frequencies, (n, n_samples)."""
     spectrum = jnp.zeros((len(band), shape.period // 2 + 1), jnp.complex64)
     columns = slice(shape.first_bin, shape.first_bin + band.shape[1])
     spectrum = spectrum.at[:, columns].set(band)
@@ -136,9 +138,9 @@ def counts_of(
     ----------
     rangefinder : Rangefinder
     untouched : array_like
-        Voltage of the untouched tube, (n_samples,).
+        Voltage of the untouched tube in V, (n_samples,).
     changes : jax.Array
-        In V, (n, n_samples).
+        Changes of the voltage by contacts in V, (n, n_samples).
     key : jax.Array or None
         Random key.
     """
@@ -169,7 +171,7 @@ def compiled_counts(
 
 @cache
 def _compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
-    """Return the compiled functions, with those of the options that this version of XLA knows."""
+    """Return the compiled functions, with the options that this version of XLA supports."""
     known = {}
     for name, value in OPTIONS.items():
         with suppress(jax.errors.JaxRuntimeError):
@@ -187,14 +189,14 @@ def _compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
 class CycleModel:
     """Cycles of a sensor as a part of larger JAX computations.
 
-    Give it to compiled functions as an argument: they would compile its tables if they closed over
-    it, for minutes.
+    Pass it to compiled functions as an argument. A function that closes over it takes minutes to
+    compile, since the tables become constants of the function.
 
     Attributes
     ----------
     parts : Parts
     untouched : jax.Array
-        Voltage of the untouched tube, (n_samples,).
+        Voltage of the untouched tube in V, (n_samples,).
     shape : Shape
     rangefinder : Rangefinder
     """
@@ -216,8 +218,8 @@ class CycleModel:
         Parameters
         ----------
         places, depths, diameters : jax.Array
-            Of the contacts in m, (n, n_contacts); of depth 0 where there is none. Outside the
-            library's range those at its end are taken.
+            Of the contacts in m, (n, n_contacts); depth 0 for no contact. Values outside the
+            library's range are replaced by those at its ends.
         key : jax.Array, optional
             Random key of noise, drift and, if the rangefinder has it, quantisation, which has no
             derivative.
@@ -235,7 +237,7 @@ class CycleModel:
 def echo_of(
     shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
 ) -> Pair:
-    """Return the echo of contacts in rising order; parameters as of :func:`changes_of`."""
+    """Return the echo of contacts in rising order; parameters as in :func:`changes_of`."""
     n = parts.constants.clutter.shape[0] - 1
     reflector = jnp.clip((place / REFLECTOR_SPACING + 0.5).astype(jnp.int32), 0, n)
     size = 2 * shape.modes
@@ -276,7 +278,7 @@ def _placed(shape: Shape, parts: Parts, press: Press, place: jax.Array) -> Press
 
 
 def _rows(parts: Parts, tool: jax.Array, depth: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the row of each contact's tool before its depth, and the weight of the next one."""
+    """Return the row of each contact's tool below its depth, and the weight of the next row."""
     known = parts.depths[tool]
     last = jnp.sum(jnp.isfinite(known), axis=1) - 2
     found = jax.vmap(partial(jnp.searchsorted, side="right"))(known, depth) - 1

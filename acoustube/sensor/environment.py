@@ -1,4 +1,4 @@
-"""Environment of gymnasium: press a tube at a place, with a force, by its cycles alone."""
+"""Gymnasium environment: press a tube at a given place and force, observing its cycles alone."""
 
 from __future__ import annotations
 
@@ -19,31 +19,33 @@ except ImportError:
     gymnasium = None
 
 LONGEST_MOVE, LARGEST_CHANGE = 0.02, 0.05
-"""Largest move of the finger in a step, in m, and change of its force, of the largest force."""
+"""Largest move of the finger in a step, in m, and largest change of its force, relative to the
+largest force."""
 NEAR, ALIKE = 5e-3, 0.05
-"""Distance in m and difference of force, of the largest force, at which the goal is reached."""
+"""Distance in m, and difference of force relative to the largest force, at which the goal is
+reached."""
 LONGEST_EPISODE = 200
-"""Steps after which an episode is truncated."""
+"""Number of steps after which an episode is truncated."""
 
 
 class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc]
-    """Gymnasium environment: press a tube at a given place and force, from its cycles alone.
+    """Gymnasium environment: press a tube at a given place and force, observing its cycles alone.
 
     Parameters
     ----------
     sensor : TubeSensor
-        Of a library with one tool, which is the finger.
+        Sensor whose library has one tool, which is the finger.
     reach : tuple of float, optional
-        Nearest and farthest place in m; by default from 0.3 m on, within the sensor's ``span``.
+        Nearest and farthest place in m; by default the part of the sensor's ``span`` from 0.3 m on.
 
     Attributes
     ----------
     action_space : gymnasium.spaces.Box
-        Move along the tube and change of the force, from -1 to 1, in :data:`LONGEST_MOVE` and
-        :data:`LARGEST_CHANGE`.
+        Move along the tube and change of the force, each from -1 to 1, in units of
+        :data:`LONGEST_MOVE` and :data:`LARGEST_CHANGE`.
     observation_space : gymnasium.spaces.Dict
         ``cycle``, the counts over full scale, (n_samples,) from 0 to 1; ``goal``, the place and the
-        force to be reached, from 0 to 1 of their ranges.
+        force to be reached, as fractions of their ranges from 0 to 1.
 
     Raises
     ------
@@ -52,9 +54,9 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
 
     Notes
     -----
-    The reward of a step is minus the distance in 10 cm and the difference of force over the largest
-    one; an episode ends at the goal. ``info`` states the true contact: ``place``, ``force``,
-    ``depth``.
+    The reward of a step is minus the sum of the distance to the goal in units of 10 cm and the
+    difference of force over the largest force. An episode ends at the goal. ``info`` holds the true
+    contact: ``place``, ``force``, ``depth``.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -89,12 +91,12 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, float]]:
-        """Return the first observation of an episode, from a place and with a force at random.
+        """Start an episode at a random place and force, and return its first observation.
 
         Parameters
         ----------
         seed : int, optional
-            Of all random numbers.
+            Seed of all random numbers.
         options : dict, optional
             ``goal``: place in m and force in N; by default at random.
         """
@@ -110,7 +112,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, float]]:
-        """Return observation, reward, whether at the goal, whether out of time, and the contact."""
+        """Move, and return observation, reward, whether at goal, whether truncated, and contact."""
         check_argument("action", action, Reals(ndim=1, last=2))
         most = np.array([LONGEST_MOVE, LARGEST_CHANGE * self.largest])
         moved = self.state + most * np.clip(np.asarray(action, float), -1, 1)

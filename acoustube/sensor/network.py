@@ -1,13 +1,13 @@
-"""Echo of contacts along a tube, in JAX: for one cycle at all frequencies at once.
+"""Echo of contacts along a tube, in JAX: one cycle, all frequencies at once.
 
 A wrapped tube differs from a straight one in its modes, whose phase is an integral along it, in the
 contacts' matrices, which vary with the curvature, and in the joint where the wrap begins
 (:mod:`acoustube.sensor.wrapped`).
 
-The input reflection matrix is built up from the far end to the face, contact by contact, as in
-:mod:`acoustube.waves.network`; matrices are symmetric by reciprocity and of three modes at most, so
-that their products are written out, frequency by frequency along the last axis. Real and imaginary
-parts are kept apart, since compilers vectorise those.
+The input reflection matrix is computed contact by contact, from the far end to the face, as in
+:mod:`acoustube.waves.network`. Matrices are symmetric by reciprocity and have three modes at most;
+their products are written out element by element, with the frequencies along the last axis. Real
+and imaginary parts are kept apart, since compilers vectorise these better.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class Entry(NamedTuple):
     Attributes
     ----------
     plane : jax.Array
-        Amplitudes of the wrapped tube's modes at its start for the plane wave at the face,
-        (2, m, n_f).
+        Amplitudes of the wrapped tube's modes at the start of the wrap for a plane wave of unit
+        amplitude at the face, (2, m, n_f).
     both_ways : jax.Array
-        Of its modes for its modes, over all modes at the face, on and above the diagonal,
-        (2, m (m + 1) / 2, n_f).
+        Transmission between the wrapped tube's modes to the face and back, T T^T, summed over all
+        modes at the face; upper triangle, (2, m (m + 1) / 2, n_f).
     """
 
     plane: jax.Array
@@ -84,9 +84,9 @@ class Constants(NamedTuple):
         Echo of the clutter beyond each reflector, (n_reflectors + 1, 2, n_f); or of shape
         (1, 2, n_f) if there is none.
     far : jax.Array
-        Reflection matrix of the far end, on and above its diagonal, (2, m (m + 1) / 2, n_f).
+        Reflection matrix of the far end, its upper triangle, (2, m (m + 1) / 2, n_f).
     entry : Entry or None
-        Of a wrapped tube.
+        Joint at the start of the wrap; None for a straight tube.
     """
 
     presses: jax.Array
@@ -98,11 +98,11 @@ class Constants(NamedTuple):
 
 
 class Press(NamedTuple):
-    """Rows of the tables that contacts are interpolated from, and weights, (n_contacts, n).
+    """Rows of the tables from which contacts are interpolated, and weights, (n_contacts, n).
 
-    A row, whose scattering counts 1 - weight, and the next, which counts weight, for each of one,
-    two or four parts: of two tools, at two places of a wrapped tube. The further weights are those
-    of the second tool and of the second place.
+    A row has the weight 1 - w and the next row the weight w, in each of one, two or four parts: for
+    two tools, and at two places of a wrapped tube. The further weights are those of the second tool
+    and of the second place.
     """
 
     row: jax.Array
@@ -118,7 +118,7 @@ def echo(
     ends: tuple[float, float],
     face: complex,
 ) -> Pair:
-    """Return the echo of contacts, far end and clutter over the wave that the face launches.
+    """Return the echo of contacts, far end and clutter, relative to the wave launched by the face.
 
     Parameters
     ----------
@@ -129,9 +129,9 @@ def echo(
     place : jax.Array
         Distances from the face in m, rising, (n_contacts,).
     reflector : jax.Array
-        Number of the first reflector of the clutter behind each contact, (n_contacts,).
+        Index of the first reflector of the clutter behind each contact, (n_contacts,).
     ends : tuple of float
-        Places in m where the modes of the sections begin, at the face or where the tube is wrapped,
+        Places in m where the modes of the sections begin, at the face or at the start of the wrap,
         and where they end; fixed when compiled.
     face : complex
         Reflection coefficient of the face.
@@ -143,9 +143,10 @@ def echo(
 
     Notes
     -----
-    Multiple reflections between contacts and both ends are complete, but for those at the joint
-    where a wrap begins; those with clutter, which is dimmed by the plane wave's transmission of the
-    contacts before it, are neglected, as in :func:`acoustube.ranging.record`.
+    All multiple reflections between contacts and both ends are included, except those at the joint
+    where a wrap begins. Multiple reflections with the clutter are neglected, as in
+    :func:`acoustube.ranging.record`; the clutter is attenuated by the plane wave's transmission
+    through the contacts before it.
     """
     m, n_f = constants.decay.shape[-2:]
     following = jnp.append(place[1:], ends[1])
@@ -161,7 +162,7 @@ def echo(
         load = _propagated(_full(m, triangle), constants, ends, here, there)
         reflected = _input_reflection(s, load, m)
         onwards = Pair(*constants.clutter[first])
-        # Just behind this contact, then as dimmed by it.
+        # The clutter as seen just behind this contact, then as attenuated by it.
         seen = onwards - beyond + seen
         seen = s[0][m] * s[0][m] * seen
         return (_triangle(m, reflected), seen, onwards), None
@@ -176,11 +177,12 @@ def echo(
 
 
 def _heard(load: Matrix, entry: Entry | None, face: complex) -> Pair:
-    """Return the plane wave at the face, of a reflection matrix there or where the wrap begins.
+    """Return the plane wave's echo at the face, from a reflection matrix there or at the wrap.
 
-    With the wrap's reflection L at its start, the amplitudes T there of the modes at the face and
-    its reflection coefficient f: the plane wave's element of (1 - f A)^-1 A, of A = T^T L T, is
-    t^T (1 - f L T T^T)^-1 L t, with the column t of T that belongs to it.
+    Let L be the reflection matrix at the start of the wrap, T the transmission matrix from the
+    modes at the face to there, and f the reflection coefficient of the face. The plane wave's
+    element of (1 - f A)^-1 A, with A = T^T L T, is t^T (1 - f L T T^T)^-1 L t, where t is the
+    plane wave's column of T.
     """
     m = len(load)
     back = Pair(np.float32(np.real(face)), np.float32(np.imag(face)))
@@ -229,7 +231,7 @@ def _propagated(
     here: jax.Array | float,
     there: jax.Array,
 ) -> Matrix:
-    """Return a reflection matrix at a place as seen from another."""
+    """Return the reflection matrix seen from place `here`, from that at place `there`."""
     m = len(load)
     decay, turn = (_between(one, ends, here, there) for one in (constants.decay, constants.turn))
     size, (cosine, sine) = jnp.exp(decay), _turned(turn)
@@ -257,8 +259,8 @@ def _between(
 def _inverse(a: Matrix) -> Matrix:
     """Return the inverse of a matrix of one to three rows, by cofactors.
 
-    Elimination takes fewer operations, but its long chains are computed again and again where a
-    compiler fuses them.
+    Elimination takes fewer operations, but a compiler that fuses its long chains of operations
+    computes them repeatedly.
     """
     n = len(a)
     if n == 1:
@@ -280,8 +282,8 @@ def _inverse(a: Matrix) -> Matrix:
 def _turned(revolutions: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return cosine and sine of angles in revolutions, to 1e-6.
 
-    By the polynomials of a quarter revolution: those of the library reduce angles of any size with
-    more digits than single precision has here, in ten times the time.
+    By polynomials over a quarter revolution. The library's functions reduce angles of any size with
+    more digits than single precision has here, and take ten times as long.
     """
     quarters = 4 * (revolutions - jnp.round(revolutions))
     whole = jnp.round(quarters)

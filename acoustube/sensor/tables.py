@@ -1,4 +1,7 @@
-"""Scattering of a library's tools at fixed frequencies, over depths so dense that it is linear."""
+"""Scattering of a library's tools at fixed frequencies, at depths dense enough for interpolation.
+
+Between adjacent depths of the tables the scattering is interpolated linearly.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,11 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 MOST_MODES = 3
-"""Modes that carry sound between contacts."""
+"""Number of modes that propagate between contacts."""
 MOST_PARTS = 64
 """Largest number of parts into which an interval between depths of a library is divided."""
 EQUAL = 1e-6
-"""Largest difference, relative to the largest coefficient, of coefficients that are one."""
+"""Difference, relative to the largest coefficient, up to which coefficients count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +34,10 @@ class PressTables:
     Attributes
     ----------
     values : ndarray
-        Real and imaginary parts of the different coefficients, (n_rows, 2, n_different, n_f)
+        Real and imaginary parts of the distinct coefficients, (n_rows, 2, n_different, n_f)
         float32; the rows of one tool follow those of the one before.
     number : ndarray of int
-        Number of each coefficient of a scattering matrix among the different ones, (2, m, 2, m).
+        Index of each coefficient of a scattering matrix among the distinct ones, (2, m, 2, m).
     depths : ndarray
         Depths of each tool's rows in m, from 0, padded with infinity, (n_tools, n_most).
     first : ndarray of int
@@ -45,7 +48,8 @@ class PressTables:
         Of the tools in m, rising, (n_tools,).
     between : ndarray
         Relative rms error of the plane wave's reflection if a tool is interpolated between its
-        neighbours, the largest over the depths they share; nan at the ends, (n_tools,).
+        neighbours, the largest over their common depths; nan for the first and the last tool,
+        (n_tools,).
     """
 
     values: NDArray[np.float32]
@@ -76,9 +80,9 @@ def press_tables(
     ----------
     library : Library
     frequency : ndarray
-        In Hz, complex, even, (n_f,).
+        In Hz, complex, evenly spaced, (n_f,).
     stretch : float
-        Speed of sound over that of the library.
+        Ratio of the speed of sound to that of the library.
     tolerance : float
         Relative rms error that linear interpolation between rows may add to the cubic splines
         between the library's depths.
@@ -86,7 +90,8 @@ def press_tables(
     Raises
     ------
     ConfigError
-        If tools differ in shape or have equal diameters, or a scattering is not reciprocal.
+        If tools differ in shape or have equal diameters, or the scattering of one is not
+        reciprocal.
 
     Notes
     -----
@@ -124,7 +129,7 @@ def press_tables(
 
 
 def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
-    """Return the number of each coefficient among the different ones, and where these are first."""
+    """Return the index of each coefficient among the distinct ones, and where these first occur."""
     m = min(len(tools[0].modes), MOST_MODES)
     if tools[0].modes[0] != "00":
         raise ConfigError(f"the first mode of the library is {tools[0].modes[0]}, not 00")
@@ -143,7 +148,7 @@ def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
 
 
 def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: float) -> Complex:
-    """Return the different coefficients with those of the untouched tube first, (u, n, n_f)."""
+    """Return the distinct coefficients over depth, the untouched tube's first, (u, n, n_f)."""
     m = min(len(tool.modes), MOST_MODES)
     s = tool.s[:, :, :, :m, :, :m]
     untouched = np.zeros(s.shape[1:], s.dtype)
@@ -169,8 +174,8 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
 def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: float) -> Array:
     """Return the nodes and depths between them, so that linear interpolation meets the tolerance.
 
-    The error of a chord across an interval is that at its middle; it falls with the square of the
-    number of parts.
+    The error of linear interpolation over an interval is taken at its middle. It falls with the
+    square of the number of parts.
     """
     middle, worst = (nodes[1:] + nodes[:-1]) / 2, np.zeros(len(nodes) - 1)
     for i, spline in enumerate(splines):
@@ -208,7 +213,7 @@ def _padded(arrays: list[Array]) -> Array:
 
 
 def _error_between(reflections: list[CubicSpline], depths: list[Array], diameters: Array) -> Array:
-    """Return the error of each tool's reflection interpolated between those of its neighbours."""
+    """Return the relative rms error of each tool's reflection interpolated from its neighbours'."""
     found = np.full(len(reflections), np.nan)
     for i in range(1, len(reflections) - 1):
         deepest = min(depths[j][-1] for j in (i - 1, i, i + 1))

@@ -50,7 +50,7 @@ from acoustube.sensor.cycles import (
 from acoustube.sensor.wrapped import check_wrap
 
 BATCH = 128
-"""Cycles of a compiled batch, which one core computes in 15 MB."""
+"""Number of cycles in a compiled batch, for which one core needs 15 MB."""
 
 
 class TubeSensor:
@@ -67,24 +67,24 @@ class TubeSensor:
     temperature : float
         Of the air in degC.
     tube_seed : int
-        Random seed of the tube's clutter, as of :func:`acoustube.ranging.record`.
+        Random seed of the tube's clutter, as in :func:`acoustube.ranging.record`.
     most_contacts : int
-        Largest number of contacts of a cycle.
+        Largest number of contacts in a cycle.
     tolerance : float
-        Relative rms error of the reflection that the tables add to the library's interpolation.
+        Relative rms error of the reflection that the tables may add to the library's interpolation.
     wrap : Wrap, optional
-        Of the tube about an arm, as of a sleeve (:func:`acoustube.runs.wrap.wrap_of`) or the file
-        of a sensor (``read_sensor(path).wrap``, :func:`acoustube.runs.inversion.read_sensor`); a
-        straight tube by default.
+        Wrap of the tube about an arm, from a sleeve (:func:`acoustube.runs.wrap.wrap_of`) or the
+        file of a sensor (``read_sensor(path).wrap``,
+        :func:`acoustube.runs.inversion.read_sensor`); a straight tube by default.
 
     Attributes
     ----------
     tool_library, rangefinder, length, temperature, most_contacts, tolerance, wrap
         The parameters.
     span : (float, float)
-        Nearest and farthest place of a contact in m: on a wrapped tube those on the wrap.
+        Nearest and farthest place of a contact in m; on a wrapped tube both are on the wrap.
     apart : float
-        Least distance of two contacts in m.
+        Least distance between two contacts in m.
     tables : acoustube.sensor.tables.PressTables
         Scattering and forces over depth.
     model : acoustube.sensor.cycles.CycleModel
@@ -93,18 +93,18 @@ class TubeSensor:
     Raises
     ------
     ConfigError
-        If the library's band does not hold the received spectrum, its tools do not go together, or
-        the wrap is longer than the tube or too short for a press.
+        If the library's band does not contain the received spectrum, its tools cannot be combined,
+        or the wrap is longer than the tube or too short for a press.
 
     Notes
     -----
-    A cycle is the untouched tube's, from :func:`acoustube.ranging.response`, and the change that
-    the contacts make. That is computed in the band of the received spectrum, at frequencies with a
-    constant negative imaginary part, so that echoes later than the cycle hardly wrap around; see
-    :mod:`acoustube.sensor.network`. Where a contact's depth and diameter are those of one of the
-    library's matrices, the cycle is that of :func:`acoustube.ranging.record` with it, but for
-    rounding and the rest of the band. Between depth 0, where the tube is untouched, and the
-    library's first depth all is interpolated.
+    A cycle is the sum of that of the untouched tube, from :func:`acoustube.ranging.response`, and
+    the change by the contacts. The change is computed in the band of the received spectrum, at
+    frequencies with a constant negative imaginary part, so that echoes later than the cycle hardly
+    wrap around; see :mod:`acoustube.sensor.network`. Where a contact's depth and diameter are those
+    of one of the library's matrices, the cycle equals that of :func:`acoustube.ranging.record` with
+    this matrix, but for rounding and the part outside the band. Between depth 0, where the tube is
+    untouched, and the library's first depth, the scattering is interpolated.
     """
 
     @checked(
@@ -147,7 +147,7 @@ class TubeSensor:
 
     @classmethod
     def from_library(cls, path: str | PathLike[str], *given: Any, **options: Any) -> TubeSensor:
-        """Return the sensor of a library in a folder; the other parameters are those of the class.
+        """Return the sensor with a library in a folder; other parameters are those of the class.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class TubeSensor:
         Raises
         ------
         ConfigError
-            If the depth or the diameter is outside the library's.
+            If the depth or the diameter is outside the library's range.
         """
         return force_at(self.tables, depth, diameter)
 
@@ -173,13 +173,13 @@ class TubeSensor:
         Raises
         ------
         ConfigError
-            If the force or the diameter is outside the library's.
+            If the force or the diameter is outside the library's range.
         """
         return depth_at(self.tables, force, diameter)
 
     @property
     def errors(self) -> list[Array]:
-        """Estimated relative rms error of the reflection between the library's depths, by tool."""
+        """Estimated relative rms errors of the reflection between the library's depths, by tool."""
         tools = sorted(self.tool_library.tools, key=lambda tool: tool.diameter)
         return [tool.interpolation_error + self.tolerance for tool in tools]
 
@@ -187,7 +187,8 @@ class TubeSensor:
     def diameter_errors(self) -> Array:
         """Relative rms error of each tool's reflection, if interpolated between its neighbours.
 
-        The largest over the depths; nan at the ends, for which there are no neighbours.
+        It is the largest over the depths; nan for the first and the last tool, which have only one
+        neighbour.
         """
         return self.tables.between
 
@@ -200,12 +201,12 @@ class TubeSensor:
         Parameters
         ----------
         contacts : sequence of Contact
-            In any order; those of depth or force 0 do not count.
+            In any order; contacts of depth or force 0 are ignored.
         cycle : int
             Number of the cycle, on which its noise and drift depend.
         seed : int, optional
-            Random seed of noise and drift, as of :func:`acoustube.ranging.record`, after which the
-            counts are rounded; by default there is none of them.
+            Random seed of noise and drift, as in :func:`acoustube.ranging.record`, after which the
+            counts are rounded; by default there is no noise, drift or rounding.
 
         Returns
         -------
@@ -215,8 +216,8 @@ class TubeSensor:
         Raises
         ------
         ConfigError
-            If there are too many contacts, or one is beyond the tube or the library, or meets
-            another.
+            If there are too many contacts, or one is outside the range of the tube or the library,
+            or too close to another.
         """
         given = contact_arrays(self.tables, contacts, self.most_contacts)
         check_contacts(self.tables, *given, self.span, self.apart)
@@ -242,7 +243,7 @@ class TubeSensor:
         Parameters
         ----------
         places, depths : array_like
-            Of the contacts in m, (n, n_contacts); of depth 0 where there is none.
+            Of the contacts in m, (n, n_contacts); depth 0 for no contact.
         diameters : array_like, optional
             Of their tools in m, (n, n_contacts).
         seed : int, optional

@@ -1,11 +1,11 @@
 """Arrays of a sensor on a wrapped tube: modes of the bends, and presses between them.
 
-The tube's own modes propagate in it without conversion, with a phase that is an integral along the
+The modes of the bent tube propagate without conversion, with a phase that is an integral along the
 tube (:mod:`acoustube.inversion.wrap`). The scattering of a press between these modes
-(:mod:`acoustube.inversion.joints`) varies with depth and, as the curvature does, with place: it is
-computed at every depth of the tables for a few places and interpolated between them. It is referred
-to the press as if the bend went through it: a press of depth 0 then transmits all, and the matrices
-vary little with place.
+(:mod:`acoustube.inversion.joints`) varies with depth and, as the curvature does, with place. It is
+computed at every depth of the tables for a few places and interpolated between them. Its reference
+plane is the place of the press, as if the bend continued through it: a press of depth 0 then
+transmits all, and the matrices vary little with place.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from acoustube.waves.modes.grid_modes import wavenumbers
 from acoustube.waves.scattering import Complex
 
 PLACES = 9
-"""Places along a wrap at which the scattering of presses is computed. Linear interpolation between
-them changes echoes of presses on the sleeve paper's arm by up to 0.2 % (rms)."""
+"""Number of places along a wrap at which the scattering of presses is computed. Linear
+interpolation between them changes echoes of presses on the sleeve paper's arm by up to 0.2 %
+(rms)."""
 SPACING = 0.01
-"""Spacing in m of the tables of the phases, along which they are linear."""
+"""Spacing in m of the tables of the phases, between which they are interpolated linearly."""
 ROWS = 64
-"""Rows of the tables that are joined at once, in double precision."""
+"""Number of rows of the tables that are joined to the bends at once, in double precision."""
 
 
 def wrapped_path(
@@ -47,7 +48,7 @@ def wrapped_path(
         In Hz, (n_f,).
     library : Library
     modes : int
-        Modes of the presses.
+        Number of modes of the presses.
     """
     names = library.modes[:modes]
     k = wavenumbers(names, frequency, library.radius, air, lossy=True)
@@ -75,7 +76,8 @@ def phases(path: WrappedPath) -> tuple[Array, Array]:
     Returns
     -------
     decay, turn : ndarray
-        Real part, and imaginary part in revolutions, (n_z, m, n_f).
+        Real part, and imaginary part in revolutions, (n_z, m, n_f), at equal steps of at most
+        :data:`SPACING` along the wrap.
     """
     start, stop = path.wrap.start, path.wrap.stop
     n = max(int(np.ceil((stop - start) / SPACING)), 2) + 1
@@ -96,12 +98,12 @@ def joined_tables(tables: PressTables, library: Library, path: WrappedPath) -> P
     Returns
     -------
     PressTables
-        Its values are those of each of :data:`PLACES` places, one after the other.
+        Its values are those at each of :data:`PLACES` places, one after the other.
 
     Notes
     -----
-    Between depth 0, where there is the bend alone, and the library's first depth, from where on a
-    press is taken as straight over its reach, all is interpolated.
+    At depth 0 there is the bend alone; from the library's first depth on, the tube is taken as
+    straight over the reach of a press. The scattering is interpolated between these depths.
     """
     upper = np.triu_indices(2 * MODES)
     number = np.zeros((2 * MODES, 2 * MODES), int)
@@ -131,8 +133,8 @@ def joined_tables(tables: PressTables, library: Library, path: WrappedPath) -> P
 def _joined(
     rows: NDArray[np.float32], number: NDArray[np.int64], path: WrappedPath, place: float
 ) -> Complex:
-    """Return rows of the straight tube's tables between the modes of a wrap at a place."""
-    from acoustube.inversion.joint_sums import joined_values  # Numba, without which the sensor does
+    """Return rows of the straight tube's tables as scattering between a wrap's modes at a place."""
+    from acoustube.inversion.joint_sums import joined_values  # imports Numba, if a tube is wrapped
 
     n, _, _, n_f = rows.shape
     m = number.shape[1]
@@ -148,14 +150,14 @@ def _joined(
         np.ascontiguousarray(np.broadcast_to(one, shape))
         for one, shape in zip((joints, way, through), shapes, strict=True)
     ]
-    # Sections end at the place, although the bend ends at the ports.
+    # Sections end at the place of the press, although the bend ends at the ports.
     inside = np.exp(1j * np.diff(path.phase([place - reach, place, place + reach]), axis=0))
     back = inside.swapaxes(0, 1)
     return np.asarray(joined_values(s, *full) * back[:, :, :, None, None] * back[:, None, None])
 
 
 def _bend(number: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the coefficients of no press, which transmits all, (2, n_different, 1)."""
+    """Return the coefficients of a press of depth 0, which transmits all, (2, n_different, 1)."""
     m = len(number) // 2
     found = np.zeros((2, number.max() + 1, 1), np.float32)
     found[0, number[np.arange(m), m + np.arange(m)]] = 1.0
@@ -163,7 +165,7 @@ def _bend(number: NDArray[np.int64]) -> NDArray[np.float32]:
 
 
 def far_end(path: WrappedPath, length: float, reflection: float) -> Complex:
-    """Return the reflection of a tube's far end where the wrap ends, (n_f, m, m)."""
+    """Return the reflection matrix of a tube's far end at the end of the wrap, (n_f, m, m)."""
     k = np.concatenate([path.k, path.own_k], axis=1)
     passed, reflected = path.joint(path.wrap.stop)
     end = reflection * np.exp(-2j * k * (length - path.wrap.stop))

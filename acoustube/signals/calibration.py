@@ -1,6 +1,6 @@
 """Calibration of a sensor from closures of the tube at known distances.
 
-As section II-E of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
+It follows section II-E of "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
 Localization and Force Sensing" (the sleeve paper), where closures are called blockages.
 """
 
@@ -23,22 +23,23 @@ from acoustube.signals.processing import Processing, process_arguments, without_
 from acoustube.signals.time_of_flight import nominal_distance, speed_of_sound
 
 MIN_DISTANCES = 6
-"""Least number of different distances: four parameters of the gain, and two degrees of freedom."""
+"""Least number of distinct distances: four parameters of the gain, and two degrees of freedom."""
 MIN_SPAN = 0.3
 """Least range of the distances in m: several lengths of a pulse."""
 CLOSURE_PROMINENCE = 1e-5
 """Least prominence of a closure's echo: low enough that its highest peak is always found."""
 PROMINENCE_SIGMAS = 2.8
-"""Least prominence in standard deviations of untouched cycles (sleeve paper, section II-E)."""
+"""Least prominence, in standard deviations of untouched cycles (sleeve paper, section II-E)."""
 HALF_NORMAL_RATIO = 0.8937
 """Standard deviation of the half-normal distribution (rectified normal noise) over its median."""
 RAYLEIGH_RATIO = 0.6028 / np.sqrt(2 * np.log(2))
-"""The same standard deviation, sqrt(1 - 2 / pi) of a component's, over the median of the magnitude
-of two normal components: of a compressed chirp, whose samples are magnitudes."""
+"""The same standard deviation, sqrt(1 - 2 / pi) times that of a component, over the median of the
+magnitude of two normal components: for a compressed chirp, whose samples are magnitudes."""
 SEARCH_HALF_WIDTH = 0.3
 """Half the width in m of the search window around a closure's distance."""
 CLOSURE_SIGMAS = 6.0
-"""Least amplitude of a closure's echo over untouched cycles, in their standard deviations."""
+"""Least height of a closure's echo above the mean of untouched cycles, in their standard
+deviations."""
 
 
 class Estimate(NamedTuple):
@@ -55,7 +56,7 @@ class Calibration:
     Attributes
     ----------
     processing : Processing
-        Settings with the gain, shift of the send time and least prominence found.
+        Settings with the calibrated gain, shift of the send time and least prominence.
     sampling_rate : float
         Sampling rate of the cycles in Hz.
     c1, c2, c3, c4 : Estimate
@@ -155,12 +156,12 @@ def calibrate(
 
     Notes
     -----
-    Each closure's echo is searched around its distance: echoes from afar are lower than those of
-    nearby irregularities of the tube. An arctangent, the sleeve paper's eq. 4, is fitted to the
-    amplitudes without gain and matched filter, and a line to the distances with both, which shift
-    the maxima of the ringing send pulse and of the echoes. Both fits are least squares; deviations
-    are those of the fit. The send time is shifted so that the line passes through zero and keeps
-    its slope.
+    Each closure's echo is searched around its distance, since echoes from afar are lower than those
+    of nearby irregularities of the tube. An arctangent, the sleeve paper's eq. 4, is fitted to the
+    amplitudes without gain and matched filter. A line is fitted to the distances with both, since
+    they shift the maxima of the ringing send pulse and of the echoes. Both are least-squares fits;
+    deviations are those of the fit. The send time is shifted so that the line passes through zero
+    and keeps its slope.
 
     The four fitted parameters then enter a tanh, :class:`TimeGain`, and not the arctangent that was
     fitted. That is the sleeve paper's choice: dividing by the arctangent raised the mean baseline
@@ -169,10 +170,10 @@ def calibrate(
 
     The least prominence is 2.8 standard deviations of untouched cycles in the search window after
     offset, gain, matched filter, rectification and normalisation. The sleeve paper's envelope is
-    the mean of the rectified carrier, this package's its amplitude: pi/2 times as high, and the
-    prominence with it. In white noise, whose envelope after the matched filter follows a Rayleigh
-    distribution, most cycles exceed 2.8 deviations: `false_alarms` states the fraction, and a
-    higher `sigmas` lowers it.
+    the mean of the rectified carrier; this package's is the amplitude of the carrier, pi/2 times as
+    high, and so is the prominence. In white noise, whose envelope after the matched filter follows
+    a Rayleigh distribution, most cycles exceed 2.8 deviations: `false_alarms` states the fraction,
+    and a higher `sigmas` lowers it.
     """
     _check_cycles(np.size(time), blocked=blocked, untouched=untouched)
     settings = without_aliased_template(settings or Processing(), sampling_rate(time))
@@ -263,7 +264,7 @@ def untouched_deviation(
 
 
 def _check_cycles(n_samples: int, **cycles: ArrayLike) -> None:
-    """Raise unless cycles (n, time), by their names, have samples at each time."""
+    """Raise unless all cycles (n, time), given by name, have a sample at each time."""
     for name, samples in cycles.items():
         shape = np.shape(samples)
         if shape[-1:] != (n_samples,) or not shape[0]:
@@ -298,7 +299,7 @@ def _check_distances(places: Array, shape: tuple[int, ...]) -> None:
 def _locate_closures(
     time: Array, blocked: ArrayLike, settings: Processing, temperature: ArrayLike, places: Array
 ) -> Ranging:
-    """Process closures, each within a search window around its distance."""
+    """Return the ranging of closures, each within a search window around its distance."""
     window = {
         "nearest": np.maximum(places - SEARCH_HALF_WIDTH, settings.nearest),
         "farthest": places + SEARCH_HALF_WIDTH,

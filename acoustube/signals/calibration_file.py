@@ -120,7 +120,7 @@ def load(path: str | Path) -> Calibration:
 def _document(path: str | Path) -> dict[str, Any]:
     try:
         return read_document(path)
-    except ConfigError as error:  # of any kind: the sentence says what it should be
+    except ConfigError as error:  # of any kind: its message says what is expected
         raise ValueError(str(error).removeprefix(f"{path} ")) from error
 
 

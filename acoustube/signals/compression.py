@@ -2,7 +2,7 @@
 
 References
 ----------
-* Compression of linear chirps, their side lobes, and weighting against these:
+* Compression of linear chirps, their side lobes, and weighting to lower these:
   Klauder, J. R., Price, A. C., Darlington, S. and Albersheim, W. J., The theory and design of chirp
   radars, Bell System Technical Journal 39 (1960), 745-808. doi:10.1002/j.1538-7305.1960.tb03942.x
 * Windows: Harris, F. J., On the use of windows for harmonic analysis with the discrete Fourier
@@ -59,10 +59,10 @@ def chirp_template(
 
     Notes
     -----
-    The magnitude of :func:`acoustube.signals.matched_filter` with it is the envelope of the
-    compressed chirp, without rectifying and low-pass. For a chirp whose bandwidth B times duration
-    is much larger than 1, the width of the main lobe at -3 dB and the level of the highest side
-    lobe are
+    The magnitude of :func:`acoustube.signals.matched_filter` with this template is the envelope of
+    the compressed chirp; no rectifier and low-pass are needed. For a chirp whose product of
+    bandwidth B and duration is much larger than 1, the width of the main lobe at -3 dB and the
+    level of the highest side lobe are
 
     * rectangular: 0.886 / B, -13.3 dB;
     * hann: 1.44 / B, -31.5 dB, at 1.8 dB less signal-to-noise ratio;

@@ -26,13 +26,13 @@ from acoustube.base.types import Array
 FILTER_ORDER = 2
 """Order of the Butterworth low-pass, run forwards and backwards.
 
-The second order rings least: its response to an impulse undershoots to -4.3 % and overshoots to
-0.2 % afterwards; that of the fourth order overshoots to 3.7 %, which would count as an echo.
+The second order rings least: its impulse response undershoots to -4.3 % and then overshoots to
+0.2 %; that of the fourth order overshoots to 3.7 %, which would count as an echo.
 """
 OFFSET_CUTOFF = 100.0
 """Cut-off frequency in Hz of the high-pass that removes a cycle's offset and its drift."""
 LONGEST_TEMPLATE = 1e6
-"""Samples of the longest template, far longer than a cycle of any recorder."""
+"""Largest number of samples of a template, far more than in a cycle of any recorder."""
 TEMPLATE_CYCLES = 10
 """Length of the matched filter's Hann window in carrier cycles."""
 
@@ -49,8 +49,8 @@ class TimeGain(NamedTuple):
     -----
     The parameters are those of the arctangent of the sleeve paper's eq. 4, which is fitted to
     closures; see :func:`acoustube.signals.calibrate`. Both functions fall alike around c3, but the
-    tanh levels off sooner: its gain is smaller at large distance, where dividing by the arctangent
-    raised the mean baseline until it hid the peaks (section II-E).
+    tanh levels off sooner, so that its gain is smaller at large distance. There, dividing by the
+    arctangent raised the mean baseline until it hid the peaks (section II-E).
     """
 
     c1: float
@@ -82,8 +82,8 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
 
     Notes
     -----
-    A cycle lasts for only a few periods of the cut-off: it is continued by its mirror image, up to
-    its whole length, and a constant is removed exactly.
+    A cycle lasts for only a few periods of the cut-off frequency. It is therefore continued by its
+    mirror image, up to its whole length. A constant is removed exactly.
     """
     check_cutoff("cutoff", cutoff, sampling_rate)
     cycles = np.asarray(samples, dtype=float)
@@ -297,9 +297,10 @@ def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) ->
     Notes
     -----
     The mean of a rectified sine is ``2/pi`` of its amplitude. The result is scaled by ``pi/2``, so
-    that a steady sine of amplitude 1 has the envelope 1. A burst that is short against the
-    cut-off's period has a lower envelope, the send pulse and its echoes alike. At 200 kHz the
-    overtones of the rectified carrier alias below the cut-off and leave a ripple of 1 %.
+    that a steady sine of amplitude 1 has the envelope 1. A burst that is shorter than the period of
+    the cut-off has a lower envelope, the send pulse and its echoes alike. At a sampling rate of
+    200 kHz, overtones of the rectified carrier are aliased to frequencies below the cut-off and
+    leave a ripple of 1 %.
     """
     return np.pi / 2 * low_pass(rectify(pressure), sampling_rate, cutoff)
 
@@ -313,8 +314,8 @@ def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     samples : array of shape (..., time)
         The signals.
     amplitude : array of shape (...)
-        The amplitude that becomes 1; :func:`send_pulse` returns the envelope's. A silent cycle,
-        whose amplitude is zero, becomes nan.
+        The amplitude that becomes 1; :func:`send_pulse` returns that of an envelope. A silent
+        cycle, whose amplitude is zero, becomes nan.
 
     Returns
     -------

@@ -12,9 +12,9 @@ from acoustube.signals.peaks import plateaus, send_pulse
 from acoustube.signals.processing import Processing
 
 MOST_CYCLES = 500
-"""Cycles, evenly spread over a record, in which the send pulse is sought."""
+"""Largest number of cycles, evenly spread over a record, in which the send pulse is sought."""
 LEAST_AGREEMENT = 0.9
-"""Least fraction of cycles in which the send pulse starts at one time."""
+"""Least fraction of cycles in which the send pulse must start at the same time."""
 
 
 def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None = None) -> float:
@@ -41,9 +41,9 @@ def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None =
     Notes
     -----
     The envelope of a cycle first reaches half of its maximum in the send pulse, unless an echo is
-    more than twice as high. The pulse starts half its duration before its maximum; one that is
-    clipped has no distinct maximum, but starts where it rises. The median over the cycles is
-    returned. Distances are from the maximum in each cycle, and so need no exact lead.
+    more than twice as high. The pulse starts half its duration before its maximum. A clipped pulse
+    has no distinct maximum and is taken to start where it rises. The median over the cycles is
+    returned. Distances are measured from the maximum in each cycle, and so need no exact lead.
     """
     settings = settings or Processing()
     time, cycles = np.asarray(time, dtype=float), np.asarray(samples)

@@ -53,13 +53,14 @@ from acoustube.signals.time_of_flight import (
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their absolute values."""
 NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
-"""Ratio of envelope noise without and with an echo: sqrt(1 - 2 / pi) for rectified white noise;
-measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59 and 0.83)."""
+"""Ratio of the envelope's noise without an echo to that with one: sqrt(1 - 2 / pi) for rectified
+white noise; measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59 and
+0.83)."""
 SAMPLING_DEVIATION_RECTIFIED, SAMPLING_DEVIATION_MATCHED = 0.13, 0.24
 """Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier:
 measured (benchmarks/signals_peak_noise.py: 0.11 and 0.23)."""
 SAMPLING_DEVIATION_COMPRESSED = 0.003
-"""The same of a compressed chirp, whose envelope is a magnitude: the error of the parabola, at
+"""The same for a compressed chirp, whose envelope is a magnitude: the error of the parabola, at
 bandwidths up to 0.3 of the sampling rate."""
 
 
@@ -73,8 +74,9 @@ class Ranging:
         Envelope, relative to the send pulse's maximum.
     send_time, send_amplitude : array of shape (...)
         Time in s of the maximum of the send pulse's envelope, without gain and matched filter but
-        with the shift; for a clipped pulse, half its duration after its rise. Maximum of the
-        envelope before the search window, after gain and matched filter, in the signal's unit.
+        with the shift; for a clipped pulse, half its duration after its rise. The amplitude is the
+        maximum of the envelope before the search window, after gain and matched filter, in the
+        signal's unit.
     echoes : Echoes
         All echoes found in the search window.
     return_time, amplitude : array of shape (...)
@@ -200,7 +202,8 @@ def process(
     temperature : float or array of shape (...)
         Temperature of the air in degC.
     temperature_deviation : float
-        Standard deviation of the temperature in K; it enters that of the distance.
+        Standard deviation of the temperature in K; it enters the standard deviation of the
+        distance.
     offset_cutoff : float, optional
         Cut-off frequency in Hz; see :func:`remove_offset`. None for no removal.
     gain : TimeGain, optional
@@ -235,20 +238,20 @@ def process(
     linear. The amplitude of the send pulse is the maximum of its *envelope*, so that the normalised
     send pulse has the amplitude 1, as has an echo from a rigid end without losses.
 
-    A sampled signal has no exact absolute value: the overtones of the rectified carrier alias
-    below the cut-off and shift a 42 kHz echo by up to 0.3 samples (0.2 mm) at 200 kHz, 0.1 samples
-    (0.01 mm) at 2 MHz. The parabolic refinement adds no further error.
+    The absolute value of a sampled signal is not exact: overtones of the rectified carrier are
+    aliased to frequencies below the cut-off and shift a 42 kHz echo by up to 0.3 samples (0.2 mm)
+    at 200 kHz, 0.1 samples (0.01 mm) at 2 MHz. The parabolic refinement adds no further error.
 
-    The search window starts :func:`blind_time` after the send pulse's maximum, or later; after that
-    of a compressed pulse its whole duration, in which an echo begins while it is sent, and the side
-    lobes of the send pulse end.
+    The search window starts :func:`blind_time` after the send pulse's maximum, or later. For a
+    compressed pulse it starts a whole pulse duration after the maximum: earlier echoes begin while
+    the pulse is being sent, and the side lobes of the send pulse end by then.
 
     Noise shifts a maximum by the noise's slope over the envelope's curvature. The slope's standard
     deviation is estimated from the differences of adjacent samples after the send pulse, by their
     median, which is robust against a few echoes. It is smaller there than at an echo, because noise
     alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
-    and includes the sampling. The slope of a compressed pulse's envelope is that of one quadrature
-    component with and without an echo (Rice), so that nothing is to be corrected.
+    and includes the effect of sampling. The slope of a compressed pulse's envelope is that of one
+    quadrature component with and without an echo (Rice), so that no correction is needed.
     """
     time, pressure = _check_signal(time, pressure)
     _check_rows(temperature, pressure.shape[:-1])
@@ -294,7 +297,7 @@ def process(
 
 
 def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[Array, Array]:
-    """Return time and amplitude of the send pulse, of a clipped burst by its rise and duration."""
+    """Return time and amplitude of the send pulse; a clipped burst's time is from its rise."""
     sent, amplitude = send_pulse(time, raw, before=end)
     if duration is None:
         return sent, amplitude
@@ -303,7 +306,7 @@ def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[
 
 
 def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
-    """Return the ratio of envelope noise without and with an echo, and the sampling's deviation."""
+    """Return the ratio of envelope noise without echo to that with one, and sampling deviation."""
     if template is None:
         return NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
     if np.iscomplexobj(template):
@@ -312,7 +315,7 @@ def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
 
 
 def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: float) -> Array:
-    """Return the envelope of cycles behind a matched filter; that of a complex one is exact."""
+    """Return the envelope of cycles after a matched filter; with a complex one it is exact."""
     if template is None:
         return envelope(samples, rate, cutoff)
     matched = matched_filter(samples, template)
@@ -322,7 +325,7 @@ def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: f
 def gain_and_match(
     samples: Array, distance: Array, gain: TimeGain | None, template: ArrayLike | None
 ) -> Any:
-    """Return cycles (..., time) after gain and matched filter; None leaves a step out."""
+    """Return cycles (..., time) after gain and matched filter; None skips a step."""
     if gain is not None:
         samples = compensate(samples, distance, gain)
     return samples if template is None else matched_filter(samples, template)
@@ -346,7 +349,7 @@ def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> 
 
 
 def _check_rows(temperature: ArrayLike, rows: tuple[int, ...]) -> None:
-    """Raise where temperatures are neither one for all cycles nor one for each."""
+    """Raise unless there is one temperature for all cycles or one for each."""
     try:
         np.broadcast_to(np.asarray(temperature), rows)
     except ValueError:

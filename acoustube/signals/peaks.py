@@ -26,7 +26,7 @@ class Echoes:
     amplitudes : array of shape (..., echo)
         Envelope at the peak, in the envelope's unit.
     prominences : array of shape (..., echo)
-        Height of the peak over the higher of its two adjacent minima, in the same unit, as by
+        Height of the peak over the higher of its two adjacent minima, in the same unit, as in
         ``scipy.signal.find_peaks``.
     """
 
@@ -95,7 +95,7 @@ def find_echoes(
         The envelopes.
     start, stop : float or array of shape (...)
         The window in s. The prominence is computed within it, so that the flank of a send pulse
-        that reaches into the window is not a peak.
+        that extends into the window is not a peak.
     prominence : float
         Least prominence of an echo, in the envelope's unit.
 
@@ -199,9 +199,9 @@ def strongest_echo(echoes: Echoes) -> tuple[Array, Array, Array]:
 def plateaus(
     time: Array, envelope: Array, height: Array, *, before: float, least: float
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which send pulses have a plateau, as clipped ones do, and when they rise.
+    """Return which send pulses have a plateau, as clipped ones do, and the times of their rise.
 
-    A clipped send pulse has no distinct maximum, but a plateau whose maximum is arbitrary.
+    A clipped send pulse has no distinct maximum but a plateau, whose maximum is arbitrary.
 
     Parameters
     ----------
@@ -218,6 +218,7 @@ def plateaus(
     Returns
     -------
     flat : array of bool, shape (...)
+        Whether there is a plateau.
     rise : array of shape (...)
         Time in s at which the envelope reaches half the height.
     """

@@ -36,19 +36,19 @@ class Processing:
     Attributes
     ----------
     frequency : float
-        Carrier in Hz.
+        Carrier frequency in Hz.
     pulse_cycles : float
-        Carrier cycles of the send pulse.
+        Duration of the send pulse in carrier cycles.
     offset_cutoff : float or None
-        Cut-off frequency in Hz of the offset's removal; None for no removal.
+        Cut-off frequency in Hz of the high-pass that removes the offset; None for no removal.
     gain : TimeGain or None
         Attenuation model of the time gain, from a calibration; None for no time gain.
     template_cycles : float or None
         Length of the matched filter in carrier cycles; None for no matched filter.
     bandwidth : float or None
-        Bandwidth in Hz of a linear chirp about `frequency`, of `pulse_cycles` periods of it, which
-        is compressed: its complex matched filter takes the place of the template, of rectifying and
-        of the low-pass. None for a burst.
+        Bandwidth in Hz of a linear chirp about `frequency` that lasts `pulse_cycles` periods of it.
+        The chirp is compressed: its complex matched filter replaces the template, the rectifier and
+        the low-pass. None for a burst.
     window : str
         Weighting of the chirp's template: ``rectangular``, ``hann`` or ``hamming``.
     cutoff : float
@@ -108,11 +108,12 @@ def without_aliased_template(settings: Processing, sampling_rate: float) -> Proc
 
     Notes
     -----
-    EchoTube's board samples a 42 kHz carrier at 80 kHz, which aliases it to 80 - 42 = 38 kHz, so
-    close to the Nyquist frequency that the samples are a beat of 2 kHz with alternating signs. The
-    beat's phase is the carrier's, and changes by 2 pi with every 4 mm of distance. A template at
-    38 kHz is such a beat too, of its own phase: it shifts the peak by the difference (on echoes of
-    11 cycles in 1750 mm of tube, a standard deviation of 7 mm, at most 13 mm).
+    EchoTube's board samples a 42 kHz carrier at 80 kHz, which aliases it to 80 - 42 = 38 kHz. This
+    is so close to the Nyquist frequency that the samples are a beat of 2 kHz with alternating
+    signs. The beat has the phase of the carrier, which changes by 2 pi with every 4 mm of distance.
+    A template at 38 kHz is such a beat too, with a phase of its own: it shifts the peak by the
+    difference of both (on echoes of 11 cycles in 1750 mm of tube, a standard deviation of 7 mm, at
+    most 13 mm).
 
     Rectification and low-pass do not depend on the phase and remain. They lose accuracy: the
     rectified carrier's overtone at 84 kHz is aliased to 4 kHz, below the usual cut-off. Measured on

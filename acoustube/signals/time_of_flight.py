@@ -52,7 +52,8 @@ def distance(time_of_flight: ArrayLike, temperature: ArrayLike) -> Array:
 def blind_time(pulse_duration: float, cutoff: float) -> float:
     """Return the duration in s of the send pulse's envelope after its maximum.
 
-    Half the pulse's duration in s, and one period of the low-pass's cut-off in Hz for its spread.
+    It is half the pulse's duration in s plus one period of the low-pass's cut-off in Hz, by which
+    the low-pass spreads the pulse.
     """
     return pulse_duration / 2 + 1 / cutoff
 

@@ -18,12 +18,12 @@ class Tracker:
     time : array of shape (time,)
         Sampling times of every cycle in s; the pulse starts to leave the source end at 0.
     settings : Processing, optional
-        As :func:`locate`.
+        As in :func:`locate`.
 
     Attributes
     ----------
     n_cycles, n_detections : int
-        Cycles so far, and those of them with an echo.
+        Number of cycles so far, and number of cycles with an echo.
 
     Raises
     ------
@@ -32,8 +32,8 @@ class Tracker:
 
     Notes
     -----
-    No state is kept between cycles: the results are those of :func:`locate` on all cycles together,
-    to rounding.
+    No state is kept between cycles: the results equal those of :func:`locate` on all cycles
+    together, but for rounding.
     """
 
     def __init__(self, time: ArrayLike, settings: Processing | None = None):

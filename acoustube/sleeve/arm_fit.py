@@ -1,9 +1,9 @@
 """The axis of an arm and the line of its radius, from two columns of markers.
 
-A column is a row of markers along the arm. Outliers are found first, column by column, by the line
-in space with the least median of squared distances (up to almost half of the markers may be wrong);
-the inliers are then fitted by ordinary least squares, whose confidence intervals are exact for
-normal errors.
+A column is a row of markers along the arm. Outliers are detected first, column by column, by the
+line in space with the least median of squared distances (up to almost half of the markers may be
+wrong). The inliers are then fitted by ordinary least squares, whose confidence intervals are exact
+for normal errors.
 
 References
 ----------
@@ -33,7 +33,7 @@ from acoustube.sleeve.helix import Frame
 Kept = NDArray[np.bool_]
 
 MOST_PAIRS = 3000
-"""Largest number of marker pairs tried as lines; of more, evenly spaced ones."""
+"""Largest number of marker pairs tried as lines; of more pairs, evenly spaced ones are tried."""
 OUTLIER_DEVIATIONS = 4.5
 """Standard deviations from its column's line beyond which a marker is an outlier (1 in 25 000)."""
 SMALLEST_DEVIATION = 0.2e-3
@@ -59,7 +59,7 @@ class Line:
     freedom : int
         Degrees of freedom of the fit.
     deviation : float
-        Standard deviation of a marker from the line in m.
+        Standard deviation in m of markers from the line.
     """
 
     radius: float
@@ -83,9 +83,9 @@ class Arm:
     frame : Frame
         Its z runs from the first marker of the first column to the last.
     lines : tuple of Line
-        The radius at each column; the same one twice where the axis was fitted too.
+        Fitted radius at each column; the same line twice where the axis was fitted too.
     angles : tuple of float
-        psi of each column in rad.
+        Angle psi of each column about the axis in rad.
     length : float
         Extent of the markers along the axis in m, from z = 0.
     kept : tuple of ndarray of bool
@@ -113,8 +113,8 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
         Coordinates in m, (n, 3) each, in order along the arm; gaps are nan.
     axis : str
         ``fitted``: the columns lie on opposite sides of the arm, and the axis is midway between
-        them; one line of the radius holds for both. ``z``: the axis is that of the coordinates, as
-        in the sleeve paper, and each column has a line of its own.
+        them; one line of the radius holds for both. ``z``: the axis is the z axis of the
+        coordinates, as in the sleeve paper, and each column has a line of its own.
 
     Returns
     -------
@@ -128,9 +128,9 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
 
     Notes
     -----
-    Two straight lines on a cone do not determine its axis if the angle between them is unknown:
-    hence the two ways. With the axis, seven numbers are fitted to two deviations per
-    marker, those across the axis.
+    Two straight lines on a cone do not determine its axis if the angle between them is unknown;
+    hence the two choices of `axis`. If the axis is fitted, seven numbers are fitted to two
+    deviations per marker, those across the axis.
     """
     columns = [_column(points, name) for points, name in ((first, "first"), (second, "second"))]
     _check_units(columns)
@@ -152,7 +152,7 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
 
 
 def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -> Arm:
-    """Move z = 0 to the first marker, and put the result together."""
+    """Return the arm, with z = 0 moved to the first marker."""
     own = [frame.inwards(points) for points in used]
     heights = np.concatenate([points[:, 2] for points in own])
     start, end = float(heights.min()), float(heights.max())
@@ -208,7 +208,7 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
     size = np.linalg.norm(step, axis=1)
     if not size.max() > 0:
         raise ConfigError("the markers of a column all lie at one place; check the column")
-    # Pairs of neighbours give poor lines: their errors tilt them.
+    # Close pairs give poor lines: errors of the markers tilt them.
     far = size > 0.3 * size.max()
     start, step = start[far], step[far] / size[far, None]
     away = points[:, None, :] - start
@@ -273,7 +273,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
     """Fit axis and radius together; the frame's x points to the first column."""
     first, second = columns
     middles = [points.mean(axis=0) for points in columns]
-    # Both middles at one height, for the columns need not begin side by side.
+    # Both middles at the same height, since the columns need not begin side by side.
     across = middles[0] - middles[1]
     across = across - (across @ direction) * direction
     size = float(np.linalg.norm(across))
@@ -312,7 +312,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
 
 
 def _check_units(columns: list[Array]) -> None:
-    """Raise if the columns do not have the size of an arm."""
+    """Raise if the columns do not have the size of an arm, as with a wrong unit."""
     for points in columns:
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if steps.max() > max(300 * np.median(steps), 2 * LENGTH_RANGE[1]):

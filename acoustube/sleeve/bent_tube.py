@@ -1,7 +1,7 @@
 """Sound in a wrapped tube: scattering matrices of the bends between its presses.
 
-The pressed part of a tube is computed straight. On an arm the tube is bent up to there, and the
-plane wave is incident on a press together with the modes into which the bend has scattered it.
+The pressed part of a tube is computed as straight. On an arm the tube is bent up to that part, and
+the plane wave is incident on a press together with the modes into which the bend has scattered it.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ HIGHEST_WAVENUMBER = 6.0
 LONGEST_PART = np.pi
 """Largest angle about the arm over which curvature and torsion are taken as constant."""
 CLEARANCE = 1e-9
-"""Straight tube in m at either end of a bend, so that rounding does not make elements overlap."""
+"""Length in m of straight tube at either end of a bend, so that rounding does not make elements
+overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
 LONGEST_DELAY = 1.0
-"""Largest delay of the plane wave in a bend, in periods of the impulse response that steps of
-frequency resolve. The interpolation removes that delay; higher modes are slower by up to two
-times."""
+"""Largest delay of the plane wave in a bend, relative to the period of the impulse response that
+the steps of frequency resolve. The interpolation removes this delay; higher modes are slower by a
+factor of up to two."""
 
 
 def winding(
@@ -55,8 +56,8 @@ def winding(
     helix : Helix
     air : Air
     frequency : array_like
-        In Hz, increasing and evenly spaced: those of the presses. A long part is computed at
-        frequencies between these too, see :data:`LONGEST_DELAY`.
+        Frequencies of the presses in Hz, increasing and evenly spaced. A long part is also computed
+        at frequencies between these, see :data:`LONGEST_DELAY`.
     start, stop : float
         Distances from the sensor in m, on the helix.
     radius : float
@@ -66,7 +67,8 @@ def winding(
         (:func:`with_antisymmetric`), which torsion excites.
     tube : Tube, optional
         Tube flattened by the bending, see :func:`acoustube.sleeve.ovalisation.ovality`; without it
-        the bore stays round. The ovality is that at the helix's middle: steps would echo.
+        the bore stays round. The ovality at the helix's middle is used throughout, since steps of
+        it would cause echoes.
 
     Raises
     ------
@@ -75,11 +77,12 @@ def winding(
 
     Notes
     -----
-    Curvature and torsion are constant over half a turn each, the same parts whatever lies between:
-    their steps echo a little, as those of the untouched tube do. The parts are joined with all
-    their modes, evanescent ones too. Over 1.1 m, parts a quarter as long change the coefficients by
-    3e-3 at most. Interpolation between frequencies changes that of the plane wave by less than
-    1e-4, and those of (1,1) by 1e-3, but for 1e-2 in the first kHz above a cut-on.
+    Curvature and torsion are taken as constant over each half turn. The half turns are the same
+    wherever presses lie, so that the weak echoes of the steps between them are those of the
+    untouched tube. The parts are joined with all their modes, evanescent ones too. Over 1.1 m,
+    parts a quarter as long change the coefficients by 3e-3 at most. Interpolation between
+    frequencies changes the coefficient of the plane wave by less than 1e-4 and those of (1,1) by
+    1e-3, or by 1e-2 in the first kHz above a cut-on.
     """
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):
@@ -104,7 +107,7 @@ def winding(
 
 
 def _fine_enough(frequency: Array, delay: float) -> Array:
-    """Return even frequencies, with others between them where a delay in s asks for it."""
+    """Return evenly spaced frequencies, refined if a delay in s requires smaller steps."""
     if len(frequency) < 2:
         return frequency
     times = ceil(delay * (frequency[1] - frequency[0]) / LONGEST_DELAY)
@@ -138,7 +141,7 @@ def windings(
     Returns
     -------
     list of PlacedScatterer
-        The bends alone; valid for any presses at these positions, from :func:`between_bends`.
+        The bends alone. They hold for any presses from :func:`between_bends` at these positions.
     """
     at = np.asarray(places, float)
     if np.any(np.diff(at) < 2 * reach):
@@ -204,7 +207,7 @@ def wrapped(
 
 
 def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
-    """Return a press as it lies between the bends of a wrapped tube.
+    """Return a press with the form that it needs between the bends of a wrapped tube.
 
     Parameters
     ----------
@@ -216,8 +219,8 @@ def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
     Returns
     -------
     PlacedScatterer
-        Its deformed part is limited to the reach. Antisymmetric modes of which a press that is
-        symmetric about x = 0 has the symmetric ones alone pass it unscattered.
+        Its deformed part is limited to the reach. Antisymmetric modes that the press lacks, since
+        it is symmetric about x = 0 and has their symmetric partners alone, pass it unscattered.
     """
     matrix = press.scattering
     names = with_antisymmetric(matrix.modes)
@@ -237,12 +240,12 @@ def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
 
 
 def with_antisymmetric(modes: Sequence[str]) -> tuple[str, ...]:
-    """Return names of modes, and of the antisymmetric partners of symmetric ones among them.
+    """Return names of modes, and of the antisymmetric partners of the symmetric modes among them.
 
     Parameters
     ----------
     modes : sequence of str
-        As ``00``, ``11c``, ``21s``.
+        Such as ``00``, ``11c``, ``21s``.
     """
     partners = [f"{name[:-1]}s" for name in modes if name.endswith("c")]
     return (*modes, *(name for name in partners if name not in modes))

@@ -18,7 +18,7 @@ SIDE_LOBE_DISTANCE = 0.10
 TRAPPED_SOUND_DISTANCE = 0.18
 """Largest distance behind a press at which trapped sound appears, in m."""
 SECOND_PRESS_RATIO = 2.0
-"""Least amplitude of another press within that distance, relative to the nearer one."""
+"""Least amplitude of another press within that distance, relative to the nearer press."""
 MULTIPLE_REFLECTION_TOLERANCE = 0.04
 """Tolerance of the distance of a multiple reflection between two presses, in m."""
 

@@ -1,6 +1,6 @@
 """A tube wrapped around an arm: from a distance along it to a place on the sleeve, and back.
 
-The arm is a cone about its axis, and the tube's centre line on it the sleeve paper's helix, here
+The arm is a cone about its axis. The tube's centre line on it is the sleeve paper's helix, here
 with a phase and a hand, so that several tubes can be wound side by side:
 
     r(z) = a0 + a1 z,    psi(z) = psi0 + rho z,    h(z) = (r cos psi, r sin psi, z),
@@ -43,7 +43,7 @@ class Frame:
     origin : array of shape (3,)
         Place of z = 0 on the axis, in m.
     rotation : array of shape (3, 3)
-        Its columns are the directions of x, y and z of the arm.
+        Its columns are the directions of the arm's x, y and z axes.
     """
 
     origin: Array = field(default_factory=lambda: np.zeros(3))
@@ -69,9 +69,9 @@ class Helix:
     taper : float
         a1, the increase of the radius per m along the axis.
     length : float
-        dz, extent of the helix along the axis in m.
+        dz, the extent of the helix along the axis in m.
     loops : float
-        Turns over the length.
+        Number of turns over the length.
     phase : float
         psi0 in rad.
     hand : str
@@ -141,7 +141,8 @@ class Helix:
     def table(self) -> Array:
         """Heights z and arc lengths from the helix's start in m, (2, intervals + 1).
 
-        By the trapezoidal rule over l'(z) = sqrt(1 + a1^2 + (rho r)^2), as in the sleeve paper.
+        Arc lengths are integrals of l'(z) = sqrt(1 + a1^2 + (rho r)^2) by the trapezoidal rule, as
+        in the sleeve paper.
         """
         z = np.linspace(0.0, self.length, self.intervals + 1)
         density = self.density(z)
@@ -153,7 +154,7 @@ class Helix:
         return self.radius + self.taper * np.asarray(z, float)
 
     def density(self, z: ArrayLike) -> Array:
-        """Return l'(z), the tube per m of the axis."""
+        """Return l'(z), the length of tube per m of the axis."""
         return np.sqrt(1 + self.taper**2 + (self.twist * self.radius_at(z)) ** 2)
 
     def angle(self, z: ArrayLike) -> Array:
@@ -166,7 +167,7 @@ class Helix:
         return np.stack([r * np.cos(psi), r * np.sin(psi), z], axis=-1)
 
     def height(self, distance: ArrayLike) -> Array:
-        """Return z of distances from the sensor.
+        """Return the heights z of points at distances from the sensor.
 
         Parameters
         ----------
@@ -185,12 +186,12 @@ class Helix:
         return np.where(inside, np.interp(along, arc, z), np.nan)
 
     def place(self, distance: ArrayLike) -> Array:
-        """Return the places of distances, in the coordinates of the markers.
+        """Return the places of points at distances from the sensor, in the markers' coordinates.
 
         Parameters
         ----------
         distance : array_like
-            From the sensor, in m, (...).
+            Distances from the sensor in m, (...).
 
         Returns
         -------
@@ -200,7 +201,7 @@ class Helix:
         return self.frame.outwards(self.point(self.height(distance)))
 
     def distance(self, z: ArrayLike) -> Array:
-        """Return the distance from the sensor of heights z in m, both in m."""
+        """Return the distances in m from the sensor to points at heights z in m."""
         return self.lead + np.interp(np.asarray(z, float), *self.table)
 
     def bend(self, z: ArrayLike) -> tuple[Array, Array]:
@@ -213,8 +214,8 @@ class Helix:
 
         Notes
         -----
-        Those of a cylinder's helix with the radius at z: the taper's contribution is of second
-        order. With b = 1 / rho, kappa = r / (r^2 + b^2) and tau = b / (r^2 + b^2).
+        They are those of a helix on a cylinder with the radius at z: the contribution of the taper
+        is of second order. With b = 1 / rho, kappa = r / (r^2 + b^2) and tau = b / (r^2 + b^2).
         """
         r, b = self.radius_at(z), 1 / self.twist
         return r / (r**2 + b**2), b / (r**2 + b**2)
@@ -238,8 +239,8 @@ class Helix:
 
         Notes
         -----
-        By Gauss-Hermite quadrature along the tube, not by linearisation: a standard deviation of
-        5 cm is a fifth of a loop around a forearm.
+        Gauss-Hermite quadrature along the tube is used, not linearisation, since a standard
+        deviation of 5 cm is a fifth of a loop around a forearm.
         """
         nodes, weights = np.polynomial.hermite_e.hermegauss(QUADRATURE_NODES)
         weights = weights / weights.sum()
@@ -260,14 +261,14 @@ class Nearest:
     Attributes
     ----------
     tube : ndarray of int
-        Number of the nearest tube, (...).
+        Index of the nearest tube, (...).
     distance : ndarray
         Distance along that tube from the sensor in m, (...).
     gap : ndarray
-        From the place to that tube's centre line in m, (...).
+        Distance from the position to that tube's centre line in m, (...).
     next_tube, next_distance, next_gap : ndarray
-        The same of the second nearest loop, of any tube. A press midway between both may be
-        detected on either; nan, and -1 for the tube, where there is no other loop.
+        The same for the second nearest loop, of any tube. A press midway between both may be
+        detected on either. nan, and -1 for the tube, where there is no other loop.
     """
 
     tube: NDArray[np.int64]
@@ -300,8 +301,8 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
 
     Notes
     -----
-    Each loop passes the place's angle about the axis once. From there Newton's method goes to the
-    foot of the perpendicular onto the loop.
+    Each loop passes the angle of the position about the axis once. From there Newton's method
+    converges to the foot of the perpendicular onto the loop.
     """
     places = np.asarray(places, float)
     feet = [_feet(tube, tube.frame.inwards(places)) for tube in tubes]
@@ -313,7 +314,7 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     best = np.argmin(np.where(np.isnan(gap), np.inf, gap), axis=-1)[..., None]
     first = number[best[..., 0]]
     distance = np.take_along_axis(along, best, -1)
-    # Perpendiculars' feet that were clipped to the same end of a tube are not another loop.
+    # Feet of perpendiculars that were clipped to the same end of a tube are not another loop.
     half_a_loop = np.array([0.5 * tube.tube_length / (tube.loops + 1) for tube in tubes])
     same = (number == first[..., None]) & (np.abs(along - distance) < half_a_loop[first][..., None])
     others = np.where(same | np.isnan(gap), np.inf, gap)

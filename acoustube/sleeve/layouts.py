@@ -26,7 +26,7 @@ DEAD_ZONE = 0.15
 REACH = 2.5
 """Largest distance in m of a detected press: the sleeve paper's tube, and EchoTube's of 8 mm."""
 LEAD = 0.15
-"""Length of the lead in m, the tube before the sleeve: the dead zone, as in the sleeve paper."""
+"""Length in m of the lead, the tube before the sleeve: the dead zone, as in the sleeve paper."""
 OUTER_DIAMETER = 11.1e-3
 """Outer diameter of the sleeve paper's tube in m."""
 N_TUBES = 2
@@ -47,13 +47,13 @@ class Layout:
     Attributes
     ----------
     tube_lengths : ndarray
-        Lead and helix of each tube in m.
+        Total length of lead and helix of each tube in m.
     detection_range : ndarray
         Range of distances on each tube in which a press is detected, in m, (n_tubes, 2).
     pitch : float
         Advance of a tube along the axis per loop in m.
     spacing : float
-        Between neighbouring tubes, across them, at the middle of the sleeve, in m.
+        Distance between neighbouring tubes, across them, at the middle of the sleeve, in m.
     skin_area : float
         Of the sleeve in m2.
     within : float
@@ -65,9 +65,9 @@ class Layout:
     deviation : float
         Standard deviation of a distance in m.
     patch_area : float
-        Resolved area in m2: two standard deviations along the tube times the spacing.
+        Area in m2 that is resolved: two standard deviations along the tube times the spacing.
     patches : float
-        Number of such patches on the skin where presses are detected.
+        Number of such areas on the skin where presses are detected.
     """
 
     tube_lengths: Array
@@ -113,12 +113,12 @@ def wound(
     ----------
     arm : Arm
     loops : float
-        Turns of each tube over the length.
+        Number of turns of each tube over the length.
     n_tubes : int
-        One or two start at the angles of the columns of markers; more are spaced evenly from the
-        first column on.
+        Number of tubes. One or two start at the angles of the columns of markers; more are spaced
+        evenly, starting at the first column.
     phase : float
-        Added to these angles, in rad.
+        Angle in rad that is added to these angles.
     hand : str
         ``right`` or ``left``.
     lead : float
@@ -182,9 +182,9 @@ def design(
     girths : tuple of float
         Circumference of the arm at the end near the sensors, and at the other, in m.
     loops, pitch : float
-        Turns over the length, or advance per turn in m: one of the two.
+        Number of turns over the length, or advance per turn in m: one of the two.
     n_tubes : int
-        Wound side by side at even angles.
+        Number of tubes, wound side by side at even angles.
     phase : float
         Of the first tube in rad.
     hand : str
@@ -261,7 +261,7 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
 
 @checked(tubes=Several(Helix, 1))
 def spacing(tubes: Sequence[Helix]) -> float:
-    """Return the distance across the tubes from one to the next in m, at the sleeve's middle."""
+    """Return the distance in m between neighbouring tubes, across them, at the sleeve's middle."""
     tube = tubes[0]
     along = float(np.hypot(1, tube.taper) / tube.density(tube.length / 2))
     around = float(abs(tube.twist) * tube.radius_at(tube.length / 2)) * along
@@ -282,7 +282,7 @@ def layout(
     Parameters
     ----------
     tubes : sequence of Helix
-        All around one arm.
+        Tubes around the same arm.
     dead_zone, reach : float
         Start and end of the detection range along a tube, in m.
     within : float
@@ -332,7 +332,7 @@ def _skin(tube: Helix) -> tuple[Array, Array]:
     """Return quadrature points on the skin, (n, 3) in the arm's coordinates, and their areas."""
     n = SKIN_PLACES
     z = (np.arange(n) + 0.5) * tube.length / n
-    # The golden angle: no row of places runs along a loop, as it might on a grid.
+    # Golden angle, so that no row of points follows a loop, as it might on a grid.
     psi = 2 * pi * GOLDEN_RATIO * np.arange(n)
     r = tube.radius_at(z)
     weights = 2 * pi * r * np.hypot(1, tube.taper) * tube.length / n

@@ -30,7 +30,7 @@ def ovality(tube: Tube, curvature: float) -> float:
     Returns
     -------
     float
-        The radius grows as much across the bend.
+        Relative decrease; across the bend the radius increases by the same amount.
 
     Raises
     ------

@@ -45,8 +45,8 @@ class TrackingSettings:
     hits : int
         Number of cycles with a candidate after which a contact is confirmed.
     misses : int
-        Consecutive cycles without one after which a contact is deleted; a tentative one is
-        deleted after its first two.
+        Number of consecutive cycles without a candidate after which a contact is deleted; a
+        tentative one is deleted after its first two.
 
     Raises
     ------
@@ -96,15 +96,16 @@ class ContactTracker:
     ----------
     settings : TrackingSettings, optional
     length : float, optional
-        Distance in m between the sensors at both ends, which converts the far one's distances to
-        places from the near one; required for candidates of a far end.
+        Distance in m between the sensors at both ends, which converts distances from the far sensor
+        to places from the near one; required for candidates of a far end.
 
     Notes
     -----
-    A Kalman filter for each contact, all of them in arrays. The two ends are processed in turn:
-    a contact hidden behind another from one end is still tracked by the other end.
-    A candidate within the gate of a contact that has a nearer one is taken for a ripple of the same
-    echo: the resolution of two presses is the gate's width, 4 cm for a deviation of 1 cm.
+    Each contact has a Kalman filter; the states of all contacts are kept in arrays. The two ends
+    are processed in turn: a contact hidden behind another from one end is still tracked by the
+    other end. A candidate within the gate of a contact that has a nearer candidate is taken for a
+    ripple of the same echo: the resolution of two presses is the gate's width, 4 cm for a deviation
+    of 1 cm.
     """
 
     def __init__(self, settings: TrackingSettings | None = None, *, length: float | None = None):
@@ -126,16 +127,16 @@ class ContactTracker:
         Parameters
         ----------
         time : float
-            Of the cycle in s, after that of the one before.
+            Of the cycle in s, later than that of the previous cycle.
         near : array_like
-            Places of the candidates of the near sensor in m, any number of them; nan is none.
+            Places of the near sensor's candidates in m, any number of them; nan is ignored.
         far : array_like
-            Distances of the candidates of a sensor at the far end, from that end, in m.
+            Distances in m, from the far end, of the candidates of a sensor there.
 
         Returns
         -------
         Contacts
-            The confirmed ones.
+            The confirmed contacts.
 
         Raises
         ------
@@ -178,7 +179,7 @@ class ContactTracker:
         variance = self._covariance[:, 0, 0] + self.settings.deviation**2
         away = places - self._state[:, :1]
         squares = away**2 / variance[:, None]
-        # Beyond the gate all costs are equal, so that no pair within the gate is given up for them.
+        # Costs beyond the gate are equal, so that no pair within the gate is given up for them.
         outside = self.settings.gate**2
         rows, columns = linear_sum_assignment(np.minimum(squares, outside))
         inside = squares[rows, columns] < outside
@@ -188,7 +189,7 @@ class ContactTracker:
         self._covariance[rows] -= gain[:, :, None] * self._covariance[rows, :1, :]
         detected = np.zeros(len(self._state), bool)
         detected[rows] = True
-        # Beside a contact that has its candidate, another one is a ripple of the same echo.
+        # A further candidate near a contact that has one is a ripple of the same echo.
         beside = np.any(squares < outside, axis=0)
         new = places[~beside]
         self._begin(new)

@@ -56,7 +56,7 @@ def _array(path: Path, name: str, member: Any, stored: int) -> NDArray[Any]:
     size = dtype.itemsize
     for n in shape:
         size *= n
-    if size > stored:  # before so much is allocated
+    if size > stored:  # before that much is allocated
         raise ValueError(f"{name} declares {size} bytes but only {stored} are stored")
     member.seek(0)
     return np.lib.format.read_array(member, allow_pickle=False)

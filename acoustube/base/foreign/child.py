@@ -1,8 +1,8 @@
 """Reading of files by C libraries in a child process, so that a crash becomes an error message.
 
 The child is started with the first such file, and reads all later ones. It has limits of memory and
-time, and sends plain arrays, no Python objects; a crash or a limit ends it, and the next file gets
-a new one. Arrays that lie in the file as they are in memory are mapped by this process instead.
+time, and sends plain arrays, no Python objects. A crash or a limit ends it, and the next file gets
+a new one. Arrays stored in the file as they are in memory are mapped by this process instead.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ serve()
 PIPE = 1 << 20
 """Bytes of the pipes' buffers, where the system lets one choose: arrays pass at memory's speed."""
 KEPT = 1 << 25
-"""Bytes that glibc, where the system has it, does not hand back after a file: the next file would
-touch each of their pages anew, which takes several times as long as copying them."""
+"""Bytes of memory that glibc, if present, keeps after a file: otherwise the next file would touch
+each of their pages anew, which takes several times as long as copying them."""
 WALL = 10
-"""Elapsed time allowed to a reader over its processor time: a machine may be busy, a disk slow."""
+"""Ratio of a reader's allowed elapsed to processor time: a machine may be busy, a disk slow."""
 NUMERIC = "biufcU"
 """Kinds of arrays that are accepted from the child."""
 
@@ -92,7 +92,7 @@ def read(reader: str, path: Path, kind: str) -> Entries:
     Returns
     -------
     list of tuple
-        What the reader yields: a label, and an array, or a number or text where it has no axis.
+        What the reader yields: a label, and an array, or a number or text if it has no axis.
 
     Raises
     ------

@@ -50,7 +50,7 @@ def parsed(text: str, source: str | Path, kind: str = ".json") -> Any:
     ----------
     text : str
     source : str or Path
-        Where it is from, for messages.
+        Origin of the text, for messages.
     kind : {".toml", ".json"}
 
     Raises

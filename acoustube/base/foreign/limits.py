@@ -22,17 +22,17 @@ SIZES = {
     "settings": 5_000_000, "table": 100_000_000, "markers": 50_000_000, "surface": 100_000_000,
     "model": 500_000_000, "recording": 1_000_000_000, "result": 4_000_000_000,
 }  # fmt: skip
-"""Bytes of a file of each kind, as it is stored and once it is unpacked."""
+"""Largest size in bytes of a file of each kind, both as stored and unpacked."""
 ENTRIES = 10_000
-"""Arrays and attributes of a file."""
+"""Largest number of arrays and attributes of a file."""
 COLUMNS = 50_000
-"""Columns of a text table."""
+"""Largest number of columns of a text table."""
 NAME = 200
-"""Characters of a name in a file."""
+"""Largest number of characters of a name in a file."""
 NESTING = 100
-"""Depth of tables and lists within each other."""
+"""Largest depth of nested tables and lists."""
 SECONDS, BYTES_PER_SECOND = 3.0, 2e6
-"""Processor time of a reader in a child process: at least, and for each so many bytes of a file."""
+"""Processor time in s of a reader in a child process: SECONDS plus size over BYTES_PER_SECOND."""
 VARIABLE = "ACOUSTUBE_LIMITS"
 RAISE = "give --limits FACTOR to raise the limits"
 """What to do about a file that exceeds a limit."""
@@ -41,7 +41,7 @@ OF_CONTENT = (
     ArithmeticError, AttributeError, LookupError, MemoryError, NotImplementedError, RecursionError,
     TypeError, ValueError,
 )  # fmt: skip
-"""Errors of a result whose content is not what its names say."""
+"""Errors raised for a result whose content does not match its names."""
 
 _KINDS = {
     stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISCHR: "a device",
@@ -55,7 +55,7 @@ def factor() -> float:
     Raises
     ------
     ConfigError
-        If the environment variable is not a number over zero.
+        If the environment variable is not a positive number.
     """
     text = os.environ.get(VARIABLE, "1")
     with contextlib.suppress(ValueError):
@@ -108,9 +108,9 @@ def check_file(path: str | Path, kind: str) -> int:
 
 @functools.cache
 def _of_system() -> frozenset[int]:
-    """Return the devices of the file systems whose regular files may never end, or make one wait.
+    """Return the devices of the file systems whose regular files may be endless or block a reader.
 
-    Such as /proc/kmsg, by whatever name.
+    An example is /proc/kmsg, under any name.
     """
     found = set()
     for folder in ("/proc", "/sys", "/sys/kernel/tracing", "/sys/kernel/debug"):
@@ -130,7 +130,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
     size : float
         In bytes.
     what : str
-        Verb of the sentence.
+        Verb of the message.
     """
     if size > largest(kind):
         raise ConfigError(
@@ -169,7 +169,7 @@ def reading(
     ----------
     path : str or Path
     failure : str
-        What the sentence says of the file, such as "is not a model".
+        What the message says of the file, such as "is not a model".
     advice : str
         What to do.
     errors : type or tuple of type, optional
@@ -182,12 +182,12 @@ def reading(
             logging.disable(logging.CRITICAL)  # some libraries log the tracebacks that they handle
             yield
     except ConfigError as error:
-        if error.setting is None:  # of an argument otherwise, which the file has
+        if error.setting is None:  # otherwise it concerns an argument that the file states
             if str(path) in str(error) or Path(path).name in str(error).split(": ")[0]:
                 raise
             raise ConfigError(f"{path}: {error}") from error
         raise ConfigError(f"{path} {failure} ({error}); {advice}") from error
-    # Readers raise whatever their parsing trips over, up to RecursionError and MemoryError.
+    # Readers raise any error of their parsing, including RecursionError and MemoryError.
     except errors as error:
         raise ConfigError(f"{path} {failure} ({reason(error)}); {advice}") from error
     finally:

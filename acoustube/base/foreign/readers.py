@@ -1,7 +1,7 @@
 """Readers in C of other programs' files; they run in the child process alone.
 
-Each yields labels and arrays. Nothing heavy is imported before it is needed: what this module and
-its readers import is the time that a first file takes longer.
+Each yields labels and arrays. Nothing heavy is imported before it is needed: the imports of this
+module and its readers delay the first file.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 Entry = tuple[dict[str, Any], Any]
 
 BLOCK = 1 << 28
-"""Bytes of a piece of a dataset that are read at a time."""
+"""Bytes of a dataset that are read at a time."""
 LARGE, SAMPLE = 1_000_000, 256
-"""Bytes of an array that is looked for in its file, and of its start, by which it is found."""
+"""Smallest size in bytes of an array that is searched for in its file, and bytes compared first."""
 _DIMENSION = b"This is a netCDF dimension"
 
 
@@ -68,7 +68,7 @@ def mat(path: str, most: int) -> Iterator[Entry]:
 
 
 def _located(content: mmap.mmap, array: Any) -> Stored | None:
-    """Return where a large array lies in a file as it is in memory, columns first or rows first."""
+    """Return where a file stores a large array as it is in memory, by columns or by rows."""
     flat = array if array.flags.c_contiguous else array.T
     if array.nbytes < LARGE or not flat.flags.c_contiguous:
         return None
@@ -85,7 +85,7 @@ def _located(content: mmap.mmap, array: Any) -> Stored | None:
 
 
 def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the leaves of a nested structure by name; of equal names the first."""
+    """Return the leaves of a nested structure by name; the first of equal names is kept."""
     found: dict[str, Any] = {}
     for name, value in tree.items():
         leaves = _flat(value) if isinstance(value, Mapping) else {name: value}
@@ -125,7 +125,7 @@ def hdf5(path: str, most: int) -> Iterator[Entry]:
 
 
 def names(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
-    """Read the names of the variables and attributes of an HDF5 file; none of another kind."""
+    """Read the names of the variables and attributes of an HDF5 file; of other files, nothing."""
     import h5py
 
     if h5py.is_hdf5(path):
@@ -184,7 +184,7 @@ def _values(item: Any) -> Any:
 
 
 def _stored(item: Any) -> Any:
-    """Return a contiguous dataset's place in its file, or a chunked or compressed one's values."""
+    """Return a contiguous dataset's place in its file, or the values if chunked or compressed."""
     if item.external or item.is_virtual:
         raise ValueError(f"{item.name} is stored in another file")
     offset = item.id.get_offset() if item.chunks is None and item.size else None
@@ -209,7 +209,7 @@ def netcdf(path: str, most: int) -> Iterator[Entry]:
         return
     from scipy.io import netcdf_file
 
-    # Whole variables are mapped, and not read before it is known whether they are unpacked.
+    # Whole variables are mapped, and read only once it is known whether they are unpacked.
     with warnings.catch_warnings(), netcdf_file(path, mmap=True) as file:
         warnings.simplefilter("ignore")
         yield from _attributes(file._attributes)
@@ -257,7 +257,7 @@ def _variable(name: str, value: Any, attributes: Mapping[str, Any], values: Any)
 
 
 def flac(path: str, most: int) -> Iterator[Entry]:
-    """Read FLAC: its rate, and samples of shape (time, channel) in the type of their bits."""
+    """Read FLAC: its rate, and samples of shape (time, channel) in the type for their bit depth."""
     try:
         import soundfile
     except (ImportError, OSError) as error:

@@ -28,7 +28,7 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
     advice : str
         What to do about a damaged file.
     failure : str
-        What the sentence says of a file that cannot be read.
+        What the message says of a file that cannot be read.
     """
     limits.check_file(path, "result")
     with limits.reading(path, failure, advice):

@@ -13,13 +13,13 @@ import numpy as np
 from acoustube.base.foreign import readers
 
 MEMORY = 400_000_000
-"""Bytes of address space of the libraries, in addition to what a file may unpack to, twice."""
+"""Bytes of address space for the libraries, in addition to twice what a file may unpack to."""
 
 
 def serve() -> None:
     """Answer requests until standard input ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    # What a library prints must not come among the answers.
+    # The output of a library must not be mixed with the answers.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     for line in sys.stdin.buffer:
@@ -92,7 +92,7 @@ def _answer(answers: BinaryIO, request: dict[str, Any]) -> None:
         _send(answers, {"missing": str(error)})
     except MemoryError:
         _send(answers, {"exceeds": "needs more memory than its limit allows"})
-    except Exception as error:  # whatever a library trips over
+    except Exception as error:  # any error of a library
         words = " ".join(str(error).split())[:1000] or type(error).__name__
         _send(answers, {"error": words})
 

@@ -1,6 +1,6 @@
 """Expected accuracy of a sensor before it is built, for choosing tube, transducer and pulse.
 
-Reading order: `echoes` (what a tube's presses reflect, and the contacts that are drawn),
+Reading order: `echoes` (reflection by the presses of a tube, and the contacts to be estimated),
 `fisher` (information of a contact over frequency), `prediction` (standard deviations, half-wave
 errors, reach and resolution for one pulse, differentiable) and `pairs` (two presses at once).
 """

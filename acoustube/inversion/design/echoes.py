@@ -17,7 +17,7 @@ from acoustube.base.types import Array
 from acoustube.waves.scattering import Complex
 
 FEWEST = 4
-"""Depths between which a reflection is interpolated."""
+"""Least number of depths between which a reflection is interpolated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,11 +31,11 @@ class PressedTube:
     diameter : float
         Of the tool in m.
     depth : ndarray
-        Indentation depths in m, rising, (n,).
+        Indentation depths in m, increasing, (n,).
     force : ndarray
-        In N at the shear modulus of the press, (n,).
+        In N at the shear modulus with which the presses were computed, (n,).
     frequency : ndarray
-        In Hz, even, (n_f,).
+        In Hz, evenly spaced, (n_f,).
     reflection : ndarray
         Reflection coefficient of the plane mode, (n, n_f).
     sound_speed : float
@@ -103,7 +103,7 @@ class PressedTube:
         )
 
     def depth_at(self, force: Array) -> Array:
-        """Return the depths in m at forces in N, that of the last press beyond it."""
+        """Return the depths in m at forces in N; beyond the last press its depth."""
         return np.asarray(self._depth_of(np.clip(force, 0.0, self.force[-1])))
 
     def compliance_at(self, force: Array) -> Array:

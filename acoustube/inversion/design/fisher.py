@@ -1,8 +1,9 @@
-"""Fisher information of a contact over frequency, which the pulse then weights.
+"""Fisher information of a contact at each frequency, before weighting by the spectrum of a pulse.
 
 The echo of a press is R(f, d) exp(-2j k z) times the spectrum that the electronics receive from a
-complete reflection. Sums over frequency of products of its derivatives are linear in the power of
-that spectrum: what does not depend on pulse and transducer is computed once for a tube.
+complete reflection. The Fisher information is a sum over frequency of products of derivatives of
+the echo, and linear in the power of that spectrum. The factors that do not depend on pulse and
+transducer are computed once for a tube.
 
 References
 ----------
@@ -27,14 +28,15 @@ from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.scattering import Complex
 
 FARTHEST, REACHES = 12.0, 48
-"""Largest reach in m that is distinguished, and number of places up to it."""
+"""Largest reach in m that is computed, and number of positions up to it."""
 
 
 class Information(NamedTuple):
     """Fisher information of contacts on a tube over frequency, per received spectral power.
 
-    Columns are place, depth, temperature, stretch, gain and phase, each in units of its prior
-    standard deviation, for the rangefinder at the face and for one at the far end.
+    Columns are the derivatives of the echo by position, depth, temperature, stretch, gain and
+    phase, each in units of its prior standard deviation, for the rangefinder at the face and for
+    one at the far end.
 
     Attributes
     ----------
@@ -45,29 +47,29 @@ class Information(NamedTuple):
     wavenumber : ndarray
         Real part, in rad/m, (n_f,).
     products : ndarray
-        Real parts of products of columns, (2, n, 6, 6, n_f).
+        Real parts of the products of columns, (2, n, 6, 6, n_f).
     echoes : ndarray
         Products of the conjugate columns with the echo, (2, n, 6, n_f).
     power : ndarray
-        Of the echo, (2, n, n_f).
+        Power of the echo, (2, n, n_f).
     place : ndarray
         Distances from either face in m, (2, n).
     scale : ndarray
-        Prior standard deviations of place and depth in m, (2,).
+        Prior standard deviations of position and depth in m, (2,).
     slope : ndarray
         Relative change of force with depth in 1/m, (n,).
     within_range : ndarray
-        Whether the force is within the tube's range, (n,).
+        Whether the force is within the range of the presses of the tube, (n,).
     force_prior : float
         Standard deviation of the logarithm of an unknown force.
     hardness : float
         Relative standard deviation of the wall's modulus.
     model : float
-        Standard deviation in m of depths by errors of the forward model.
+        Standard deviation in m of depths due to errors of the forward model.
     range_grid : ndarray
-        Places in m at which the lightest contact is looked for, (m,).
+        Positions in m at which the echo of the lightest contact is computed, (m,).
     range_power : ndarray
-        Its power there, the least of the tools, (m, n_f).
+        Power of this echo, the least of the tools, (m, n_f).
     """
 
     frequency: Array
@@ -102,12 +104,12 @@ def information(
     hardness: float = 0.05,
     model: float = 0.0,
 ) -> Information:
-    """Return the information of contacts on a tube over frequency.
+    """Return the Fisher information of contacts on a tube over frequency.
 
     Parameters
     ----------
     tubes : sequence of PressedTube
-        One for each tool, of one bore and one band.
+        One for each tool, all with the same bore and frequencies.
     contacts : Contacts
     modulus : float
         Shear modulus relative to that of the presses. Forces of a neo-Hookean tube on a rigid floor
@@ -119,7 +121,7 @@ def information(
     hardness : float
         Relative standard deviation of the modulus.
     model : float
-        Standard deviation in m of depths by errors of the forward model.
+        Standard deviation in m of depths due to errors of the forward model.
 
     Returns
     -------
@@ -166,7 +168,7 @@ def information(
 def _presses(
     tubes: Sequence[PressedTube], contacts: Contacts, modulus: float
 ) -> tuple[Array, Array, Complex, Complex]:
-    """Return relative slope of force, whether it is in range, reflection and its slope by depth."""
+    """Return slope of the log force, whether it is in range, reflection and its slope by depth."""
     n = len(contacts.force)
     slope, within_range = np.zeros((2, n))
     echo, by_depth = np.zeros((2, n, len(tubes[0].frequency)), complex)

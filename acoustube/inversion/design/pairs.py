@@ -1,8 +1,9 @@
 """Expected errors of two presses at once, the second one behind the first.
 
-The sound of the second press passes the first one twice: its echo is T1^2 R2 exp(-2j k z2) beside
-R1 exp(-2j k z1), and what the two share (echoes that overlap, air, gain) costs both of them.
-Echoes between the presses and modes other than the plane one are left out, as of one press.
+The sound of the second press passes the first one twice: its echo is T1^2 R2 exp(-2j k z2), and
+that of the first press is R1 exp(-2j k z1). Overlap of the echoes and shared nuisance parameters
+(air, gain) increase the errors of both. Multiple reflections between the presses and modes other
+than the plane one are left out, as for one press.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ class Pairs(NamedTuple):
     Attributes
     ----------
     place : ndarray
-        Cramer-Rao standard deviations of the places in m, (n, 2).
+        Cramer-Rao standard deviations of the positions in m, (n, 2).
     depth : ndarray
-        Of the depths in m, (n, 2).
+        Cramer-Rao standard deviations of the depths in m, (n, 2).
     force : ndarray
-        Of the forces, relative, with errors of the wall's modulus and of the model, (n, 2).
+        Relative standard deviations of the forces, including errors of the wall's modulus and of
+        the model, (n, 2).
     detection : ndarray
         Probabilities that the second press is distinguished from changes of other
         parameters, (n,).
@@ -71,13 +73,13 @@ def predict_pairs(
     tubes : sequence of PressedTube
         One for each tool, with their transmission.
     contacts : Contacts
-        The first press of each pair; the second one has the force of the next contact and its tool.
+        The first press of each pair; the second one has the force and the tool of the next contact.
     electronics : Electronics
-        Numbers.
+        Scalars.
     separation : float
-        Distance of the two in m.
+        Distance between the two presses in m.
     modulus, temperature, hardness, model
-        As of :func:`acoustube.inversion.design.information`.
+        See :func:`acoustube.inversion.design.information`.
 
     Raises
     ------
@@ -86,9 +88,10 @@ def predict_pairs(
 
     Notes
     -----
-    The information of eight parameters, places, depths and temperature, stretch, gain and phase in
-    units of their priors. The second press is distinguished where the part of its echo that no
-    change of the other seven explains, to first order, exceeds the level of detection.
+    The Fisher information has eight parameters: positions, depths, temperature, stretch, gain and
+    phase, in units of their prior standard deviations. The second press is distinguished where the
+    part of its echo that no change of the other seven explains, to first order, exceeds the level
+    of detection.
     """
     if any(tube.transmission is None for tube in tubes):
         raise ConfigError("a tube has no transmission; give transmission with its reflection")
@@ -113,7 +116,7 @@ def predict_pairs(
         turned = np.exp(-2j * k * z[:, None])
         echoes, by_depth = echoes * turned, by_depth * turned
         total = echoes.sum(axis=0)
-        # A stretch of frequency changes the presses, not the way to them.
+        # A stretch of frequency changes the presses, not the propagation to them.
         stretch = f * (np.gradient(echoes / turned, f, axis=1) * turned).sum(axis=0)
         warm = (-2j * heat * z[:, None] * echoes).sum(axis=0) + slower * stretch
         columns = np.stack([
@@ -122,7 +125,7 @@ def predict_pairs(
             priors.temperature * warm, priors.stretch * stretch, priors.gain * total,
             priors.phase * 1j * total,
         ])  # fmt: skip
-        # The depth of the first press changes what passes to the second.
+        # The depth of the first press changes the transmission to the second.
         columns[1] += scale[1] * _passed_by_depth(chosen[0], given[0]) * echoes[1]
         matrix = np.eye(8) + ((columns.conj() * weight) @ columns.T).real
         deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
@@ -136,7 +139,7 @@ def predict_pairs(
 
 
 def _echoes(tubes: Sequence[PressedTube], force: Sequence[float]) -> tuple[Complex, Complex]:
-    """Return the echoes without their ways, and their slopes by their own depth, (2, n_f)."""
+    """Return the echoes without propagation, and their derivatives by their own depth, (2, n_f)."""
     depths = [tube.depth_at(np.array([g])) for tube, g in zip(tubes, force, strict=True)]
     passed = tubes[0].transmission_at(depths[0])[0] ** 2
     echo = np.stack([tube.reflection_at(d)[0] for tube, d in zip(tubes, depths, strict=True)])
@@ -146,7 +149,7 @@ def _echoes(tubes: Sequence[PressedTube], force: Sequence[float]) -> tuple[Compl
 
 
 def _passed_by_depth(tube: PressedTube, force: float) -> Complex:
-    """Return the logarithmic derivative by depth of what passes a press twice, (n_f,)."""
+    """Return the logarithmic derivative by depth of a press's two-way transmission, (n_f,)."""
     depth = tube.depth_at(np.array([force]))
     return np.asarray(2 * tube.transmission_at(depth, 1)[0] / tube.transmission_at(depth)[0])
 

@@ -1,9 +1,9 @@
-"""Expected errors of a sensor on drawn contacts, for one pulse; differentiable by JAX.
+"""Expected errors of a sensor for given contacts and one pulse; differentiable by JAX.
 
-Besides the Cramer-Rao bound with nuisance parameters, which holds near the true contact alone, the
-probability of an estimate whole half wavelengths off is estimated, as for the ambiguity of a
-narrow-band pulse: that the likelihood of a contact so far off, with the best nuisance parameters,
-is the larger one.
+The Cramer-Rao bound with nuisance parameters holds only near the true contact. Besides it, the
+probability of an error of whole half wavelengths is estimated, as for the ambiguity of a
+narrow-band pulse: the probability that a contact so far off, with the best nuisance parameters, has
+the larger likelihood.
 
 References
 ----------
@@ -36,43 +36,43 @@ from acoustube.inversion.design.fisher import Information
 from acoustube.ranging import Burst, Chirp, Rangefinder
 
 HALF_WAVES = (-3, -2, -1, 1, 2, 3)
-"""Half wavelengths that an estimate may be off."""
+"""Errors of an estimated position that are considered, in half wavelengths."""
 DETECTED = 6.0
-"""Amplitude of an echo behind its matched filter, in standard deviations of the noise, from which
-half of the echoes are taken for a press; noise alone exceeds it in exp(-18) of its samples."""
+"""Amplitude of an echo after its matched filter, in standard deviations of the noise, at which half
+of the echoes are detected; noise alone exceeds it in exp(-18) of its samples."""
 BAND_EDGE, BAND_ROLL = 0.875, 0.084
-"""Middle of the ends of the inversion's band from its carrier, in halves of the band, and their
-width."""
+"""Distance of the middle of the tapers of the inversion's band from the carrier, and width of the
+tapers, both relative to half the width of the band."""
 BLIND_ROLL = 0.02
 """Width in m of the transition from masked to unmasked echoes behind the ring-down."""
 OWN_LENGTH = 0.03
-"""Length in m of the tube that a press deforms: nearer ones touch the same tube."""
+"""Length in m of the part of the tube that a press deforms: closer presses deform the same part."""
 
 
 class Electronics(NamedTuple):
-    """Pulse, transducer and converter, as numbers or as arrays of one shape.
+    """Pulse, transducer and converter, as scalars or as arrays of one shape.
 
     Attributes
     ----------
     carrier : float
-        Of drive and transducer in Hz.
+        Frequency of drive and transducer in Hz.
     cycles : float
-        Periods of the carrier that the drive lasts: of a square burst, or of a chirp.
+        Duration of the drive, a square burst or a chirp, in periods of the carrier.
     quality : float
         Quality factor of the transducer.
     level : float
-        Counts that a steady drive receives of a complete reflection, over the standard deviation of
-        a sample's noise.
+        Counts received from a complete reflection of a steady drive, over the standard deviation of
+        the noise of a sample.
     rate : float
         Samples per second.
     ring : float
-        Received level of the own drive over full scale.
+        Received level of the rangefinder's own drive over full scale.
     ends : float
-        1 or 2 rangefinders.
+        Number of rangefinders, 1 or 2.
     bandwidth : float
-        Of a chirp in Hz; 0 of a burst.
+        Of a chirp in Hz; 0 for a burst.
     low_corner, high_corner : float
-        Of loudspeaker and microphone in Hz; 0 for none.
+        Corner frequencies of loudspeaker and microphone in Hz; 0 for none.
     """
 
     carrier: float | Array
@@ -93,25 +93,25 @@ class Prediction(NamedTuple):
     Attributes
     ----------
     place : ndarray
-        Standard deviations of places in m, (..., n).
+        Standard deviations of positions in m, (..., n).
     depth : ndarray
-        Of depths in m.
+        Standard deviations of depths in m, (..., n).
     force : ndarray
-        Of forces, relative.
+        Relative standard deviations of forces, (..., n).
     found : ndarray
-        Probabilities that the contact is detected.
+        Probabilities that the contact is detected, (..., n).
     wrong : ndarray
-        Probabilities of an error of half wavelengths.
+        Probabilities of an error of whole half wavelengths, (..., n).
     noise : ndarray
-        Relative deviation of the force by the Cramer-Rao bound alone.
+        Relative standard deviation of the force by the Cramer-Rao bound alone, (..., n).
     model : ndarray
-        Relative deviation of the force by errors of the forward model alone.
+        Relative standard deviation of the force by errors of the forward model alone, (..., n).
     reach : ndarray
-        Farthest place in m at which the lightest contact is detected, (...).
+        Farthest position in m at which the lightest contact is detected, (...).
     resolution : ndarray
-        Least distance in m of two presses whose echoes are apart, (...).
+        Least distance in m at which the echoes of two presses are separate, (...).
     nearest : ndarray
-        Distance in m up to which presses are lost in the ring-down; 0 with two rangefinders, (...).
+        Distance in m up to which the ring-down hides presses; 0 with two rangefinders, (...).
     """
 
     place: Array
@@ -139,16 +139,16 @@ def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) ->
     ----------
     rangefinder : Rangefinder
     ends : int
-        Rangefinders, of which the second is at the far end.
+        Number of rangefinders, of which the second is at the far end.
     average : int
-        Cycles whose mean is inverted.
+        Number of cycles whose mean is inverted.
     """
     r, drive = rangefinder, rangefinder.drive
     assert isinstance(drive, Burst | Chirp)
     noise = r.noise * 2**r.bits / r.full_scale
     variance = noise**2
     if r.quantised:
-        # Rounding that noise does not dither is an error of the signal's own band.
+        # Rounding that noise does not dither is an error within the band of the signal.
         share = min(2 * half_width(r) / (r.sampling_rate / 2), 1.0)
         variance += 1 / 12 / (1.0 if noise >= DITHER else share)
     level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance / average, 1e-12))
@@ -167,17 +167,17 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
     ----------
     known : Information
     electronics : Electronics
-        Numbers, or arrays (m,).
+        Scalars, or arrays (m,).
 
     Returns
     -------
     Prediction
-        Arrays (n,) and numbers, or (m, n) and (m,).
+        Arrays (n,) and scalars, or (m, n) and (m,).
 
     Notes
     -----
-    In the band of the inversion. Not contained are clutter that the calibration leaves, reflections
-    by the face, and errors of the forward model but for its stretch.
+    The errors are computed in the band of the inversion. They do not include clutter that remains
+    after calibration, reflections by the face, and errors of the forward model but for its stretch.
     """
     given = np.broadcast_arrays(*(np.asarray(one, float) for one in electronics))
     with jax.enable_x64(True):
@@ -187,13 +187,14 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
 
 
 def score(found: Prediction, asked: Sequence[float]) -> Array:
-    """Return the logarithm of the rms error of force, with penalties for what a goal lacks.
+    """Return the logarithm of the rms error of force, with penalties for goals that are missed.
 
     Parameters
     ----------
     found : Prediction
     asked : sequence of float
-        Reach, distance of two presses, median deviation of place and nearest press, all in m.
+        Goals, all in m: reach, distance of two presses that are resolved, median standard deviation
+        of position, and distance of the nearest press.
     """
     return np.asarray(_score(np, found, np.array(asked)))
 
@@ -208,9 +209,9 @@ def gradient(
     ----------
     known : Information
     electronics : Electronics
-        Numbers.
+        Scalars.
     asked : sequence of float
-        As of :func:`score`.
+        See :func:`score`.
     """
     with jax.enable_x64(True):
         given = jnp.array([float(one) for one in electronics])
@@ -220,7 +221,7 @@ def gradient(
 
 
 def on_device(known: Information) -> Information:
-    """Return the information as arrays of JAX, which many predictions then need not copy."""
+    """Return the information as arrays of JAX, so that repeated predictions need not copy it."""
     with jax.enable_x64(True):
         return Information(*(jnp.asarray(one) for one in known))  # type: ignore[arg-type]
 
@@ -256,10 +257,10 @@ def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
 
 
 def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
-    """Return the power of a drive's spectrum behind both passages of its transducer, in s2.
+    """Return the power of a drive's spectrum after both passages of its transducer, in s2.
 
-    Of a square burst, as :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
-    continuous in their number; of a chirp without its part at negative frequencies.
+    That of a square burst is :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
+    continuous in their number. That of a chirp is without the part at negative frequencies.
     """
     one = Electronics(*electronics)
     carrier, cycles = one.carrier, one.cycles
@@ -270,14 +271,14 @@ def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
     burst = (jnp.cos(u) * kernel / (jnp.pi * frequency)) ** 2
     drive = jnp.where(one.bandwidth > 0, _chirp(frequency - carrier, one), burst)
     off = frequency / carrier - carrier / frequency
-    # Of the magnitudes of Butterworth filters of second order.
+    # Squared magnitudes of Butterworth filters of second order.
     high = jnp.where(one.high_corner > 0, one.high_corner, jnp.inf)
     passed = 1 / ((1 + (one.low_corner / frequency) ** 4) * (1 + (frequency / high) ** 4))
     return drive * passed / (1 + (one.quality * off) ** 2) ** 2
 
 
 def _chirp(off, one):  # type: ignore[no-untyped-def]
-    """Return the power of a chirp's spectrum at frequencies from its middle: Fresnel integrals."""
+    """Return the power of a chirp's spectrum at offsets from its middle, by Fresnel integrals."""
     width = jnp.where(one.bandwidth > 0, one.bandwidth, 1.0)
     lasting = one.cycles / one.carrier
     scale = jnp.sqrt(2 * lasting / width)
@@ -294,14 +295,14 @@ def _received(frequency, electronics):  # type: ignore[no-untyped-def]
 
 
 def weight_of(frequency: Array, electronics: Electronics) -> Array:
-    """Return the information of a reflection of 1 at each frequency.
+    """Return the information at each frequency for a reflection coefficient of 1, (n_f,).
 
     Parameters
     ----------
     frequency : ndarray
-        In Hz, even, (n_f,).
+        In Hz, evenly spaced, (n_f,).
     electronics : Electronics
-        Numbers.
+        Scalars.
     """
     step = frequency[1] - frequency[0]
     with jax.enable_x64(True):
@@ -336,7 +337,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     depth = jnp.minimum(covariance[:, 1, 1] + turned + mistaken, 1.0)
     noise = known.slope * scale[1] * jnp.sqrt(covariance[:, 1, 1])
     force = (known.slope * scale[1]) ** 2 * depth + known.hardness**2  # of detected contacts
-    # Of what is missed, only the prior is known.
+    # Of contacts that are missed, only the prior is known.
     place, depth = (found * one + 1 - found for one in (place, depth))
     prior = known.force_prior**2
     force = jnp.where(
@@ -354,7 +355,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
 
 
 def _information(known, weight, carrier, unmasked):  # type: ignore[no-untyped-def]
-    """Return information, half waves in m, their squared distances and shifts of depth."""
+    """Return information, half waves in m, their squared distances and shifts of depth there."""
     half = jnp.interp(carrier, known.frequency, known.wavenumber)
     off = jnp.array(HALF_WAVES) * jnp.pi / half
     angle = 2 * known.wavenumber[None] * off[:, None]

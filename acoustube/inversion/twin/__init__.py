@@ -1,4 +1,4 @@
-"""A rangefinder's parameters from recordings of its tube, closed at known places and untouched.
+"""Parameters of a rangefinder from recordings of its tube, untouched and closed at known positions.
 
 Reading order: `recorded` (cycles in the band of the carrier), `model` (echoes of closures, with
 derivatives), `fit` (maximum of the posterior), `posterior` (with unknown scatter of the closures),

@@ -26,11 +26,11 @@ from acoustube.waves.scattering import Complex
 
 SPACING = MEASURED_SPACING
 DENSITIES = np.geomspace(1e-8, 1e-2, 25)
-"""Reflected powers in 1/m among which the most likely one is chosen."""
+"""Reflected powers per length in 1/m among which the most likely one is chosen."""
 RING_SHARE = 1.5e-3
 """Time in s over which the level of the ring-down is fitted."""
 DETECTED = 6.0
-"""Level of the far end's echo, in standard deviations, from which on it is taken as detected."""
+"""Level of the far end's echo in standard deviations above which the echo is detected."""
 AROUND_END = 0.04
 """Half the width in m of the part of the tube that belongs to the far end."""
 ROUNDING = 1 / 12
@@ -51,31 +51,35 @@ class Measured:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Background:
-    """Ring-down, far end, clutter and noise of cycles, in counts where not stated.
+    """Ring-down, far end, clutter and noise of cycles, in counts unless stated otherwise.
 
     Attributes
     ----------
     send : Measured
-        Level of the own drive, steady at resonance.
+        Level of the rangefinder's own drive, steady at resonance.
     far_reflection : Measured
         Reflection coefficient of the far end; 0 where no echo of it is received.
     length : Measured or None
         Distance of the far end in m; None where no echo of it is received.
     places, reflectivity : ndarray
-        Clutter: places in m of reflectors, and their reflection coefficients, (n_z,).
+        Clutter: positions in m of reflectors, and their reflection coefficients, (n_z,).
     clutter : Measured
-        Its power reflected per length, in 1/m.
-    noise, offset, drift : Measured
+        Power that the clutter reflects per length, in 1/m.
+    noise : Measured
+        Standard deviation of the noise of a sample.
+    offset, drift : Measured
+        Mean of the cycles' offsets, and their standard deviation from cycle to cycle.
     jitter : Measured
-        Standard deviation of the trigger in s.
+        Standard deviation of the time of the trigger in s.
     wander : Measured
         Relative standard deviation of the gain from cycle to cycle.
     temperature_noise : Measured
         Standard deviation of the reported temperature within a group in K.
     explained : ndarray
-        Baseband of the untouched cycles that these explain, (n_t,).
+        Part of the baseband of the untouched cycles that ring-down, far end and clutter explain,
+        (n_t,).
     recorded : ndarray
-        Their baseband, (n_t,).
+        Baseband of the untouched cycles, (n_t,).
     """
 
     send: Measured
@@ -105,13 +109,13 @@ def fit_background(
     untouched : Group
     closed : sequence of Group
     length : float, optional
-        Of the tube in m, near which the far end is sought.
+        Length of the tube in m, near which the far end is sought.
 
     Notes
     -----
-    The ring-down's level is fitted by least squares, then the far end by the correlation with its
-    echo, then the clutter by Wiener's estimate: reflectors along the tube, Gaussian a priori, with
-    the density of highest evidence.
+    The level of the ring-down is fitted by least squares. The far end is then estimated by the
+    correlation with its echo, and the clutter by Wiener's filter: as reflectors along the tube,
+    Gaussian a priori, with the density of highest evidence.
     """
     band = twin.band
     received = band.baseband(twin.untouched.spectrum)
@@ -162,7 +166,7 @@ def ring_down(twin: Twin) -> Complex:
 
 
 def _templates(twin: Twin, places: Array, temperature: float) -> Complex:
-    """Return the basebands of echoes of complete reflection, without repetition, (n, n_t)."""
+    """Return the basebands of echoes of complete reflections, without repetitions, (n, n_t)."""
     band, model = twin.band, twin.model
     shared = twin.point.shared.copy()
     for name in ("face_real", "face_imag"):
@@ -218,7 +222,7 @@ def _far_end(
 def _clutter(
     twin: Twin, left: Complex, used: NDArray[np.bool_], places: Array, temperature: float
 ) -> tuple[Array, Measured, Complex]:
-    """Return the reflectors, their density and what they explain of the untouched cycles."""
+    """Return the reflectors, their density, and the part of the untouched cycles they explain."""
     shapes = _templates(twin, places, temperature).T
     inside = shapes[used]
     # Reflectors are real: the real and the imaginary part of the baseband are both data.
@@ -234,7 +238,7 @@ def _clutter(
     share = np.exp(scores - scores.max())
     share /= share.sum()
     density = float(share @ DENSITIES)
-    # The grid is coarse against the posterior of many degrees of freedom.
+    # The grid is coarse relative to the posterior, since there are many degrees of freedom.
     deviation = max(float(np.sqrt(share @ (DENSITIES - density) ** 2)), 0.15 * density)
     strength = density * design.T @ (vectors @ (rotated / (density * values + noise)))
     reflectors = strength * np.sqrt(SPACING)
@@ -270,7 +274,7 @@ def _variations(
 
 
 def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> Measured:
-    """Return the standard deviation of values within groups, without that of the noise."""
+    """Return the standard deviation of values within groups, less the contribution of noise."""
     known = [(v, m.wobble / scale**2) for v, m in zip(values, means, strict=True) if len(v) > 2]
     if not known:
         return Measured(value=0.0, deviation=float("inf"))

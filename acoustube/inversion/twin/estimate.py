@@ -33,35 +33,36 @@ PRIORS = {
     "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
     "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
-"""Mean and standard deviation of each parameter of :data:`SHARED`; of logarithms about a bore of
-7.9 mm, a perfectly smooth wall and the carrier that is received. The loss factor's deviation is
-that by the air's viscosity, known to 0.5 %, of whose root the losses are a multiple, and by
-theories of the losses, 0.2 % apart. It holds at the humidity that is assumed: a tenth more or less
-absorbed by the air is 1 % of the losses."""
+"""Mean and standard deviation of each parameter of :data:`SHARED`. Logarithms are relative to a
+bore of 7.9 mm, a perfectly smooth wall and the received carrier. The standard deviation of the loss
+factor is due to the air's viscosity, which is known to 0.5 % and to whose root the losses are
+proportional, and to theories of the losses, which differ by 0.2 %. It holds at the assumed
+humidity: a change of the absorption in the air by a tenth is 1 % of the losses."""
 MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
-"""Standard deviations of what the model leaves out, however many closures there are: clutter that
-neighbouring closures share, and the thermometer's steps."""
+"""Standard deviations due to effects that the model leaves out and that do not decrease with the
+number of closures: clutter that neighbouring closures share, and the thermometer's steps."""
 FIRST_PLACEMENT, FIRST_LEVEL, PHASE = 3e-3, 0.1, 1e3
-"""Standard deviations of the closures in the first fit: m, 1 and rad."""
+"""Prior standard deviations in the first fit of a closure's position in m, log level, and phase in
+rad."""
 WINDOW = (-0.3e-3, 2.0e-3)
-"""Data about the arrival of an echo, in s from its time by the nominal speed of sound."""
+"""Start and end of the data used of an echo, in s from its arrival at the nominal sound speed."""
 SLACK = 0.01
-"""Part of the time of flight by which it may be earlier or later."""
+"""Fraction of the time of flight by which an echo may arrive earlier or later."""
 LEAST_ECHO = 0.5
-"""Fraction of a closure's energy that the model must explain."""
+"""Least fraction of the energy of a closure's echo that the model must explain."""
 WEAKEST = 4.0
-"""Peak in counts below which an echo's level is that of its rounding."""
+"""Peak in counts below which rounding determines the level of an echo."""
 DITHERED = 0.4
-"""Noise in counts from which on rounding is linear on average."""
+"""Standard deviation of noise in counts above which rounding is linear on average."""
 SPEED = 343.2
 OUTLYING, LEAST_OUTLYING = 8.0, 6e-3
-"""Error of a stated place in standard deviations, and in m, from which on it is taken for wrong."""
+"""Error of a stated position, in standard deviations and in m, above which it counts as wrong."""
 BEYOND_END = 0.02
-"""Distance in m by which a closure's label may exceed the stated length: a plug in the far end is
-measured to the one or the other of its faces."""
+"""Distance in m by which a closure's label may exceed the stated length: the position of a plug in
+the far end may be that of either of its faces."""
 FEWEST = 2
 ROUNDS = 3
-"""Fits between which the error of the model is estimated."""
+"""Number of fits, before each of which the error of the model is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Twin:
     ----------
     band : Band
     model : EchoModel
-        Of the closures that are used.
+        Model of the closures that are used.
     data : Data
     point : Point
         Maximum of the posterior.
@@ -81,9 +82,9 @@ class Twin:
     used : list of int
         Numbers of the groups that are used.
     left_out : dict
-        Reasons in words, by number of the group.
+        Reasons why groups are left out, by number of the group.
     means : list of Means
-        Of all groups.
+        Means of all closed groups.
     untouched : Means
     full : ndarray
         Spectrum of the untouched cycles, (n_f,).
@@ -111,7 +112,7 @@ class Twin:
 
     @property
     def explained(self) -> Array:
-        """Fraction of each used closure's energy that the model explains, (n,)."""
+        """Fraction of the energy of each used closure's echo that the model explains, (n,)."""
         inside = self.data.segments == 1
         left = np.abs(self.data.values - self.model(*self.point).value) ** 2
         return 1 - _sums(left, inside) / _sums(np.abs(self.data.values) ** 2, inside)
@@ -143,11 +144,11 @@ def fit_twin(
     start : float
         Time of the first sample in s from the start of the drive.
     length : float, optional
-        Of the tube in m; up to the farthest closure by default. Half of it is where the
-        temperature is its mean.
+        Length of the tube in m, by default the distance of the farthest closure. At half of it the
+        temperature has its mean.
     humidity : float, optional
-        Relative, of the air, in per cent: the temperature is then that of moist air; by default
-        that at which dry air has the speed of sound.
+        Relative humidity of the air in per cent. The estimated temperature is then that of moist
+        air; by default it is that at which dry air has the estimated speed of sound.
     show : callable
         Called with the name of a stage and its finished fraction.
 
@@ -257,7 +258,7 @@ def _first_prior(band: Band, n: int) -> Prior:
 
 
 def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
-    """Return the data about the echoes and their repetitions."""
+    """Return the data in windows about the echoes and their repetitions."""
     time, band = model.band.time, model.band
     segments = np.zeros(values.shape, int)
     for number in (2, 1):
@@ -283,14 +284,14 @@ def _rounding(closed: Sequence[Group], band: Band) -> Array:
 
 
 def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array:
-    """Return the standard deviations of the levels by rounding without dither, (n,)."""
+    """Return the standard deviations of the log levels due to rounding without dither, (n,)."""
     peaks = np.where(data.segments == 1, np.abs(data.values), 0).max(axis=1)
     whole = [np.issubdtype(closed[i].cycles.dtype, np.integer) for i in part]
     return np.where(whole, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
 
 
 def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, float]) -> str:
-    """Return in words why a closure cannot be used, or nothing; rails are the extreme counts."""
+    """Return why a closure cannot be used, or an empty string; rails are the extreme counts."""
     flight = 2 * group.place / SPEED
     if not np.isfinite(group.place) or group.place <= 0:
         return f"its stated distance is {CM * group.place:g} cm"
@@ -341,7 +342,7 @@ def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
 
 
 def _line_removed(places: Array, error: Array) -> Array:
-    """Return the errors of places from the line of least absolute deviations."""
+    """Return the errors of positions relative to the line of least absolute deviations."""
     design = np.stack([np.ones_like(places), places], axis=1)
     weight = np.ones_like(places)
     left = error

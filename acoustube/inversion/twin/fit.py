@@ -1,7 +1,7 @@
 """Maximum of the posterior of a sensor's parameters, by Levenberg and Marquardt's method.
 
-The parameters of each closure appear in its own cycles alone, and are eliminated from the normal
-equations (Schur complement), so that their number costs little.
+The parameters of each closure affect its own cycles alone. They are eliminated from the normal
+equations (Schur complement), so that many closures cost little time.
 
 References
 ----------
@@ -28,24 +28,25 @@ from acoustube.inversion.twin.recorded import Band
 from acoustube.waves.scattering import Complex
 
 ITERATIONS, CONVERGED = 40, 1e-6
-"""Most steps, and change of the objective per step at which it ends."""
+"""Largest number of steps, and decrease of the objective per step below which the fit ends."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 QUALITY_FACTORS = (5.0, 10.0, 20.0, 40.0)
 DRIVE_CYCLES = (4.0, 7.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0)
 DETUNED = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
-"""Starting values; the resonance is relative to the carrier that is received."""
+"""Starting values of the quality factor, of the drive's periods, and of the logarithm of the
+resonance over the received carrier."""
 WHOLE_CYCLES, HALF_CYCLES = (-1.0, 0.0, 1.0), (-0.5, 0.5)
-"""Changes of the burst's length in periods from which the method is run again."""
+"""Changes of the burst's length in periods with which the fit is started again."""
 BEST, ROUNDS = 3, 2
 """Number of the best maxima that are kept, and of rounds with other bursts."""
 SHARPER = 30.0
-"""Factor by which the variances are reduced before the best of them is chosen."""
+"""Factor by which the variances are reduced before the best maximum is chosen."""
 WRAPS = (-0.5, 0.0, 0.5)
-"""Delays of the drive in periods from which the repetitions of the echoes are fitted."""
+"""Delays of the drive in periods with which the fit of the echoes' repetitions is started."""
 SEARCHED, SEARCH_STEP = 0.4e-3, 4e-6
-"""Range to both sides and step in s in which the echo of a closure is sought."""
+"""Half range and step in s of the delays at which the echo of a closure is sought."""
 SEARCH_CLOSURES, SEARCH_ITERATIONS = 6, 20
-"""Closures from which the search starts, and iterations from each starting point."""
+"""Number of closures with which the search starts, and of iterations from each starting point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +56,13 @@ class Data:
     Attributes
     ----------
     values : ndarray
-        (n, n_t).
+        Baseband in counts, (n, n_t).
     segments : ndarray of int
-        Of each sample: 1 about the echo, 2 about its repetition, 0 elsewhere; (n, n_t).
+        Segment of each sample: 1 about the echo, 2 about its repetition, 0 elsewhere; (n, n_t).
     variances : ndarray
-        Of both segments, in counts squared, (n, 2).
+        Variances of the noise in both segments, in counts squared, (n, 2).
     clutter : ndarray
-        Part of the echo's power density that the noise has, (n, 2).
+        Power density of the clutter relative to that of the echo, in both segments, (n, 2).
     """
 
     values: Complex
@@ -71,7 +72,7 @@ class Data:
 
     @property
     def weights(self) -> Array:
-        """Reciprocal variance of each sample, 0 of those that are not used, (n, n_t)."""
+        """Reciprocal variance of a sample's real and imaginary part, 0 if not used, (n, n_t)."""
         inverse = np.concatenate([np.zeros((len(self.variances), 1)), 2 / self.variances], axis=1)
         return np.asarray(np.take_along_axis(inverse, self.segments, axis=1))
 
@@ -83,9 +84,9 @@ class Prior:
     Attributes
     ----------
     mean, deviation : ndarray
-        Of the shared parameters, (n_shared,).
+        Means and standard deviations of the shared parameters, (n_shared,).
     local : ndarray
-        Standard deviations of the parameters of each closure, whose mean is 0, (n, n_local).
+        Standard deviations of the parameters of each closure, whose means are 0, (n, n_local).
     """
 
     mean: Array
@@ -94,7 +95,7 @@ class Prior:
 
 
 class Point(NamedTuple):
-    """Parameters: (n_shared,) and (n, n_local)."""
+    """Parameters of the sensor, (n_shared,), and of each closure, (n, n_local)."""
 
     shared: Array
     local: Array
@@ -149,7 +150,7 @@ def normal_equations(model: EchoModel, data: Data, point: Point) -> Normal:
 
 
 def solve(normal: Normal, prior: Prior, point: Point, damping: float) -> tuple[Array, Array]:
-    """Return the damped step of the shared parameters and of those of the closures."""
+    """Return the damped steps of the shared parameters and of the parameters of the closures."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(normal.local.shape[1])
@@ -215,19 +216,19 @@ def _bounded(shared: Array, local: Array) -> tuple[Array, Array]:
 
 
 def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
-    """Return starting points: for several bursts the transducer whose echo correlates best.
+    """Return starting points: for each burst length the transducer whose echoes correlate best.
 
     Parameters
     ----------
     model : EchoModel
     data : Data
     prior : Prior
-        Whose mean is the start of the other parameters.
+        Its mean is the starting value of the other parameters.
 
     Notes
     -----
-    The delay of each closure is that of the maximum of the correlation's magnitude: it does not
-    depend on the carrier's phase, which is ambiguous by half wavelengths.
+    The delay of each closure is that at which the magnitude of the correlation is largest. It does
+    not depend on the carrier's phase, which is ambiguous by half wavelengths.
     """
     base = log(model.band.carrier / NOMINAL_FREQUENCY)
     points = []
@@ -257,7 +258,7 @@ def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
     """Return the delays in s of the echoes, and the fraction of their energy that is explained."""
     values = model.value(shared, np.zeros((len(model.places), len(LOCAL))))
     heard = np.where(data.segments == 1, data.values, 0)
-    # Both basebands begin at the same time, so that their transforms share its phase.
+    # Both basebands begin at the same time, whose phase cancels in the product of their transforms.
     product = np.fft.fft(heard, axis=-1) * np.fft.fft(values, axis=-1).conj()
     size = np.abs(product @ _shifts(model.band))
     best = size.argmax(axis=1)
@@ -268,12 +269,12 @@ def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=2)
 def _shifts(band: Band) -> Complex:
-    """Return the spectra's factors that shift echoes by the delays sought, (n_f, n_delays)."""
+    """Return the factors of spectra that shift echoes by the delays sought, (n_f, n_delays)."""
     return np.asarray(np.exp(2j * np.pi * np.outer(band.frequency, _delays_sought())))
 
 
 def _delays_sought() -> Array:
-    """Return the delays in s among which an echo's is sought, (n_delays,)."""
+    """Return the delays in s at which an echo is sought, (n_delays,)."""
     return np.arange(-SEARCHED, SEARCHED, SEARCH_STEP)
 
 
@@ -292,12 +293,13 @@ def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
 
 
 def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float], None]) -> Point:
-    """Return the best of the maxima that some starting points lead to.
+    """Return the best of the maxima that are reached from the starting points.
 
     Notes
     -----
-    Bursts of other numbers of periods are maxima of their own. The strongest closures alone choose
-    among them: first with whole numbers of periods, then with half ones, and free in the end.
+    Each number of periods of the burst has a maximum of its own. The best is chosen by the
+    strongest closures alone, first among whole numbers of periods, then among half ones. In the end
+    the number is a free parameter.
     """
     energy = np.where(data.segments == 1, np.abs(data.values) ** 2, 0).sum(axis=1)
     few = np.argsort(-energy)[:SEARCH_CLOSURES]
@@ -325,7 +327,7 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
             for step in HALF_CYCLES:
                 refine(_other_burst(own, seen, mine, maxima[cycles][1], step))
     show(0.9)
-    # Closer to the noise the wrong ones stand out.
+    # With variances closer to the noise the wrong maxima are easier to distinguish.
     seen = replace(seen, variances=seen.variances / SHARPER)
     best = sorted(maxima, key=lambda one: maxima[one][0])[: BEST + 1]
     sharp = {
@@ -343,7 +345,7 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
 
 
 def _later(point: Point, turns: float) -> Point:
-    """Return a start with a later drive and nearer closures, of the same first echoes.
+    """Return a start with a later drive and closer closures, which have the same first echoes.
 
     The phase of the echoes' repetitions differs, and the face's reflection coefficient with it.
     """

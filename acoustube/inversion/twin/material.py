@@ -1,4 +1,4 @@
-"""Wall's modulus and the ground's compliance from presses of known force or depth."""
+"""Modulus of the wall and compliance of the ground from presses of known force or depth."""
 
 from __future__ import annotations
 
@@ -15,40 +15,41 @@ from acoustube.inversion.tools import Tool
 from acoustube.inversion.twin.background import Measured
 
 PRIOR_MODULUS = 0.5
-"""Standard deviation of the logarithm of the wall's modulus about the library's: ten Shore A, and
-as much again by the scatter of conversions from hardness."""
+"""Prior standard deviation of the logarithm of the wall's modulus over the library's: ten Shore A,
+and as much again because of the scatter of conversions from hardness to modulus."""
 PRIOR_ZERO, PRIOR_COMPLIANCE = 3e-4, 5e-4
-"""Standard deviations of the origin of the stated depths in m, and of the ground's compliance in
-m/N; tissue yields by 1e-4 to 5e-4."""
+"""Prior standard deviations of the origin of the stated depths in m, and of the ground's compliance
+in m/N; that of tissue is 1e-4 to 5e-4."""
 FORCE_SCATTERS = np.geomspace(0.002, 0.5, 24)
 DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
-"""Scatter of the stated forces, relative, and of the stated depths in m, averaged over."""
+"""Relative scatters of the stated forces, and scatters in m of the stated depths, over which the
+results are averaged."""
 USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
-"""Medians of these scatters a priori, and the standard deviation of their logarithms."""
+"""Prior medians of these scatters, and the prior standard deviation of their logarithms."""
 ECHO_DEPTH = 3e-5
-"""Standard deviation in m of depths estimated from an echo that its posterior leaves out: errors of
-the model."""
+"""Standard deviation in m of depths from an echo due to errors of the model, which the posterior of
+the depth leaves out."""
 LIBRARY_FORCE = 0.01
-"""Relative standard deviation that forces of a library have in common, by the mesh."""
+"""Relative standard deviation, due to the mesh, that all forces of a library have in common."""
 OUTLYING, LEAST_OUTLYING, FEWEST_OUTLYING = 6.0, 0.1, 5
-"""Residual in median deviations, and relative, from which on a press is left out; presses needed
-for that."""
+"""Residual of the log force above which a press is left out, in standard deviations (estimated from
+the median deviation) and absolute, and least number of presses for this test."""
 SIGNIFICANT = 3.0
-"""Compliance in its standard deviations from which on the ground is said to yield."""
+"""Compliance in its standard deviations above which the ground is reported to yield."""
 
 
 class Press(NamedTuple):
-    """A press with what is known of it; nan for what is not.
+    """A press with its known quantities; unknown ones are nan.
 
     Attributes
     ----------
     tool : Tool
     depth, depth_deviation : float
-        From the echo, in m: the compression of the tube.
+        Compression of the tube in m estimated from the echo, and its standard deviation.
     stated_depth : float
         Travel of the tool from first contact, in m: the tube's compression and the ground's.
     force : float
-        Stated, in N.
+        Stated force in N.
     """
 
     tool: Tool
@@ -73,11 +74,11 @@ class Material:
     zero : Measured
         Stated depth in m at first contact.
     expected : ndarray
-        Forces in N that wall and depths give, nan without a depth, (n,).
+        Forces in N expected from modulus and depths, nan without a depth, (n,).
     left_out : dict
-        Reasons in words, by number of the press.
+        Reasons why presses are left out, by number of the press.
     yields : bool
-        Whether the ground is softer than its deviation.
+        Whether the compliance exceeds :data:`SIGNIFICANT` standard deviations.
     """
 
     young_modulus: Measured
@@ -96,7 +97,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     Parameters
     ----------
     presses : sequence of Press
-        Of tools whose forces are proportional to a known modulus, the same for all.
+        Presses by tools whose forces are proportional to a known modulus, the same for all.
 
     Raises
     ------
@@ -105,11 +106,11 @@ def fit_material(presses: Sequence[Press]) -> Material:
 
     Notes
     -----
-    The shape of a Neo-Hookean wall between rigid bodies depends on the depth alone, the force is
+    The shape of a Neo-Hookean wall between rigid bodies depends on the depth alone. The force is
     proportional to the modulus: ``F = (E / E_0) F_0(d)``, with the force F_0 of the library. The
-    depth d is that of the echo, which the modulus does not change; without an echo it is the stated
-    one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are linear least
-    squares, averaged over the unknown scatter of the labels.
+    depth d is that of the echo, which does not depend on the modulus; without an echo it is the
+    stated one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are fitted
+    by linear least squares, averaged over the unknown scatter of the labels.
     """
     modulus = presses[0].tool.young_modulus if presses else np.nan
     if not np.isfinite(modulus):
@@ -127,7 +128,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     ]
     load = np.where(np.isfinite(force), force, np.array(usual, float))
     zero, compliance = _ground(told, sure, stated, load)
-    # Where the echo does not give the depth, the label does, without what the ground takes.
+    # Without a depth from the echo it is that of the label, less its origin and the ground's part.
     depth = np.where(np.isfinite(told), told, stated - zero.value)
     sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
     depth = np.where(np.isfinite(told), depth, depth - sunk)
@@ -163,7 +164,7 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
 def _stiffness(
     presses: Sequence[Press], depth: Array, sure: Array, force: Array
 ) -> tuple[Measured, Array, dict[int, str]]:
-    """Return the logarithm of the modulus over the library's, and the library's forces."""
+    """Return the log modulus over the library's, the library's forces, and presses left out."""
     known, left_out = np.zeros(len(presses), bool), {}
     log_force, slope, expected = np.zeros((3, len(presses)))
     expected[:] = np.nan
@@ -194,7 +195,7 @@ def _stiffness(
         np.ones((int(known.sum()), 1)), log_force[known], (slope * sure)[known] ** 2,
         np.array([PRIOR_MODULUS]), FORCE_SCATTERS, USUAL_FORCE,
     )  # fmt: skip
-    # An error of all depths, as of the origin of the stated ones, does not average out.
+    # An error common to all depths, such as that of their origin, does not average out.
     common = 0.0
     if known.any():
         common = float(np.hypot(LIBRARY_FORCE, np.min((slope * sure)[known])))

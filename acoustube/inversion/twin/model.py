@@ -34,11 +34,11 @@ LOCAL = ("displacement", "log_level", "phase")
 CORRECTIONS = tuple(SHARED.index(name) for name in SHARED if name[-1] in "123")
 NOMINAL_RADIUS, NOMINAL_FREQUENCY = 3.95e-3, 42e3
 WARMER = 1.0
-"""Step in K of the differences by temperature."""
+"""Step in K of the finite differences by temperature."""
 RADIUS_STEP = 1e-4
-"""Step of those by the logarithm of the radius."""
+"""Step of the finite differences by the logarithm of the radius."""
 NODES = 12
-"""Points of the frequency at which wavenumbers are computed."""
+"""Number of frequencies at which wavenumbers are computed."""
 
 
 class Echoes(NamedTuple):
@@ -47,7 +47,7 @@ class Echoes(NamedTuple):
     Attributes
     ----------
     value : ndarray
-        (n, n_t).
+        Baseband in counts, (n, n_t).
     by_shared : ndarray
         (n, n_shared, n_t).
     by_local : ndarray
@@ -62,7 +62,7 @@ class Echoes(NamedTuple):
 class Waves(NamedTuple):
     """Axial wavenumber at a temperature, its derivatives, and its lossless part, (n_f,).
 
-    `mixed` is that by the temperature and by the logarithm of the radius.
+    `curvature` is the second derivative by temperature, `mixed` that by temperature and log radius.
     """
 
     value: Complex
@@ -83,11 +83,11 @@ class EchoModel:
     places, temperatures : ndarray
         Stated distances in m, and reported temperatures in degC, (n,).
     middle : float
-        Distance in m at which the temperature is its mean.
+        Distance in m at which the temperature has its mean.
     filtered : bool
-        With the anti-alias filter of :mod:`acoustube.ranging`.
+        Whether the anti-alias filter of :mod:`acoustube.ranging` is included.
     humidity : float or None
-        Relative, of the air, in per cent, for the speed of sound in moist air; None for dry air.
+        Relative humidity in per cent for the speed of sound in moist air; None for dry air.
     """
 
     band: Band
@@ -138,7 +138,7 @@ class EchoModel:
         value = common * drive * rest
         if not slopes:
             return (value,)
-        # Of the logarithm, except for the drive, which has zeros.
+        # Derivatives of the logarithm, except those by the drive, whose spectrum has zeros.
         moved = -1j * bounced
         by_shared = np.zeros((len(self.places), len(SHARED), len(f)), complex)
         of_log: dict[str, Complex | Array | complex] = {
@@ -160,12 +160,12 @@ class EchoModel:
     def _path(
         self, f: Array, p: dict[str, float], displacement: Array
     ) -> tuple[Complex, dict[str, Complex]]:
-        """Return the phase of the way to each closure and back, (n, n_f), and its derivatives."""
+        """Return the phase to each closure and back, (n, n_f), and its derivatives."""
         air = float(np.mean(self.temperatures)) + p["temperature_offset"]
         waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air, self.humidity)
         loss = exp(p["log_loss"])
         heated = (self.temperatures - self.temperatures.mean())[:, None]
-        # Taylor's series about the mean temperature, of the whole and of the part without losses.
+        # Taylor series about the mean temperature, of the wavenumber and of its lossless part.
         whole = waves.value + heated * waves.by_temperature + heated**2 / 2 * waves.curvature
         warmer = waves.by_temperature + heated * waves.curvature
         ratio = 1 / (air + 273.15)
@@ -210,7 +210,7 @@ def square_burst(
     steps = np.where(np.arange(len(edges)) % 2, -2.0, 2.0)
     steps[0] = 1.0
     edges, steps = np.append(edges, end), np.append(steps, -np.sign(steps[-1]))
-    # All edges but the last are half periods apart: powers take a tenth of the exponentials' time.
+    # All edges but the last are half periods apart: powers are ten times faster than exponentials.
     turns = np.empty((len(omega), len(edges)), complex)
     turns[:, :-1] = np.exp(-0.5j / carrier * omega)[:, None]
     turns[:, 0] = 1.0
@@ -231,17 +231,17 @@ def wavenumbers(
     Parameters
     ----------
     frequency : ndarray
-        In Hz, even, (n,).
+        In Hz, evenly spaced, (n,).
     radius : float
         Of the bore in m.
     temperature : float
-        Of the air in degC; beyond the range of :func:`acoustube.air.air_at` that of its end.
+        Of the air in degC; beyond the range of :func:`acoustube.air.air_at` its end is used.
     humidity : float, optional
-        Of moist air, in per cent; dry air by default.
+        Relative humidity of moist air in per cent; dry air by default.
 
     Notes
     -----
-    Computed at Chebyshev's points and interpolated: a power series of 12 terms in the frequency
+    Computed at Chebyshev points and interpolated: a power series of 12 terms in the frequency
     and its root converges to 1e-12 over a fifth of the carrier to both sides.
     """
     low, high = float(frequency.min()), float(frequency.max())
@@ -254,7 +254,7 @@ def wavenumbers(
 def _at_nodes(
     low: float, high: float, radius: float, temperature: float, humidity: float | None
 ) -> Complex:
-    """Return Chebyshev's coefficients of the wavenumber and its derivatives, (n_nodes, 6)."""
+    """Return Chebyshev coefficients of the wavenumber and its derivatives, (n_nodes, 6)."""
     points = np.polynomial.chebyshev.chebpts1(NODES)
     frequency = (low + high + points * (high - low)) / 2
     coldest, warmest = TEMPERATURES

@@ -1,8 +1,8 @@
-"""Noise of recorded echoes: clutter, which has their colour, and white noise of the means.
+"""Noise of recorded echoes: clutter with the spectrum of the echo, and white noise of the means.
 
 References
 ----------
-* Covariance of estimates whose weights are not those of the noise: White, H. (1982). Maximum
+* Covariance of estimates whose weights differ from those of the noise: White, H. (1982). Maximum
   likelihood estimation of misspecified models. Econometrica 50, 1-25. doi:10.2307/1912526
 """
 
@@ -20,11 +20,11 @@ from acoustube.inversion.twin.model import LOCAL, SHARED, EchoModel
 from acoustube.waves.scattering import Complex
 
 LEAST_LEFT = 0.1
-"""Smallest fraction of the residuals' power that a fit is taken to leave."""
+"""Least fraction of the power of the noise that is assumed to remain in the residuals of a fit."""
 
 
 class Score(NamedTuple):
-    """Covariance of the gradient of half the weighted squares, by closure.
+    """Covariance of the gradient of half the weighted sum of squares, for each closure.
 
     Attributes
     ----------
@@ -38,27 +38,27 @@ class Score(NamedTuple):
 
 
 def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, floors: Array) -> Data:
-    """Return data with the variances of their noise, by the residuals of a fit.
+    """Return data with the variances of their noise, estimated from the residuals of a fit.
 
     Parameters
     ----------
     model : EchoModel
     data : Data
-        With the variances that the fit had.
+        Data with the variances that were used in the fit.
     prior : Prior
     point : Point
-        Maximum with these.
+        Maximum of the posterior with these variances.
     floors : ndarray
         Variance of the white noise, (n,).
 
     Notes
     -----
-    The noise's density is ``a P + b W``, with the echo's power P and that of white noise in the
-    tapered band, W, of mean one. The residuals ``(I - H) n`` of a linear least squares fit with the
-    hat matrix H have the power ``tr[P (I - H) (a P + b W) (I - H)^T]`` weighted by P, from which a
-    follows; what the noise of the other closures, and of the other segment, adds by the parameters
-    is left out. The variance is the mean density weighted by P, not less than the residuals'
-    variance.
+    The power density of the noise is ``a P + b W``, where P is that of the echo and W, of mean one,
+    that of white noise in the tapered band. The residuals ``(I - H) n`` of a linear least-squares
+    fit with the hat matrix H have the power ``tr[P (I - H) (a P + b W) (I - H)^T]`` weighted by P,
+    from which a follows. What noise of other closures and of the other segment contributes through
+    the parameters is neglected. The variance is the mean density weighted by P, and at least the
+    variance of the residuals.
     """
     echoes = model(*point)
     covariance = _joint_covariance(normal_equations(model, data, point), prior)
@@ -72,7 +72,7 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
         left = np.abs(_spectra((data.values - echoes.value)[:, None], inside)[:, 0]) ** 2
         weight = 2 / data.variances[:, k]
         by_power = _gram(slopes, slopes * power[:, None])
-        # Of the part of the noise inside the segment.
+        # Autocorrelation of the window of the segment, for the part of the noise inside it.
         lags = np.fft.ifft(np.abs(np.fft.fft(inside)) ** 2) / inside.shape[1]
         remaining = []
         for density in (power, white):
@@ -85,7 +85,7 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
             remaining.append(np.maximum(whole - taken + again, LEAST_LEFT * whole))
         a = np.maximum((power * left).sum(axis=1) - floors * remaining[1], 0)
         a /= np.maximum(remaining[0], 1e-300)
-        # Each alone is uncertain: averaged with the median of those that have the segment.
+        # A single value is uncertain: averaged with the median of closures that have the segment.
         heard = inside.any(axis=1)
         a = np.where(heard, (a + np.median(a[heard])) / 2, 0.0) if heard.any() else a
         mean, mean_white = _means(power, white)
@@ -96,13 +96,13 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
 
 
 def score_of(model: EchoModel, data: Data, point: Point) -> Score:
-    """Return the covariance of the score with the density of the noise.
+    """Return the covariance of the score under the estimated density of the noise.
 
     Notes
     -----
-    The weights of least squares take the noise as white. Clutter is as weak as the echo where the
-    echo is: parameters that tell from the flanks of its spectrum are better determined than by
-    white noise of its mean density.
+    The weights of least squares take the noise as white. Clutter is weak at frequencies where the
+    echo is weak: parameters that follow from the flanks of the echo's spectrum are determined
+    better than with white noise of the same mean density.
     """
     echoes = model(*point)
     total = np.zeros((len(model.places), len(SHARED) + len(LOCAL), len(SHARED) + len(LOCAL)))
@@ -120,15 +120,15 @@ def score_of(model: EchoModel, data: Data, point: Point) -> Score:
 
 
 def _white(model: EchoModel) -> Array:
-    """Return the density of white noise in the tapered band over its mean, (n_t,)."""
+    """Return the density of white noise in the tapered band relative to its mean, (n_t,)."""
     power = model.band.taper**2
     return np.asarray(power / power.mean())
 
 
 def _means(power: Array, white: Array) -> tuple[Array, Array]:
-    """Return the means (n,) weighted by the power (n, n_t), of itself and of white noise.
+    """Return the means (n,), weighted by the power (n, n_t), of the power and of white noise.
 
-    The latter is one at least, as where there is no power.
+    The latter is at least one, also where there is no power.
     """
     total = np.maximum(power.sum(axis=1), 1e-300)
     own, other = ((power * one).sum(axis=1) / total for one in (power, white))

@@ -22,8 +22,8 @@ from acoustube.inversion.twin.noise import Score
 PLACEMENTS = np.geomspace(0.02e-3, 10e-3, 13)
 LEVELS = np.geomspace(3e-4, 0.3, 13)
 COLOURS = np.geomspace(1e-4, 0.1, 7)
-"""Standard deviations that are marginalised over: of the places of closures in m, of the logarithm
-of their levels, and of the coefficients of the send pulse's correction."""
+"""Standard deviations that are marginalised over: of the positions of closures in m, of their log
+levels, and of the coefficients of the send pulse's correction."""
 USUAL = ((1e-3, 1.5), (0.02, 1.5), (0.01, 2.0))
 """Log-normal priors of the three above: median, and standard deviation of the logarithm."""
 
@@ -38,9 +38,9 @@ class Posterior(NamedTuple):
     covariance : ndarray
         (n_shared, n_shared).
     placement, level, colour : float
-        Most likely scatter of places (m), of levels and of the correction.
+        Most likely scatter of positions (m), of log levels and of the correction's coefficients.
     displacement, displacement_deviation : ndarray
-        Errors of the stated places in m, and their standard deviations, (n,).
+        Errors of the stated positions in m, and their standard deviations, (n,).
     """
 
     mean: Array
@@ -69,22 +69,22 @@ def posterior(
     Parameters
     ----------
     normal : Normal
-        Of the data, at the maximum.
+        Normal equations of the data at the maximum.
     prior : Prior
     point : Point
-        The maximum.
+        Maximum of the posterior.
     extra_level : ndarray
-        Known standard deviations of the logarithms of the closures' levels, (n,), by rounding.
+        Known standard deviations of the log levels of the closures, due to rounding, (n,).
     score : Score, optional
-        Covariance of the score where the noise is not white; by default that of the weights.
+        Covariance of the score if the noise is not white; by default that of the weights.
 
     Notes
     -----
-    The model is linearised at the maximum. With the scatter given, the posterior is normal and its
-    evidence a closed form; the average over a grid has the mean and the covariance of the mixture,
-    and widens with few closures as Student's distribution does. With a score of its own noise the
-    covariance of the shared parameters is White's: that of the estimate under this noise; those of
-    the places are by the weights.
+    The model is linearised at the maximum. For a given scatter the posterior is normal and its
+    evidence has a closed form. The average over a grid has the mean and the covariance of the
+    mixture; with few closures it is wider, as Student's distribution is. With a score, the
+    covariance of the shared parameters is White's, which is that of the estimate under this noise;
+    the variances of the positions follow from the weights.
     """
     cases = list(product(PLACEMENTS, LEVELS, COLOURS))
     n, p = len(point.local), len(point.shared)
@@ -115,7 +115,7 @@ def posterior(
 def _given(
     normal: Normal, prior: Prior, point: Point, score: Score | None = None
 ) -> tuple[float, Array, Array, Array, Array]:
-    """Return the log evidence, and mean and covariance with the scatter given."""
+    """Return log evidence, mean, covariance, displacements and their variances for a scatter."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(len(LOCAL))
@@ -144,7 +144,7 @@ def _given(
         spread = np.diag(precision) + score.shared.sum(axis=0) - crossed - crossed.T
         spread += np.einsum("npl,nlm,nqm->pq", passed, own, passed, optimize=True)
         covariance = covariance @ spread @ covariance
-    # The place's variance: by its own data, and through the shared parameters.
+    # Variance of the position: from its own data, and through the shared parameters.
     through = passed[:, :, 0]
     variance = inverse[:, 0, 0] + np.einsum("np,pq,nq->n", through, covariance, through)
     return (

@@ -27,27 +27,27 @@ from acoustube.base.units import KHZ, MS
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 5
-"""Half the width of the band over the carrier frequency: 33.6 to 50.4 kHz about 42 kHz."""
+"""Half the width of the band relative to the carrier frequency: 33.6 to 50.4 kHz about 42 kHz."""
 TAPER = 1 / 6
-"""Part of the band over which its ends are tapered, at each end."""
+"""Fraction of the band that is tapered at each end."""
 CARRIERS = (15e3, 120e3)
-"""Carriers in Hz that are sought."""
+"""Range in Hz in which the carrier is sought."""
 UNDERSAMPLED = 42e3
 """Carrier in Hz that is assumed where the sampling rate does not distinguish it from its image."""
 AFTER_CLIPPING, FADE, SETTLED = 0.05e-3, 0.2e-3, 0.15e-3
-"""Times in s from the end of clipping to the first data, over which they fade in, and after which
-they are used."""
+"""Times in s from the end of clipping to the fade-in, of the fade-in, and from its end to the first
+data that are used."""
 QUIET_SHARE = 0.2
-"""Last part of a cycle, whose mean is subtracted from it."""
+"""Last fraction of a cycle, whose mean is subtracted from the cycle."""
 RING_LASTS = 4e-3
 """Time in s after clipping from which the untouched cycles are no longer subtracted."""
 NEAR_RAIL, AT_RAIL, LEAST_CLIPPED = 0.9, 0.98, 8
-"""Fractions of the largest deviation above which a sample may be clipped, and above which this many
-samples show clipping."""
+"""Fraction of the largest deviation above which a sample may be clipped, fraction above which it
+counts as clipped, and number of such samples that show clipping."""
 UNCLIPPED_END = 2e-3
-"""Time in s in which the largest deviation of a ring-down is sought that is not clipped."""
+"""Time in s up to which the largest deviation of an unclipped ring-down is sought."""
 CLEAR_CYCLE = 30.0
-"""Ratio of a cycle's energy to its noise from which on its delay and gain are estimated."""
+"""Ratio of a cycle's energy to its noise above which its delay and gain are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Group:
     cycles : ndarray
         Counts, (n_cycles, n_samples).
     temperature : float
-        That the board reports, in degC.
+        Temperature in degC that the board reports.
     place : float
         Stated distance of the closure from the face in m; nan for an untouched tube.
     source : str
@@ -87,12 +87,12 @@ class Means(NamedTuple):
     spectrum : ndarray
         In counts s, (n_f,).
     variance : float
-        Of a sample of the mean in the baseband, in counts squared.
+        Variance of a sample of the mean in the baseband, in counts squared.
     delays, gains : ndarray
-        Of the cycles relative to their mean, (n_cycles,), in s and 1; empty where the cycles are
-        too weak or too few.
+        Delays in s and gains of the cycles relative to their mean, (n_cycles,); empty where the
+        cycles are too weak or too few.
     wobble : float
-        Variance of a gain, and of a phase in rad squared, by noise alone.
+        Variance of a gain, and of a phase in rad squared, due to noise alone.
     """
 
     spectrum: Complex
@@ -103,7 +103,7 @@ class Means(NamedTuple):
 
 
 class Band:
-    """Grid of frequencies around the carrier, and of times, in which cycles are compared.
+    """Grid of frequencies around the carrier, and of times, on which cycles are compared.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Band:
     start : float
         Time of the first sample in s from the start of the drive.
     n_samples : int
-        Of a cycle.
+        Number of samples of a cycle.
     carrier : float
         In Hz.
     clear : float
@@ -120,8 +120,8 @@ class Band:
 
     Notes
     -----
-    Above half the sampling rate the band is folded: the transform at f then holds the conjugate of
-    the one at rate - f, too (`image`).
+    A band that extends above half the sampling rate is folded: the transform at f then also
+    contains the conjugate of that at rate - f (`image`).
     """
 
     @checked(
@@ -157,10 +157,10 @@ class Band:
         self.scale = 2 * n * step
         self.time: Array = start + np.arange(n) / (n * step)
         self.white = 2 * float(np.mean(self.taper**2)) * n * step / (rate / 2)
-        """Variance in the baseband of white noise of unit variance of the samples."""
+        """Variance in the baseband of white noise with unit variance in the samples."""
 
     def spectra(self, samples: Array, keep: Array | float = 1.0) -> Complex:
-        """Return spectra (..., n_f) of samples (..., n_samples), faded in, without offset."""
+        """Return spectra (..., n_f) of samples (..., n_samples), faded in and without offset."""
         time = self.start + np.arange(samples.shape[-1]) / self.rate
         since = time - self.clear - AFTER_CLIPPING
         fade = np.sin(pi / 2 * np.clip(since / FADE, 0, 1)) ** 2
@@ -214,7 +214,7 @@ def band_of(
     mean = np.asarray(untouched[:256], float).mean(axis=0)
     level = mean[-int(QUIET_SHARE * n) :].mean()
     size = np.abs(mean - level)
-    # Of the first part alone: behind it the largest deviations are echoes, or noise.
+    # Only the first part is used: behind it the largest deviations are echoes, or noise.
     part = size[: n // 3]
     if np.sum(part >= AT_RAIL * part.max()) < LEAST_CLIPPED:
         part = part[: max(int((UNCLIPPED_END - start) * rate), 16)]
@@ -243,7 +243,7 @@ def band_of(
 
 
 def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
-    """Return the mean of cycles in the band, their delays removed, and its variance.
+    """Return the mean of cycles in the band, with their delays removed, and its variance.
 
     Parameters
     ----------
@@ -253,9 +253,9 @@ def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
 
     Notes
     -----
-    The delay of a cycle by the trigger's jitter is the phase of its product with the mean over the
-    carrier's angular frequency, and its gain the product's magnitude: maximum likelihood for small
-    delays.
+    The delay of a cycle, due to the jitter of the trigger, is the phase of its product with the
+    mean, divided by the carrier's angular frequency. Its gain is the magnitude of this product.
+    Both are maximum-likelihood estimates for small delays.
     """
     given = np.asarray(cycles)
     parts = [band.spectra(given[i : i + 256].astype(float)) for i in range(0, len(given), 256)]
@@ -267,7 +267,7 @@ def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
     none = np.zeros(0)
     if n < 3:
         return Means(mean, power * band.white / n, none, none, 0.0)
-    noise = power / band.rate**2 * band.n_samples  # of a bin of a cycle
+    noise = power / band.rate**2 * band.n_samples  # variance of a bin of a cycle
     delays, gains = np.zeros(n), np.ones(n)
     clear = np.sum(np.abs(mean) ** 2) / len(mean) > CLEAR_CYCLE * noise
     for _ in range(3 if clear else 0):
