@@ -107,8 +107,9 @@ def minimise(
     corrected by :mod:`acoustube.indentation.negative_curvature`; from a saddle of the energy it
     follows the direction of least curvature. Convergence requires an unmodified, positive definite
     tangent: the result is a stable equilibrium, not a saddle. The factor of a tangent is used again
-    while it lowers the residual tenfold (the chord method); after such steps the residual must fall
-    to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the state's own tangent.
+    while it lowers the residual enough (the chord method, :func:`_worth`); after such steps the
+    residual must fall to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the
+    state's own tangent.
     """
     state = start if isinstance(start, State) else evaluate(model, start, bodies)
     tangent, own = None, False

@@ -63,8 +63,8 @@ def read(
     -------
     xarray.Dataset
         ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
-        labels (cycle): known ones and arrays of this length; coordinates ``cycle`` and ``time`` (s,
-        from 0). Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, ``warnings`` (by line).
+        labels (cycle): known ones and arrays of this length; coordinates ``cycle`` and ``time`` in
+        s. Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, ``warnings`` (by line).
         A file of :func:`write` is returned unchanged if no other argument is given.
 
     Raises

@@ -90,8 +90,8 @@ def predict_pairs(
     -----
     The Fisher information has eight parameters: positions, depths, temperature, stretch, gain and
     phase, in units of their prior standard deviations. The second press is distinguished where the
-    part of its echo that no change of the other seven explains, to first order, exceeds the level
-    of detection.
+    part of its echo that no change of the other six explains, to first order, exceeds the level of
+    detection.
     """
     if any(tube.transmission is None for tube in tubes):
         raise ConfigError("a tube has no transmission; give transmission with its reflection")

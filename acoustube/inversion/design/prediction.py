@@ -176,8 +176,9 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
 
     Notes
     -----
-    The errors are computed in the band of the inversion. They do not include clutter that remains
-    after calibration, reflections by the face, and errors of the forward model but for its stretch.
+    The errors are computed in the band of the inversion. Errors of the forward model are included
+    as a stretch of frequency and an error of depth. Clutter that remains after calibration and
+    reflections by the face are not included.
     """
     given = np.broadcast_arrays(*(np.asarray(one, float) for one in electronics))
     with jax.enable_x64(True):

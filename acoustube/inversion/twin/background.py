@@ -26,7 +26,7 @@ from acoustube.waves.scattering import Complex
 
 SPACING = MEASURED_SPACING
 DENSITIES = np.geomspace(1e-8, 1e-2, 25)
-"""Reflected powers per length in 1/m among which the most likely one is chosen."""
+"""Reflected powers per length in 1/m over which the density is averaged by its likelihood."""
 RING_SHARE = 1.5e-3
 """Time in s over which the level of the ring-down is fitted."""
 DETECTED = 6.0
@@ -73,8 +73,6 @@ class Background:
         Standard deviation of the time of the trigger in s.
     wander : Measured
         Relative standard deviation of the gain from cycle to cycle.
-    temperature_noise : Measured
-        Standard deviation of the reported temperature within a group in K.
     explained : ndarray
         Part of the baseband of the untouched cycles that ring-down, far end and clutter explain,
         (n_t,).
@@ -115,7 +113,7 @@ def fit_background(
     -----
     The level of the ring-down is fitted by least squares. The far end is then estimated by the
     correlation with its echo, and the clutter by Wiener's filter: as reflectors along the tube,
-    Gaussian a priori, with the density of highest evidence.
+    Gaussian a priori, with the mean density of its posterior.
     """
     band = twin.band
     received = band.baseband(twin.untouched.spectrum)

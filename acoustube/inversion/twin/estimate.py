@@ -86,8 +86,6 @@ class Twin:
     means : list of Means
         Means of all closed groups.
     untouched : Means
-    full : ndarray
-        Spectrum of the untouched cycles, (n_f,).
     """
 
     band: Band

@@ -120,7 +120,7 @@ def score_of(model: EchoModel, data: Data, point: Point) -> Score:
 
 
 def _white(model: EchoModel) -> Array:
-    """Return the density of white noise in the tapered band relative to its mean, (n_t,)."""
+    """Return the density of white noise in the tapered band relative to its mean, (n_f,)."""
     power = model.band.taper**2
     return np.asarray(power / power.mean())
 

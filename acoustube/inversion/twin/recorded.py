@@ -253,8 +253,8 @@ def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
 
     Notes
     -----
-    The delay of a cycle, due to the jitter of the trigger, is the phase of its product with the
-    mean, divided by the carrier's angular frequency. Its gain is the magnitude of this product.
+    The delay of a cycle, due to the jitter of the trigger, is minus the phase of its product with
+    the mean, divided by the carrier's angular frequency. Its gain is the product's magnitude.
     Both are maximum-likelihood estimates for small delays.
     """
     given = np.asarray(cycles)
