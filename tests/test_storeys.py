@@ -1,6 +1,7 @@
 """The storeys of the package: commands, reports, runs, the stages in data order, the ground."""
 
 import ast
+import re
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -103,6 +104,27 @@ def test_module_and_its_functions_can_be_read_at_once(path):
             if length > LONGEST_FUNCTION:
                 long[node.name] = length
     assert not long
+
+
+def documented_attributes(words):
+    """Return the names in the section Attributes of a docstring of a class."""
+    section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", words, re.DOTALL)
+    lines = section[1].splitlines() if section else []
+    names = (re.match(r"([\w, ]+?)(?: : .*)?$", line) for line in lines if line[:1].strip())
+    return {name.strip() for found in names if found for name in found[1].split(",")}
+
+
+def test_documented_attributes_exist():
+    """As fields, properties, or attributes of `self`."""
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                inner = list(ast.walk(node))
+                there = {one.name for one in inner if isinstance(one, ast.FunctionDef)}
+                there |= {one.id for one in inner if isinstance(one, ast.Name)}
+                there |= {one.attr for one in inner if isinstance(one, ast.Attribute)}
+                missing = documented_attributes(ast.get_docstring(node) or "") - there
+                assert not missing, (path, node.name)
 
 
 def test_nothing_prints_but_commands():

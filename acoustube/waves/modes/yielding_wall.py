@@ -25,7 +25,7 @@ from acoustube.waves.modes.round_duct import axial_wavenumber
 Complex = NDArray[np.complex128]
 
 ITERATIONS = 4
-"""Of the wavenumber, on which the wall's motion depends; each gains two digits or more."""
+"""Number of fixed-point iterations of the wavenumber; each gains two digits or more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +37,12 @@ class YieldingWall:
     thickness : float
         In m.
     shear_modulus : float
-        In Pa; by default that of Shore A 35. It is that at small strain; at ultrasound silicone is
+        In Pa, at small strain; by default that of Shore A 35. At ultrasonic frequencies silicone is
         stiffer.
     density : float
         In kg/m3.
     loss_factor : float
-        Imaginary over real part of the shear modulus.
+        Ratio of the imaginary to the real part of the shear modulus.
     """
 
     thickness: float = 1.6e-3
@@ -69,9 +69,9 @@ def wall_compliance(
     frequency : array_like
         In Hz, (n,).
     wavenumber : array_like
-        Of the pressure along the tube in 1/m, (n,).
+        Axial wavenumber of the pressure in 1/m, (n,).
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     wall : YieldingWall
 
     Returns
@@ -81,11 +81,12 @@ def wall_compliance(
 
     Notes
     -----
-    In an incompressible wall the pressure P is harmonic, ``I0(k r)`` and ``K0(k r)``, and moves it
-    by ``grad P / (rho omega^2)``; shear waves are ``I1(s r)`` and ``K1(s r)`` with
-    ``s^2 = k^2 - rho omega^2 / mu``. Four amplitudes follow from the tractions of both faces: the
-    pressure on the inner one, none on the outer. Along a long wave it is the ring's,
-    ``a (2 mu (1/a^2 - 1/b^2) - omega^2 rho ln(b/a))`` of pressure per displacement.
+    In an incompressible wall the pressure P is harmonic, with solutions ``I0(k r)`` and
+    ``K0(k r)``, and displaces the wall by ``grad P / (rho omega^2)``. Shear waves have the
+    solutions ``I1(s r)`` and ``K1(s r)`` with ``s^2 = k^2 - rho omega^2 / mu``. The four amplitudes
+    follow from the tractions on both faces: the pressure on the inner face, none on the outer. For
+    long waves the ratio of pressure to displacement is that of a ring,
+    ``a (2 mu (1/a^2 - 1/b^2) - omega^2 rho ln(b/a))``.
     """
     omega = 2 * pi * np.atleast_1d(np.asarray(frequency, float))
     k = np.atleast_1d(np.asarray(wavenumber, complex))
@@ -106,7 +107,7 @@ def wall_compliance(
 
 
 def _displacements(k: Complex, s: Complex, r: float, inertia: NDArray[np.float64]) -> list[Complex]:
-    """Return the radial displacement and its slope of the four solutions, (n, 4) each."""
+    """Return the radial displacement of the four solutions and its r derivative, (n, 4) each."""
     i0, i1, k0, k1 = (f(n, k * r) for f in (iv, kv) for n in (0, 1))
     j0, j1, y0, y1 = (f(n, s * r) for f in (iv, kv) for n in (0, 1))
     radial = np.stack([k * i1 / inertia, -k * k1 / inertia, j1, y1], axis=1)
@@ -120,13 +121,13 @@ def _displacements(k: Complex, s: Complex, r: float, inertia: NDArray[np.float64
 def _tractions(
     k: Complex, s: Complex, r: float, modulus: complex, inertia: NDArray[np.float64]
 ) -> tuple[Complex, Complex]:
-    """Return the radial and the axial traction on a cylinder of the four solutions, (n, 4)."""
+    """Return the radial and axial tractions of the four solutions on a cylinder, (n, 4) each."""
     radial, slope = _displacements(k, s, r, inertia)
     i0, i1, k0, k1 = (f(n, k * r) for f in (iv, kv) for n in (0, 1))
     j1, y1 = iv(1, s * r), kv(1, s * r)
     zero = np.zeros_like(k)
     pressure = np.stack([i0, k0, zero, zero], axis=1)
-    # The slope over r of the axial displacement: of grad P, and from zero divergence.
+    # The r derivative of the axial displacement: from grad P, and from zero divergence.
     turned = np.stack([
         -1j * k * k * i1 / inertia, 1j * k * k * k1 / inertia, -1j * s**2 * j1 / k,
         -1j * s**2 * y1 / k,
@@ -148,7 +149,7 @@ def yielding_wavenumber(
     frequency : array_like
         In Hz, real, (n,).
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     air : Air
     wall : YieldingWall
     lossy : bool
@@ -161,10 +162,10 @@ def yielding_wavenumber(
 
     Notes
     -----
-    With the rigid wall's k0 and the displacement u per pressure,
+    With the wavenumber k0 between rigid walls and the displacement u per pressure,
     ``kz^2 = k0^2 + 2 rho omega^2 u(kz) / a``: the section yields to the pressure, which is uniform
-    over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, its inertia makes the
-    sound faster.
+    over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, the wall's inertia
+    raises the phase velocity and lowers the group velocity.
     """
     f = np.atleast_1d(np.asarray(frequency, float))
     rigid = axial_wavenumber(0, 0, f, radius, air, lossy=lossy)
