@@ -1,4 +1,4 @@
-"""Lumen, the air space of a deformed tube: its surface, its cross-sections, its straightened form.
+"""The lumen, the air space of a deformed tube: surface, cross-sections, straightened form.
 
 Reading order: ``straightening`` (coordinates along a bent tube), ``surface`` (the lumen of the
 pressed part and of the whole tube), ``profiles`` (height, width and area along the tube),

@@ -18,7 +18,7 @@ from acoustube.indentation.self_contact import triangulated
 INCREMENT = Number(-1e9, 1e9, whole=True)
 
 TRIANGLES_PER_EDGE = 8
-"""Triangle edges along the edge of an element's face, for the measurement of sections."""
+"""Number of triangle edges per edge of an element's face, for the measurement of sections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def check_increment(indentation: Indentation, increment: int) -> None:
     ----------
     indentation : Indentation
     increment : int
-        Its number, negative from the last.
+        Number of the increment; negative numbers count from the last.
     """
     count = len(indentation.depth)
     if not -count <= increment < count:
@@ -64,8 +64,9 @@ def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
     Returns
     -------
     sampling : sparse array of shape (n_vertices, n_nodes)
-        Interpolates nodal values at the vertices.
+        Matrix that interpolates nodal values at the vertices.
     triangles : array of int, shape (n_triangles, 3)
+        Vertex numbers.
     """
     return triangulated(mesh, parts=TRIANGLES_PER_EDGE)
 
@@ -85,14 +86,14 @@ def measure(
     increment : int
         Number of the increment.
     z : array of shape (n,)
-        Deformed axial positions in m, zero in the middle of the modelled part.
+        Axial positions in the deformed tube in m, zero in the middle of the modelled part.
     wall : tuple, optional
-        Result of :func:`inner_wall`, to form it once for many increments.
+        Result of :func:`inner_wall`, to compute it once for many increments.
 
     Returns
     -------
     Profile
-        Of the whole section, even if half of it is modelled.
+        Measures of the whole section, even if half of it is modelled.
 
     Raises
     ------
@@ -125,18 +126,18 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
     z : array of shape (n,)
         Positions of the planes, in m.
     halved : bool
-        True if the surface is the half x >= 0 of a symmetric one; the whole is measured.
+        True if the surface is the half x >= 0 of a symmetric one; the whole section is measured.
 
     Returns
     -------
     Profile
-        Zero where a plane does not meet the surface.
+        With zeros where a plane does not meet the surface.
 
     Notes
     -----
     By Green's theorem the area is half the sum of ``x dy - y dx`` over the segments in which the
-    plane cuts the triangles (the shoelace formula). Neither their order nor the closing line x = 0
-    of a half matters.
+    plane cuts the triangles (the shoelace formula). The order of the segments does not matter, and
+    the closing line x = 0 of a half contributes nothing.
     """
     if np.size(triangles) and np.max(triangles) >= len(vertices):
         raise ConfigError(
@@ -191,7 +192,7 @@ def _crossing(a: Array, b: Array, z: Array) -> Array:
 
 
 def _extent(plane: Index, values: Array, n: int) -> tuple[Array, Array]:
-    """Return the smallest and largest value in each of n planes; zero in planes without values."""
+    """Return the smallest and largest value in each of n planes, or zeros if it has no values."""
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, plane, values)
     np.maximum.at(high, plane, values)

@@ -10,9 +10,10 @@ from acoustube.base.errors import SimulationError
 from acoustube.base.types import Array
 
 PROJECTION_STEPS = 30
-"""Largest number of Newton steps for the nearest point of the curve."""
+"""Largest number of Newton steps towards the nearest point of the curve."""
 MIN_SLOPE = 0.1
-"""Lower bound of Newton's derivative: distance to the centre of curvature over the radius."""
+"""Lower bound of the derivative in Newton's method, which is the ratio of a point's distance from
+the centre of curvature to the radius of curvature."""
 
 
 @checked(points=PLACES, line=Reals(-1e6, 1e6, "m", ndim=2, last=3))
@@ -20,7 +21,7 @@ def straighten(points: Array, line: Array) -> Array:
     """Transform points to coordinates along and across a curve in the plane x = 0.
 
     A tube on a free support lifts off the floor away from the indenter. So gentle a bend does not
-    reflect sound; the wave solver needs a straight tube.
+    reflect sound, and the wave solver requires a straight tube.
 
     Parameters
     ----------
@@ -32,8 +33,8 @@ def straighten(points: Array, line: Array) -> Array:
     Returns
     -------
     array of shape (..., 3)
-        x unchanged; y the signed distance from the curve plus the height of its first point; z
-        the arc length at the nearest point of the curve; in m.
+        Coordinates in m: x is unchanged, y is the signed distance from the curve plus the height of
+        its first point, z is the arc length at the nearest point of the curve.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def straighten(points: Array, line: Array) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     if not np.all(np.diff(arc) > 0):
         raise ValueError("line has the same point twice in succession; give each once")
-    # The chord is shorter than the arc by a relative (h kappa)^2 / 24, under 1e-5 here.
+    # The relative difference of chord and arc is (h kappa)^2 / 24, less than 1e-5 here.
     curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]), (2, [0.0, 0.0])))
     tangent, turn = curve.derivative(), curve.derivative(2)
     y, z = points[..., 1], points[..., 2]

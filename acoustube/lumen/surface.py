@@ -19,12 +19,13 @@ from acoustube.lumen.profiles import INCREMENT, check_increment
 from acoustube.lumen.straightening import straighten
 
 FACETS_PER_ELEMENT = 6
-"""Facets around per element: 240 for the default mesh, an area 1.5e-4 below the circle's."""
+"""Number of facets around the tube per element. The default mesh has 240 in all; their area is
+smaller than the circle's by a relative 1.5e-4."""
 RINGS_PER_ELEMENT = 6
-"""Rings along the tube per element."""
+"""Number of rings along the tube per element."""
 SEALING_PRESSURE = 1e3
-"""Contact pressure in Pa above which soft walls seal: far above that of the sound, and under a
-hundredth of what the barrier exerts at half its distance in silicone."""
+"""Contact pressure in Pa above which soft walls seal: far above the sound pressure, and less than a
+hundredth of the pressure that the barrier exerts at half its distance in silicone."""
 STRAIGHTENING_ROOM = 1.02
 """Largest ratio of the length of a straightened pressed part to its undeformed length."""
 
@@ -36,8 +37,9 @@ class Lumen:
     Parameters
     ----------
     rings : array of shape (n_rings, n_around, 3)
-        Inner wall as rings of points (x, y, z) in m, anticlockwise seen from the far end, from the
-        bottom over the top back to the bottom; z from 0 at the source end to the tube's length.
+        Inner wall as rings of points (x, y, z) in m. Each ring runs from the bottom over the top
+        back to the bottom, anticlockwise seen from the far end. z runs from 0 at the source end to
+        the length of the tube.
     outer_rings : array of shape (n_rings, n_around, 3)
         Outer wall likewise.
     position : float
@@ -45,8 +47,8 @@ class Lumen:
     symmetric : bool
         True if the lumen is symmetric about x = 0.
     sealing_gap : float
-        Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`, and which count
-        as half sealed: the barrier of the self-contact keeps them open.
+        Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`. They count as
+        half sealed, although the barrier of the self-contact keeps them open.
     """
 
     rings: Array
@@ -73,7 +75,7 @@ def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
     Parameters
     ----------
     n_rings, n_around : int
-        Numbers of rings and of points on each, numbered ring by ring.
+        Number of rings, and of points on each ring. Points are numbered ring by ring.
 
     Returns
     -------
@@ -98,11 +100,11 @@ def deformed_wall(indentation: Indentation, increment: int = -1, *, outer: bool 
     Parameters
     ----------
     indentation : Indentation
-        Of a round (swept) tube.
+        Indentation of a round (swept) tube.
     increment : int, optional
         Number of the increment; the last by default.
     outer : bool, optional
-        The outer wall instead of the inner.
+        Return the outer wall instead of the inner.
 
     Returns
     -------
@@ -155,7 +157,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     Returns
     -------
     Lumen
-        Straightened along the tube's bottom line (straight already in a held tube).
+        Straightened along the tube's bottom line, which is already straight in a held tube.
 
     Raises
     ------
@@ -176,7 +178,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
             f"is too near an end of the tube with length = {tube.length:g} m", setting="position",
             value=position, unit="m", advice=f"use {reach:.3f} m or more from both ends.",
         )  # fmt: skip
-    # Within one more outer diameter the section is joined to the undeformed circle.
+    # Over one more outer diameter at most, the section blends into the undeformed circle.
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
     ends = position + np.array([-1, 1]) * round_from
     rings = [
@@ -194,7 +196,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
 
 @checked(indentation=Indentation, increment=INCREMENT)
 def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
-    """Build the lumen of the deformed part alone, between short undeformed ends.
+    """Build the lumen of the deformed part, between short undeformed ends.
 
     Parameters
     ----------
@@ -205,7 +207,7 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
     Returns
     -------
     Lumen
-        As from :func:`lumen`, with the indenter in its middle.
+        As returned by :func:`lumen`, with the indenter in its middle.
 
     Raises
     ------
@@ -213,7 +215,7 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
         If the tube is bent too sharply to be straightened.
     """
     tube = indentation.tube
-    # A tube that lifts off the floor is a little longer once it is straightened.
+    # A tube that lifts off the floor becomes slightly longer when it is straightened.
     half = STRAIGHTENING_ROOM * float(indentation.mesh.points[:, 2].max()) + 2 * tube.outer_diameter
     short = dataclasses.replace(tube, length=2 * half)
     return lumen(dataclasses.replace(indentation, tube=short), half, increment)
@@ -256,8 +258,8 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
 def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
     """Straighten the rings on both sides of the indenter along the tube's bottom line.
 
-    The line is moved to the height `floor` of the undeformed tube: on a soft layer the whole tube
-    moves down.
+    The line is moved to the height `floor` of the undeformed tube, because on a soft layer the
+    whole tube moves down.
     """
     middle = 0 if mesh.halved[1] else int(np.argmin(np.abs(bottom[:, 2])))
     risen = np.array([0.0, floor - bottom[middle, 1], 0.0])

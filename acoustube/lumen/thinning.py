@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from acoustube.base.checks import Reals, check_alike, checked
 
 RINGS = 49
-"""Number of rings kept; in the default tube the others are within 20 um of their interpolation."""
+"""Number of rings kept; in the default tube the others are interpolated to within 20 um."""
 AROUND = 120
 """Largest number of points kept per ring."""
 
@@ -17,7 +17,7 @@ AROUND = 120
 def decimate_rings(
     inner: NDArray[np.float64], outer: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Keep the rings and points from which the others are interpolated with the smallest error.
+    """Return the rings and points from which the others are interpolated with small errors.
 
     Parameters
     ----------
@@ -27,7 +27,8 @@ def decimate_rings(
     Returns
     -------
     inner, outer : array of shape (RINGS or n_rings, AROUND or n_around, 3)
-        Whichever is smaller. The ring at the indenter, and bottom and top of each ring, are kept.
+        The smaller of both numbers. The ring at the indenter is kept, and so are the bottom and top
+        points of each ring.
     """
     check_alike(inner=inner, outer=outer)
     step = max(1, inner.shape[1] // AROUND)
@@ -42,7 +43,7 @@ def decimate_rings(
 
 
 def _most_informative_rings(rings: NDArray[np.float64], kept: set[int], count: int) -> list[int]:
-    """Return the numbers of the rings to keep, added by largest interpolation error."""
+    """Return the numbers of the rings to keep; each ring added is that of the largest error."""
     while len(kept) < min(count, len(rings)):
         known = sorted(kept)
         right = np.clip(np.searchsorted(known, np.arange(len(rings))), 1, len(known) - 1)

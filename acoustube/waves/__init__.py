@@ -1,10 +1,10 @@
 """Sound in a lumen: cut-cell finite differences in the time domain, and scattering matrices.
 
 Reading order: the packages `grid` (lumens as cut cells), `scheme` (the leapfrog scheme, its time
-step, losses and absorbing layers) and `modes` (of ducts, probes); then `propagation` (recordings of
-a pulse), `port_waves` and `scattering` (scattering matrices of lumens), `spectral` (the same in the
-frequency domain), `bends` (those of bends), `network` (tubes combined from them) and `budget` (the
-errors of a run).
+step, losses and absorbing layers) and `modes` (duct modes and probes); then `propagation`
+(recordings of a pulse), `port_waves` and `scattering` (scattering matrices of lumens), `spectral`
+(the same in the frequency domain), `bends` (scattering matrices of bends), `network` (tubes
+combined from scattering matrices) and `budget` (the errors of a run).
 """
 
 from acoustube.base.moved import renamed

@@ -13,15 +13,15 @@ of the straight bore's modes psi_m, normalised over the section, it becomes
     B = 1 - kappa X,    K = k_z^2 - kappa (k^2 X - Y),
     X = <psi x psi>,    Y = <grad psi x grad psi>,    M = <psi d psi/dphi>,
 
-where k_z^2 is the diagonal of the straight bore's squared wavenumbers, with the losses at its wall;
-the effect of curvature on the losses is neglected. The coefficients do not depend on s: the matrix
-of a slice, too short for its evanescent modes to grow, is doubled by the star product until it is
-the whole bend. This is the multimodal method of [1]_ and [2]_ with doubling in place of the Riccati
-equation of the impedance. Parts of different curvature are combined by the same product.
+where k_z^2 is the diagonal matrix of the straight bore's squared axial wavenumbers, with the losses
+at its wall; the effect of curvature on the losses is neglected. The coefficients do not depend on
+s. The matrix of a slice, too short for its evanescent modes to grow, is doubled by the star product
+until it is that of the whole bend. This is the multimodal method of [1]_ and [2]_, with doubling in
+place of the Riccati equation. Parts of different curvature are combined by the same product.
 
-A bend flattens the tube. To first order that moves the cut-ons of the modes (1, n) alone, see
-:mod:`acoustube.waves.modes.bore_couplings`: their k_z^2 on the diagonal. The coupling where
-the flattening sets in is neglected: a tube flattens gradually.
+A bend flattens the tube. To first order this shifts the cut-ons of the modes (1, n) only, see
+:mod:`acoustube.waves.modes.bore_couplings`; their k_z^2 on the diagonal changes accordingly. The
+coupling where the flattening begins is neglected, because a tube flattens gradually.
 
 References
 ----------
@@ -56,19 +56,19 @@ from acoustube.waves.scattering import ModalScattering, PlaneWave
 from acoustube.waves.star_product import star_product
 
 LARGEST_ZERO = 10.0
-"""Largest j'mn of the modes in the sums; with 14 the scattering by the bends of a tube wrapped as
+"""Largest j'mn of the modes in the sums. With 14 the scattering by the bends of a tube wrapped as
 in the sleeve paper ("Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
 Localization and Force Sensing") changes by 1e-5."""
 SLICE_EXPONENT = 0.5
-"""Growth exponent of the most evanescent mode over a slice."""
+"""Largest growth exponent of the most evanescent mode over a slice."""
 CUT_ON_MARGIN = 1e-6
-"""Smallest kz over k: closer to cut-on a mode's two waves are nearly linearly dependent."""
+"""Smallest ratio kz / k: closer to cut-on a mode's two waves are nearly linearly dependent."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
 PLANE_NODES = 33
-"""Frequencies between which the plane wave's wavenumber in a bend is interpolated."""
+"""Number of nodes over frequency for interpolation of the plane wave's wavenumber in a bend."""
 LONGEST = 100.0
-"""Largest length in m of bends: over more the amplitudes underflow."""
+"""Largest length of a bend in m: along a longer one the amplitudes underflow."""
 LARGEST_CURVATURE = 0.95
 """Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
 
@@ -80,11 +80,11 @@ class Bent:
     Attributes
     ----------
     length : float
-        Of its centre line in m.
+        Length of the centre line in m.
     curvature, torsion : float
-        Of its centre line in 1/m; see :func:`bend`.
+        Curvature and torsion of the centre line in 1/m; see :func:`bend`.
     ovality : float
-        Relative decrease of the bore's radius in the plane of the bend, and increase across.
+        Relative decrease of the bore's radius in the plane of the bend, and increase across it.
 
     Raises
     ------
@@ -133,26 +133,26 @@ def bend(
     frequency : array_like
         Rising frequencies in Hz, (n,).
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     bend_radius : float
-        1 / kappa, from the centre of curvature to the centre line, in m.
+        Bend radius 1 / kappa, from the centre of curvature to the centre line, in m.
     angle : float
-        Turning angle of the centre line in rad; its length is `bend_radius` times this.
+        Turning angle in rad; the length of the centre line is `bend_radius` times this angle.
     torsion : float
-        Of the centre line in 1/m, positive for a right-handed screw; 0 for a plane bend. The modes
-        at the far end refer to the normal there: towards the arm all along a helix.
+        Torsion of the centre line in 1/m, positive for a right-handed helix; 0 for a plane bend.
+        The modes at the far end refer to the normal there, which points to the axis of a helix.
     lossy : bool
         With the losses of the straight bore.
     modes : sequence of str, optional
-        Modes of the result, in this order: those of the presses with which it is combined. All that
-        propagate at the highest frequency if not given.
+        Modes of the result, in this order: those of the presses with which it is combined. By
+        default, all modes that propagate at the highest frequency.
     highest : float
         Largest j'mn of the modes that are computed.
 
     Returns
     -------
     ModalScattering
-        Power-normalised, with a reference plane at either end of the bend; placed by its middle.
+        Power-normalised, with a reference plane at either end; positions refer to its middle.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def joined_bends(
 def _plane_wave(
     air: Air, frequency: Array, bore: BoreModes, radius: float, parts: Sequence[Bent], lossy: bool
 ) -> PlaneWave:
-    """Return the plane wave in bends: of their own modes that of the largest wavenumber."""
+    """Return the plane wave in bends: the bent bore's mode of largest wavenumber."""
     few = len(frequency) <= PLANE_NODES
     nodes = frequency if few else np.linspace(frequency[0], frequency[-1], PLANE_NODES)
     found = []
@@ -257,7 +257,7 @@ def _power_normalised(
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
     straight = wavenumbers(names, frequency, radius, air, lossy=False)
-    # The amplitude is the root of the power, and no power propagates below cut-on.
+    # The amplitude is the square root of the power, and no power propagates below cut-on.
     size = np.where(propagates, np.sqrt(np.abs(straight)), 0.0)
     inverse = np.where(propagates, 1 / np.where(size > 0, size, 1), 0.0)
     s = size[:, None, :, None, None] * s * inverse[:, None, None, None, :]
@@ -321,7 +321,7 @@ def _result_modes(
 
 
 def mode_places(wanted: Sequence[str], bore: BoreModes) -> list[int]:
-    """Return the numbers of modes among those of a bore; raise if one is not."""
+    """Return the indices of modes among those of a bore; raise ConfigError if one is missing."""
     unknown = [name for name in wanted if name not in bore.names]
     if unknown:
         raise ConfigError(
@@ -348,7 +348,7 @@ def _bend_scattering(
 def bend_generator(
     air: Air, frequency: Array | Complex, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> tuple[Complex, Complex]:
-    """Return the matrix of the coupled equations of a bend, and the straight modes' admittances.
+    """Return the matrix of the coupled equations in a bend, and the admittances of straight modes.
 
     Parameters
     ----------
@@ -356,18 +356,18 @@ def bend_generator(
     frequency : ndarray
         In Hz, real or complex, (n,).
     bore : BoreModes
-        The m modes of the sums.
+        The m modes in the sums.
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     part : Bent
     lossy : bool
 
     Returns
     -------
     generator : ndarray
-        Of the m coefficients of pressure and the m of velocity over k, in 1/m, (n, 2 m, 2 m).
+        Matrix of d/ds for m coefficients of pressure and m of velocity / k, in 1/m, (n, 2 m, 2 m).
     admittance : ndarray
-        k_z over k of each mode in the straight bore, (n, m).
+        k_z / k of each mode in the straight bore, (n, m).
     """
     k = (2 * pi * frequency / air.sound_speed)[:, None, None]
     waves = wavenumbers(bore.names, frequency, radius, air, lossy=lossy)
@@ -375,7 +375,7 @@ def bend_generator(
     waves = np.where(np.abs(waves) < np.abs(nearest), nearest, waves)
     m, kappa = len(bore.names), part.curvature * radius
     squares = waves**2 - part.ovality * bore.flattening / radius**2
-    # Velocities over k, so that all blocks are of one size.
+    # Velocities are divided by k, so that all blocks have the same order of magnitude.
     to_pressure = np.eye(m) - kappa * bore.x
     to_velocity = squares[:, :, None] * np.eye(m) / k**2 - kappa * (
         bore.x - bore.across / (radius * k) ** 2

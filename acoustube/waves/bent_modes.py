@@ -1,14 +1,16 @@
 """Modes of a bore of constant curvature and torsion, and its joints with a straight bore.
 
 The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the
-line, have solutions (p, v) exp(-j beta s): the bent bore's own modes, by which sound propagates in
-it without conversion. For each forward one, (Q p, -Q v) with -beta is a backward one, with Q the
-sign of the modes' symmetry about the plane of the bend: the line turned about its normal by half a
-turn is the same line, in the other direction. Reciprocity makes p_i Q v_j + v_i Q p_j zero for two
-of them; they are normalised to p_i Q v_i = 1, that of a straight mode of unit power.
+centre line, have solutions (p, v) exp(-j beta s). These are the bent bore's own modes, which
+propagate in it without mode conversion. For each forward mode, (Q p, -Q v) with -beta is a backward
+mode, where Q is the sign of the straight modes' symmetry about the plane of the bend: the centre
+line rotated by half a turn about its normal is the same line, in the opposite direction. By
+reciprocity p_i Q v_j + v_i Q p_j is zero for two different modes i and j; they are normalised to
+p_i Q v_i = 1, which is the value for a straight mode of unit power.
 
 Where a bent bore continues straight, pressure and axial velocity are continuous, so that the
-coefficients of both are equal; all modes of the sums take part, evanescent ones too.
+coefficients of both are equal on both sides. All modes in the sums are included, evanescent ones
+too.
 """
 
 from __future__ import annotations
@@ -30,35 +32,39 @@ from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 
 LARGEST_ZERO = 4.5
-"""Largest j'mn of the modes in the sums; with 8 the wavenumbers of the sleeve paper's tube at
-42 kHz change by 0.02 per metre at most, those of (0,0) and (1,1)."""
+"""Largest j'mn of the modes in the sums. With 8 the wavenumbers of (0,0) and (1,1) in the sleeve
+paper's tube at 42 kHz change by 0.02 per metre at most."""
 PREFERRED = 1e-6
-"""Weight of the sign of the wavenumber in the choice of forward waves that do not decay."""
+"""Weight of the real part of the wavenumber, relative to the imaginary part, in the choice of
+forward waves: it decides among waves that do not decay."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BentModes:
-    """Forward modes of a bent bore, by falling real part of the wavenumber, and their joint.
+    """Forward modes of a bent bore, and their scattering at a joint with a straight bore.
+
+    The modes are in the order of decreasing real part of the wavenumber.
 
     Attributes
     ----------
     wavenumber : ndarray
         beta in 1/m, (n_f, m).
     passed : ndarray
-        Amplitudes of straight modes behind a joint for bent modes incident on it, (n_f, m_s, m).
-        In the other direction it is the transpose.
+        Transmission from the bent to the straight modes at the joint, (n_f, m_s, m). In the other
+        direction it is the transpose.
     reflected : ndarray
-        Of bent modes by the joint, (n_f, m, m).
+        Reflection of bent modes by the joint, (n_f, m, m).
     returned : ndarray
-        Of straight modes by the joint, (n_f, m_s, m_s).
+        Reflection of straight modes by the joint, (n_f, m_s, m_s).
     fields : ndarray
-        Coefficients of pressure and velocity of the modes in the straight bore's, (n_f, 2, N, m).
+        Pressure and velocity of the bent modes as coefficients of the straight bore's N modes,
+        (n_f, 2, N, m).
     symmetry : ndarray
-        Signs of the symmetry of the straight bore's N modes about the plane of the bend.
+        Signs of the symmetry of the straight bore's N modes about the plane of the bend, (N,).
     signs : ndarray
-        Those of the straight modes at the joint, (m_s,). At the other end of a straight bore, where
-        it becomes bent again, the joint passes ``passed.T * signs`` on, and reflects ``returned``
-        times the signs of both modes.
+        The same signs of the straight modes at the joint, (m_s,). At the other end of a straight
+        bore, where it becomes bent again, the transmission is ``passed.T * signs``, and the
+        reflection is ``returned`` times the signs of both modes.
     """
 
     wavenumber: Complex
@@ -70,12 +76,12 @@ class BentModes:
     signs: Array
 
     def aligned(self, other: BentModes) -> BentModes:
-        """Return the modes in the order, and with the signs, of others that differ little.
+        """Return the modes in the order and with the signs of those of a neighbouring curvature.
 
         Parameters
         ----------
         other : BentModes
-            Of a neighbouring curvature.
+            Modes of a bore of slightly different curvature.
         """
         p, v = self.fields[:, 0], self.fields[:, 1]
         q, w = (self.symmetry[:, None] * other.fields[:, i] for i in (0, 1))
@@ -122,11 +128,12 @@ def bent_modes(
     ----------
     air : Air
     frequency : ndarray
-        In Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
+        In Hz, (n_f,). With a negative imaginary part, spectra are those of signals times a decaying
+        exponential.
     part : Bent
-        Its length does not matter.
+        The bend; its length is not used.
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     modes : sequence of str
         The m_s straight modes at the joint, power-normalised; zero below cut-on.
     count : int
@@ -169,7 +176,7 @@ def bent_modes(
     propagates = np.real(frequency)[:, None] > np.array(cut_ons)
     magnitude = np.abs(admittance[:, place])
     if np.iscomplexobj(frequency):
-        # Its analytic continuation, as scattering of power-normalised modes is continued.
+        # The analytic continuation of |k_z|, as for the scattering of power-normalised modes.
         f = np.conj(frequency)
         mirrored = wavenumbers(modes, f, radius, air, lossy=True) * air.sound_speed
         magnitude = np.sqrt(admittance[:, place] * np.conj(mirrored / (2 * np.pi * f[:, None])))

@@ -19,16 +19,16 @@ from acoustube.waves.scheme.pml import REFLECTION
 from acoustube.waves.spectral.result import SpectralScattering
 
 PLANE_WAVE_REFLECTION = -60.0
-"""Upper bound in dB of an absorbing end's reflection of the plane wave; without losses -86 dB."""
+"""Upper bound in dB of the plane wave's reflection by an absorbing end; without losses -86 dB."""
 LOSSY_REFLECTION = -14.0
-"""Reflection in dB of a mode 1 % above cut-on where losses fade out before the absorber, measured.
+"""Measured reflection in dB of a mode 1 % above cut-on where losses fade out before the absorber.
 
-2, 3 and 5 % above cut-on -27, -34 and -39 dB.
+At 2, 3 and 5 % above cut-on it is -27, -34 and -39 dB.
 """
 CUT_ON_RATIO = 1.01
-"""Frequency over cut-on of the mode for which the absorber's reflection is stated."""
+"""Ratio of frequency to cut-on of the mode for which the absorber's reflection is stated."""
 TAIL_FRACTION = 0.05
-"""Fraction of a recording, at its end, in which the residual ringing is measured."""
+"""Fraction of the recording's duration, at its end, in which the residual ringing is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,17 +40,17 @@ class Budget:
     cells_per_wavelength : float
         At the highest frequency of the pulse's band.
     delay_bias : float
-        Relative error of the plane wave's group delay at the carrier by the grid's dispersion.
+        Relative error of the plane wave's group delay at the carrier, due to the grid's dispersion.
     section_error : float
         Relative error of the straight bore's cross-section on the grid.
     cut_on_error : float
         Relative error of the cut-on frequency of (1,1) on the grid.
     absorption : float or None
-        Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; of modes
-        farther above it is less. None where the recording has no such end.
+        Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; it is
+        smaller for modes farther above their cut-on. None if no end absorbs by such a layer.
     ringing : float
         Highest pressure in the last twentieth of the recording, in dB relative to the highest of
-        all.
+        the whole recording.
     """
 
     cells_per_wavelength: float
@@ -84,11 +84,11 @@ class SpectralBudget:
     Attributes
     ----------
     spectral_error : float
-        Estimated error of the coefficients of the scattering matrix at 95 % of the frequencies.
+        Estimated error of the scattering coefficients that 95 % of the frequencies do not exceed.
     largest_spectral_error : float
-        At all frequencies.
+        Largest estimated error over all frequencies.
     ringing : float
-        As of :class:`Budget`.
+        See :class:`Budget`.
     """
 
     spectral_error: float
@@ -106,7 +106,7 @@ class SpectralBudget:
 
 
 def spectral_budget(found: SpectralScattering, pressure: Array) -> SpectralBudget:
-    """Return the error budget of a recording (time last) joined from a scattering matrix."""
+    """Return the error budget of a recording (time last) computed from a scattering matrix."""
     return SpectralBudget(
         spectral_error=found.typical_error,
         largest_spectral_error=float(found.error.max()),
@@ -146,9 +146,10 @@ def error_budget(
     frequency, highest : float
         Carrier and upper end of the pulse's band in Hz.
     radius : float
-        Of the bore in m.
+        Bore radius in m.
     time_step : float or None
-        In s; None where straight tube is not marched: its dispersion and its ends are exact then.
+        In s; None if straight tube is not computed on the grid: its dispersion and ends are then
+        exact.
     lossy : bool
         With losses at the wall and in the air.
     pressure : ndarray
@@ -185,7 +186,7 @@ def error_budget(
 
 
 def _ringing(pressure: Array) -> float:
-    """Return the highest pressure at the end of a recording in dB of the highest of all."""
+    """Return the highest pressure at a recording's end, in dB relative to the highest of all."""
     tail = pressure[..., -max(1, int(TAIL_FRACTION * pressure.shape[-1])) :]
     highest = float(np.abs(pressure).max(initial=0.0))
     if not highest:
@@ -196,13 +197,13 @@ def _ringing(pressure: Array) -> float:
 def absorber_reflection() -> float:
     """Return the lossless absorber's reflection of a mode 1 % above cut-on, in dB.
 
-    For a mode with axial wavenumber kz it is, in dB, kz / k times that of the plane wave.
+    For a mode with axial wavenumber kz, the reflection in dB is kz / k times the plane wave's.
     """
     return 20 * log10(REFLECTION) * sqrt(1 - CUT_ON_RATIO**-2)
 
 
 def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: float) -> float:
-    """Return the relative error of a plane wave's group delay along a grid.
+    """Return the relative error of the plane wave's group delay on a grid.
 
     Parameters
     ----------
@@ -217,9 +218,9 @@ def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: 
 
     Notes
     -----
-    The slope of the dispersion relation in :mod:`acoustube.waves.scheme.operator`: with X =
-    4 sin^2(theta/2), d theta / d Omega = sin(Omega) / (nu^2 sin(theta) (1 + 2 beta X)), which is
-    1 / nu without a grid.
+    From the derivative of the dispersion relation in :mod:`acoustube.waves.scheme.operator`: with
+    X = 4 sin^2(theta/2), d theta / d Omega = sin(Omega) / (nu^2 sin(theta) (1 + 2 beta X)), which
+    is 1 / nu in the continuum.
     """
     nu = sound_speed * time_step / spacing
     beta, turn = (1 - nu**2) / 12, 2 * pi * frequency * time_step

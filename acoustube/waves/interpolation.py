@@ -1,16 +1,17 @@
-"""Scattering between the frequencies it was computed at.
+"""Interpolation of scattering matrices over frequency.
 
-By the impulse response of the band: the samples stand for an even time, whose spectrum can be had
-at any frequency, real or complex. What a bend transmits is interpolated relative to the plane wave
-in it: as band-limited functions of frequency long delays are off where the band ends.
+The coefficients are transformed to a band-limited impulse response at evenly spaced times, whose
+spectrum can be computed at any frequency, real or complex. The transmission of a bend is
+interpolated relative to that of the plane wave in it, because long delays cause errors at the ends
+of the band.
 
 A coefficient of a mode is zero below the mode's cut-on f_c, and begins there with a step: at its
 cut-on a mode is reflected with -1. Above, it is an analytic function of the mode's axial
-wavenumber, and so of u = sqrt((f / f_c)^2 - 1); one between two modes, power-normalised, is the
-square root of the higher mode's wavenumber times such a function (the threshold law of [1]_).
-Interpolation oscillates about the step all over the band (Gibbs's phenomenon). So a polynomial in
-u, fitted to the coefficients next to the cut-on, is subtracted before and added afterwards, with a
-window that makes it vanish farther above.
+wavenumber, and therefore of u = sqrt((f / f_c)^2 - 1). A power-normalised coefficient between two
+modes is the square root of the higher mode's wavenumber times such a function (the threshold law of
+[1]_). Interpolation would oscillate about the step over the whole band (Gibbs phenomenon).
+Therefore a polynomial in u, fitted to the coefficients next to the cut-on, is subtracted before the
+interpolation and added afterwards, with a window that makes it vanish farther above the cut-on.
 
 References
 ----------
@@ -36,23 +37,23 @@ from acoustube.waves.scattering import ModalScattering
 SPAN = 2e3
 """Range in Hz above a cut-on in which the polynomial is fitted, and the scale of its window."""
 DEGREE = 5
-"""Of the polynomial. Between frequencies 100 Hz apart the matrices of a rod on a bore of 9 mm are
-off by 0.002 to 0.004 from 0.5 to 8 kHz above a cut-on (rms of all coefficients), in place of 0.05
-to 0.14; with degree 4 by 0.004 to 0.010."""
+"""Degree of the polynomial. The error of interpolation between frequencies 100 Hz apart, for a rod
+on a bore of 9 mm and from 0.5 to 8 kHz above a cut-on (rms of all coefficients), is 0.002 to 0.004;
+with degree 4 it is 0.004 to 0.010, and without the polynomial 0.05 to 0.14."""
 FEWEST = 10
-"""Frequencies above a cut-on that the fit needs: of a cut-on nearer to the end of the band there is
-little to see."""
+"""Smallest number of frequencies above a cut-on for the fit; a step closer to the end of the band
+is not subtracted, since it affects few frequencies."""
 
 
 class Onsets(NamedTuple):
-    """Cut-on frequencies of scattering coefficients, and which of these convert modes.
+    """Cut-on frequencies of scattering coefficients, and which coefficients convert modes.
 
     Attributes
     ----------
     cut_on : ndarray
-        Of the higher mode of each coefficient, in Hz, (n,).
+        Cut-on of the higher of the two modes of each coefficient, in Hz, (n,).
     converts : ndarray of bool
-        Whether its modes have different cut-ons, (n,).
+        Whether the two modes have different cut-ons, (n,).
     """
 
     cut_on: Array
@@ -65,7 +66,7 @@ def onsets(cut_ons: Array) -> Onsets:
     Parameters
     ----------
     cut_ons : ndarray
-        Of the modes in Hz, (m,).
+        Cut-ons of the modes in Hz, (m,).
     """
     shape = 2, len(cut_ons), 2, len(cut_ons)
     out, into = cut_ons[:, None, None], cut_ons
@@ -74,17 +75,17 @@ def onsets(cut_ons: Array) -> Onsets:
 
 
 class Step(NamedTuple):
-    """Steps of scattering coefficients at a cut-on: polynomials, as weights of the coefficients.
+    """Steps of scattering coefficients at a cut-on, as polynomials fitted to the coefficients.
 
     Attributes
     ----------
     columns : ndarray of int
-        Their numbers, (n_columns,).
+        Indices of the coefficients, (n_columns,).
     fitted : slice
-        Given frequencies that the polynomial is fitted to.
+        Given frequencies to which the polynomial is fitted.
     given, wanted : ndarray
-        Weights of the coefficients there: at the given frequencies, (n_given, n_fitted), and at
-        those wanted, (n_wanted, n_fitted).
+        Matrices from the coefficients at the fitted frequencies to the polynomial at the given
+        frequencies, (n_given, n_fitted), and at those wanted, (n_wanted, n_fitted).
     """
 
     columns: NDArray[np.int_]
@@ -99,8 +100,8 @@ def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
     Parameters
     ----------
     given, wanted : ndarray
-        Frequencies in Hz: rising and real, (n_given,), and those to interpolate at, real or
-        complex, (n_wanted,).
+        Frequencies in Hz: the given ones, rising and real, (n_given,), and those at which to
+        interpolate, real or complex, (n_wanted,).
     begun : Onsets
     """
     found = []
@@ -120,7 +121,7 @@ def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
 
 
 def _polynomials(frequency: NDArray[Any], cut_on: float, power: float) -> NDArray[Any]:
-    """Return powers of u from `power` on, windowed, (n, DEGREE + 1); 0 below the cut-on."""
+    """Return windowed powers of u, from u^power upwards, (n, DEGREE + 1); 0 below the cut-on."""
     above = frequency.real > cut_on
     u = np.sqrt(np.where(above, (frequency / cut_on) ** 2 - 1, 0.0))
     window = np.where(above, np.exp(-(((frequency - cut_on) / SPAN) ** 2)), 0.0)
@@ -149,9 +150,9 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
     Parameters
     ----------
     scattering : ModalScattering
-        At evenly spaced frequencies.
+        Scattering at evenly spaced frequencies.
     frequency : ndarray
-        In Hz, (n,), their real parts within its band.
+        In Hz, (n,), with real parts within its band.
 
     Returns
     -------
@@ -161,8 +162,8 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
     Raises
     ------
     ValueError
-        If the frequencies leave the band, or the given ones are not evenly spaced, or too far apart
-        for a cut-on among them.
+        If a frequency lies outside the band, or the given ones are not evenly spaced, or are too
+        coarse for a cut-on within the band.
     """
     given, cut_ons = (np.asarray(one, float) for one in (scattering.frequency, scattering.cut_ons))
     checks.check_interpolation(given, cut_ons, frequency)
@@ -189,7 +190,7 @@ def plane_wavenumbers(bend: ModalScattering, frequency: NDArray[Any]) -> Complex
     ----------
     bend : ModalScattering
     frequency : ndarray
-        In Hz, real or complex, (n,): to first order in the imaginary part.
+        In Hz, real or complex, (n,); the result is of first order in the imaginary part.
     """
     assert bend.inside is not None
     table = CubicSpline(bend.frequency, bend.inside.wavenumber, axis=1)
@@ -205,11 +206,11 @@ def interpolated(
     Parameters
     ----------
     given : ndarray
-        Frequencies in Hz, rising and even, (n_given,).
+        Rising, evenly spaced frequencies in Hz, (n_given,).
     coefficients : ndarray
         (n_given, n).
     wanted : ndarray
-        Frequencies in Hz within these, real or complex, (n_wanted,).
+        Frequencies in Hz within their range, real or complex, (n_wanted,).
     begun : Onsets
 
     Returns
@@ -220,7 +221,8 @@ def interpolated(
     Notes
     -----
     The spectrum at a frequency with a negative imaginary part is that of the impulse response times
-    a decaying exponential. At even frequencies it is computed by the chirp z-transform [1]_.
+    a decaying exponential. At evenly spaced frequencies it is computed by the chirp z-transform
+    [1]_.
 
     References
     ----------
@@ -233,8 +235,8 @@ def interpolated(
     time = (np.arange(n) - early) / (n * step)
     found = steps(given, wanted, begun)
     smooth = without(found, coefficients)
-    # Without the line between the ends of the band, which would sound at all times: its samples
-    # there are those of a periodic function then.
+    # The line through the values at the ends of the band is subtracted: the rest is periodic over
+    # the band, and its impulse response is short.
     rise = (smooth[-1] - smooth[0]) / (given[-1] - given[0])
     rest = smooth - smooth[0] - np.outer(given - given[0], rise)
     inverse = np.roll(np.fft.ifft(rest, axis=0), early, axis=0)
@@ -244,9 +246,9 @@ def interpolated(
 
 
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
-    """Return the spectra of columns over an even time, at any frequencies, real or complex.
+    """Return the spectra of columns sampled at even times, at any frequencies, real or complex.
 
-    By the chirp z-transform for evenly spaced frequencies: ten times as fast as sums.
+    For evenly spaced frequencies by the chirp z-transform, which is ten times as fast as sums.
     """
     n = len(frequency)
     spacing = np.diff(frequency)
@@ -261,7 +263,7 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
 def _chirp_z(columns: Complex, n: int, ratio: complex, first: complex) -> Complex:
     """Return the z-transforms of columns at ``first ratio^-k`` for k from 0 to n - 1.
 
-    SciPy's, without the memory and the time that importing its signals with the statistics takes.
+    The same as that of ``scipy.signal``, whose import takes time and memory.
     """
     n_in = len(columns)
     chirp = ratio ** (np.arange(max(n, n_in)) ** 2 / 2)

@@ -1,11 +1,11 @@
 """Sound in a tube of any length with any number of presses, from their scattering matrices.
 
-Between the presses each mode propagates with its own axial wavenumber, exact in dispersion and in
-losses; each press couples the modes by its scattering matrix; both ends reflect all modes alike. At
-each frequency the input reflection of everything beyond a plane is built up from the far end to the
-source, press by press (Redheffer's star product [1]_), and the waves are then followed from the
-source to the far end: all multiple echoes between presses and ends are included. Evanescent modes
-are dropped between presses, so that the near fields of two presses do not interact.
+Between the presses each mode propagates with its own axial wavenumber, exact in dispersion and
+losses. Each press couples the modes by its scattering matrix, and both ends reflect all modes
+alike. At each frequency the input reflection of everything beyond a plane is built up from the far
+end to the source, press by press (Redheffer's star product [1]_). The waves are then followed from
+the source to the far end. All multiple echoes between presses and ends are included. Evanescent
+modes are neglected between presses, so that the near fields of two presses do not interact.
 
 References
 ----------
@@ -50,7 +50,7 @@ AnyScattering = TypeVar("AnyScattering", bound=ModalScattering)
 CYCLE = 4
 """Period of the discrete Fourier transform, in durations of the recording."""
 WRAPAROUND_ATTENUATION = 1e4
-"""Attenuation of time-domain wrap-around by the exponential window."""
+"""Factor by which the exponential window attenuates wrap-around in the time domain."""
 
 
 @checked(
@@ -87,13 +87,13 @@ def probe_pressure(
     air : Air
         Gas in the lumen.
     pulse : callable
-        Pressure over time in s that the source launches into the tube, as a `Pulse`.
+        Pressure over time in s that the source launches into the tube, such as a `Pulse`.
     radius, length : float
-        Of the bore, in m.
+        Radius of the bore and length of the tube in m.
     duration : float
-        In s.
+        Duration of the recording in s.
     time_step : float
-        In s.
+        Sampling interval in s.
     probes, source_reflection, far_reflection, lossy
         See :func:`transfer`. With -1 at the source the pressure there is the pulse, afterwards 0.
 
@@ -107,13 +107,14 @@ def probe_pressure(
     Raises
     ------
     ValueError
-        As :func:`transfer`; or if part of the pulse's spectrum lies outside the band of the
+        As :func:`transfer`; or if too much of the pulse's energy lies outside the band of the
         presses, or the pulse lasts longer than the recording.
 
     Notes
     -----
     The spectra are those of the pressure times a decaying exponential, which is divided out again
-    in the time domain: a tube without losses rings for longer than any period of the transform.
+    in the time domain, because a tube without losses rings for longer than any period of the
+    transform.
     """
     if not time_step > 0:
         raise ValueError(f"time_step = {time_step} s must be positive")
@@ -158,7 +159,7 @@ def transfer(
     far_reflection: Reflection = 0.0,
     lossy: bool = True,
 ) -> Complex:
-    """Return the transfer functions from the launched to the plane-averaged pressure at probes.
+    """Return the transfer functions from the launched pressure to that averaged at probe planes.
 
     Parameters
     ----------
@@ -167,16 +168,16 @@ def transfer(
     air : Air
         Gas in the lumen.
     frequency : ndarray
-        In Hz, (n,), within the band of all presses; a negative imaginary part stands for a decaying
-        exponential.
+        In Hz, (n,), within the band of all presses. With a negative imaginary part, spectra are
+        those of signals times a decaying exponential.
     radius, length : float
-        Of the bore, in m.
+        Radius of the bore and length of the tube in m.
     probes : sequence of float
         Distances from the source end in m, (n_probes,).
     source_reflection, far_reflection : complex or ndarray
-        Pressure reflection coefficients of the ends, the same for all modes; one number or (n,): -1
-        for a prescribed pressure, 0 for an endless tube, 1 for a rigid wall, or the measured one of
-        a transducer.
+        Pressure reflection coefficients of the ends, the same for all modes, a number or (n,): -1
+        for a prescribed pressure, 0 for an endless tube, 1 for a rigid wall, or the measured
+        coefficient of a transducer.
     lossy : bool
         With viscothermal losses and absorption in the straight parts.
 
@@ -188,8 +189,8 @@ def transfer(
     Raises
     ------
     ValueError
-        If presses overlap each other, an end or a probe, were computed for another air or bore,
-        have different modes, or the frequencies leave their band.
+        If presses overlap each other, an end or a probe, were computed for another air or bore, or
+        have different modes; or if a frequency lies outside their band.
     """
     frequency = np.atleast_1d(frequency)
     checks.check_tube(presses, air, radius)
@@ -271,14 +272,14 @@ def _propagator(waves: Complex, distance: float) -> Complex:
 def _pressure_at(
     ahead: float, left: float, waves: Complex, forward: Complex, load: Complex
 ) -> Complex:
-    """Return the modal pressures (n, m) at a point of a straight section, of both directions."""
+    """Return the modal pressures (n, m) of both directions at a point of a straight section."""
     here = _propagator(waves, ahead) * forward
     rest = _propagator(waves, left)
     return np.asarray((here + rest * (load @ (rest * here)))[:, :, 0])
 
 
 def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScattering:
-    """Return the scattering of the same lumen in air of another speed of sound.
+    """Return the scattering matrix of the same lumen in air with another speed of sound.
 
     Parameters
     ----------
@@ -289,13 +290,13 @@ def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScatteri
     Returns
     -------
     ModalScattering
-        Of the same kind, at other frequencies: those of the same wavelengths.
+        Of the same type, at the frequencies that have the same wavelengths.
 
     Notes
     -----
-    Without losses this is exact, on the grid too. The thickness of the boundary layers in
-    wavelengths scales as the root of viscosity over speed times bore: 15 K change the losses within
-    a press, some 0.5 dB, by 4 %.
+    Without losses this is exact, also on a grid. The thickness of the boundary layers in
+    wavelengths scales as the root of viscosity over speed times bore: a change by 15 K changes the
+    losses within a press, about 0.5 dB, by 4 %.
     """
     ratio = sound_speed / scattering.sound_speed
     grid: dict[str, Any] = {}

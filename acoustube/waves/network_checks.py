@@ -21,17 +21,17 @@ OUT_OF_BAND_ENERGY = 1e-4
 COARSEST_STEP = 300.0
 """Largest frequency step in Hz of a scattering matrix that can be interpolated at a cut-on.
 
-With 200 or 300 Hz the echo of a pinched tube at 42 kHz, next to the cut-on of (2,1), was right to
-0.4 %, with 500 Hz to 2 %, or 22 % where a mode was trapped.
+With 200 or 300 Hz the error of a pinched tube's echo at 42 kHz, next to the cut-on of (2,1), was
+0.4 %; with 500 Hz it was 2 %, or 22 % where a mode was trapped.
 """
 MOST_SAMPLES = 5e6
-"""Largest number of samples of a computed recording; a transform of more takes gigabytes."""
+"""Largest number of samples of a computed recording; a longer transform takes gigabytes."""
 CUT_ON_TOLERANCE = 0.04
 """Largest relative error of a cut-on that is attributed to the grid, not to another bore."""
 
 
 def check_tube(presses: Sequence[PlacedScatterer], air: Air, radius: float) -> None:
-    """Validate that presses were computed for a given air and bore."""
+    """Validate that presses were computed for the given air and bore."""
     if not 0 < radius < np.inf:
         raise ValueError(f"radius = {radius} m must be positive")
     for press in presses:
@@ -64,9 +64,9 @@ def in_band(
     frequency : ndarray
         In Hz, (n,).
     spectrum : ndarray
-        Spectrum of the signal that the presses are to scatter, (n,).
+        Spectrum of the incident signal, (n,).
     what : str
-        The signal's name in errors.
+        Name of the signal in error messages.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def in_band(
     Raises
     ------
     ValueError
-        If the signal vanishes, or too much of its energy lies at other frequencies.
+        If the signal is zero or not finite, or too much of its energy lies outside these bands.
     """
     inside = frequency > 0
     for press in presses:
@@ -97,7 +97,7 @@ def in_band(
 
 
 def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -> None:
-    """Validate frequencies between which, and at which, scattering is to be interpolated."""
+    """Validate the given and the required frequencies of an interpolation of scattering."""
     low, high = given[[0, -1]]
     least, most = np.min(np.real(frequency)), np.max(np.real(frequency))
     if not low * (1 - 1e-9) <= least <= most <= high * (1 + 1e-9):
@@ -117,7 +117,7 @@ def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -
 
 
 def common_modes(presses: Sequence[PlacedScatterer]) -> tuple[str, ...]:
-    """Return the modes of all presses, which must be the same."""
+    """Return the modes of the presses; raise ValueError if they are not the same for all."""
     if not presses:
         return ("00",)
     modes = presses[0].scattering.modes

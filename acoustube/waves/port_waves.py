@@ -39,17 +39,18 @@ Progress = Callable[[float], object]
 SOURCE_BAND_EDGE = 0.05
 """Spectrum of the source pulse at the ends of the band, relative to its peak."""
 SOURCE_PROBE_CELLS = 6
-"""Layers between a source and the nearer probes, and between these and the first changed layer."""
+"""Layers between a source and the nearer probes, and from these to the first layer of the lumen
+that differs from the straight end."""
 PROBE_SEPARATION_CELLS = 2
-"""Layers between the two probes of a port: under half a wavelength on any grid that is allowed."""
+"""Layers between the two probes of a port: less than half a wavelength on any allowed grid."""
 INWARD_DIRECTION = (1, -1)
-"""Direction of z into the lumen at each port."""
+"""Sign of the z direction that points into the lumen at each port."""
 NARROWEST_SOURCE_BAND = 20e3
-"""Smallest width in Hz of the source pulse's spectrum; its pulse then lasts 0.4 ms."""
+"""Smallest bandwidth of the source pulse in Hz; the pulse then lasts 0.4 ms."""
 RINGDOWN_LEVEL = 1e-5
-"""Pressure, relative to the highest, below which a run ends."""
+"""Pressure, relative to the highest of the run, below which the run ends."""
 RINGDOWN_CHECK_STEPS = 2000
-"""Steps between two checks of the ringdown."""
+"""Number of time steps between two checks of the ringdown."""
 
 
 class PortProblem:
@@ -67,6 +68,7 @@ class PortProblem:
     odd : bool or None
         Whether the modes are antisymmetric about x = 0; None for all modes at once.
     lossy : bool
+        With viscothermal losses at the wall and absorption in the air.
     absorber_thickness : float
         In m.
     """
@@ -130,7 +132,7 @@ class PortProblem:
         return len(self.driven) * self.n_modes
 
     def height(self, layer: int) -> float:
-        """Return the height z in m of the centres of a layer."""
+        """Return the z coordinate in m of the centres of a layer."""
         return self.setup.cells.origin[2] + (layer + 0.5) * self.spacing
 
     def run(
@@ -141,7 +143,7 @@ class PortProblem:
         Parameters
         ----------
         reference : tuple of float
-            Heights of the reference planes in m.
+            Coordinates z of the reference planes in m.
         longest : float
             Time in s after which a run ends at the latest.
         progress : callable
@@ -150,10 +152,10 @@ class PortProblem:
         Returns
         -------
         now, before : ndarray
-            From the whole runs and from their first three quarters,
+            Scattering matrix from the whole runs, and from their first three quarters,
             (n, port_out, mode_out, port_in, mode_in).
         steps : int
-            Of the longest run.
+            Number of time steps of the longest run.
         """
         m = self.n_modes
         pressure = np.zeros((2, len(self.frequency), 2, 2, m, 2, m), complex)
@@ -191,7 +193,7 @@ def _half(cells: CutCells) -> tuple[CutCells, Array]:
 
 
 def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
-    """Return a half with zero pressure in the plane x = 0, half a cell before the first centres."""
+    """Return a half lumen with zero pressure in x = 0, half a cell before the first centres."""
     n = setup.cells.shape[2]
     ahead = setup.source_layer + lead
     layers = np.clip(np.arange(n) - ahead, 0, middle.shape[1] - 1)
@@ -214,7 +216,7 @@ def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
 def _source_pulse(setup: Setup, band: tuple[float, float], n: int) -> Array:
     """Return the source pulse, whose spectrum falls to `SOURCE_BAND_EDGE` at the band's ends.
 
-    A narrow band is widened: its pulse would take longer than the run.
+    A narrow band is widened, because its pulse would last longer than the run.
     """
     middle, width = (band[0] + band[1]) / 2, max(band[1] - band[0], NARROWEST_SOURCE_BAND)
     low, high = middle - width / 2, middle + width / 2
@@ -231,8 +233,9 @@ def _modal_spectra(
     Returns
     -------
     spectra : ndarray
-        Of the whole run and of its first three quarters, (2, n, port, layer, mode).
+        Spectra of the whole run and of its first three quarters, (2, n, port, layer, mode).
     steps : int
+        Number of time steps of the run.
     """
     record = _ringdown(problem, port, mode, longest, progress)
     n = record.shape[1]
@@ -244,7 +247,7 @@ def _modal_spectra(
 def _ringdown(
     problem: PortProblem, port: int, mode: int, longest: float, progress: Progress
 ) -> Array:
-    """Return the modal pressures at all probes until the ringing is over, (4 n_modes, n_steps)."""
+    """Return the modal pressures at all probes until the ringdown ends, (4 n_modes, n_steps)."""
     modes, setup = problem.modes, problem.setup
     layers = np.repeat(np.ravel(problem.probes), problem.n_modes)
     weights = np.tile(modes.weights, (4, 1, 1)).transpose(1, 2, 0)
@@ -298,7 +301,7 @@ def _scattering_matrix(
     spectra : ndarray
         (n_frequencies, port, layer, mode, port driven, mode driven).
     reference : tuple of float
-        In m.
+        Coordinates z of the reference planes in m.
 
     Returns
     -------
@@ -312,7 +315,7 @@ def _scattering_matrix(
     ingoing, outgoing = np.zeros((2, n, 2, m, 2, m), complex)
     for port in (0, 1):
         outer, inner = spectra[:, port, 0], spectra[:, port, 1]
-        # outer = a + b and inner = a q + b / q, with a ingoing and b outgoing at the outer probes.
+        # outer = a + b, inner = a q + b / q: a the ingoing, b the outgoing wave at outer probes.
         a = (inner - outer / q) / (q - 1 / q)
         b = (outer * q - inner) / (q - 1 / q)
         offset = reference[port] - problem.height(problem.probes[port][0])
@@ -326,12 +329,12 @@ def _scattering_matrix(
 
 
 def _solve_scattering(outgoing: Complex, ingoing: Complex, propagates: NDArray[Any]) -> Complex:
-    """Solve outgoing = S ingoing over the modes that propagate and the runs that drive these."""
+    """Solve outgoing = S ingoing for the modes that propagate, from the runs that drive them."""
     found = np.zeros_like(outgoing)
     for pattern in np.unique(propagates, axis=0):
         rows, there = np.flatnonzero((propagates == pattern).all(axis=1)), np.flatnonzero(pattern)
         block = np.ix_(rows, there, there)
-        # By the transpose of S ingoing = outgoing.
+        # As the transposed equation, ingoing^T S^T = outgoing^T.
         solved = np.linalg.solve(ingoing[block].swapaxes(1, 2), outgoing[block].swapaxes(1, 2))
         found[block] = solved.swapaxes(1, 2)
     return found

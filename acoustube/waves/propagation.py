@@ -26,7 +26,7 @@ from acoustube.waves.scheme.pulse import check_pulse
 
 Signal = Callable[[Array], ArrayLike]
 CONE_MARGIN = 32
-"""Layers that are advanced beyond those that sound can have reached."""
+"""Number of layers that are advanced beyond those that sound can have reached."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,14 +61,14 @@ class Recording:
 def grid_spacing(
     inner_diameter: float, resolution: int, probe: float = 0.02
 ) -> tuple[float, float, float]:
-    """Return a cell size that divides the bore and puts cell centres on the probe plane.
+    """Return the cell size that divides the bore and puts cell centres on the probe plane.
 
     Parameters
     ----------
     inner_diameter : float
-        Bore in m.
+        Diameter of the bore in m.
     resolution : int
-        Cells across the bore.
+        Number of cells across the bore.
     probe : float
         Distance of the probe plane from the source end in m.
 
@@ -89,7 +89,7 @@ def grid_spacing(
             f"probe = {probe} m lies within the first cell layer; use at least {across:.3g} m, "
             f"inner_diameter / resolution"
         )
-    # A little tolerance, so that a probe a whole number of cells away keeps that number.
+    # With a tolerance, so that a distance of a whole number of cells keeps that number.
     return across, across, probe / ceil(probe / across - 1e-9)
 
 
@@ -118,7 +118,7 @@ def propagate(
     lossy_band: tuple[float, float] | None = None,
     progress: Progress | None = None,
 ) -> Recording:
-    """March a pulse through a lumen and record the pressure at probes.
+    """Compute the propagation of a pulse through a lumen, and record the pressure at probes.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def propagate(
     SimulationError
         If the pressure is no longer finite.
     ValueError
-        If the pulse is longer than the run, or `source_mode` is not ``00`` at another than the
-        absorbing end; see also `prepare` and `with_probes`.
+        If the pulse is longer than the run, or `source_mode` is not ``00`` although the source end
+        does not absorb; see also `prepare` and `with_probes`.
 
     Notes
     -----
@@ -195,10 +195,10 @@ def propagate(
 
 
 def audible_layers(setup: Setup, air: Air, n_steps: int, n_samples: int) -> NDArray[np.int64]:
-    """Return how many layers matter in each step of a march that starts in silence.
+    """Return the number of layers that can affect the recording in each step of a run from rest.
 
-    Sound from the source has not reached those beyond yet, or does not reach a probe from them
-    within the recording any more.
+    Sound from the source has not yet reached the layers beyond, or can no longer return from them
+    to a probe before the recording ends.
 
     Parameters
     ----------
@@ -207,9 +207,9 @@ def audible_layers(setup: Setup, air: Air, n_steps: int, n_samples: int) -> NDAr
     air : Air
         Gas in the lumen.
     n_steps : int
-        Steps of the march.
+        Number of time steps.
     n_samples : int
-        Recorded samples, the first at rest.
+        Number of recorded samples, the first at rest.
 
     Returns
     -------
@@ -218,8 +218,8 @@ def audible_layers(setup: Setup, air: Air, n_steps: int, n_samples: int) -> NDAr
 
     Notes
     -----
-    `CONE_MARGIN` layers are added: no wave of the scheme that is resolved is faster than sound,
-    but a discrete front has a tail before it.
+    `CONE_MARGIN` layers are added. No resolved wave of the scheme is faster than sound, but a
+    discrete wave front has a small precursor.
     """
     courant = air.sound_speed * setup.time_step / setup.cells.spacing[2]
     step = np.arange(1, n_steps + 1)
@@ -236,7 +236,7 @@ def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
     Parameters
     ----------
     wave : ndarray
-        Wanted pressure at z = 0 at the ends of the steps, (n+1,).
+        Required pressure at z = 0 at the ends of the steps, (n+1,).
     setup : Setup
         The discrete problem.
     air : Air
@@ -249,11 +249,11 @@ def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
 
     Notes
     -----
-    The residue of the axial Green's function gives, for increments g in the middle of the steps,
+    For increments g in the middle of the steps, the residue of the axial Green's function gives
     p/g = sqrt(1 + 4 b s^2) / (2 nu cos(theta/2) (1 + 8 b s^2)) with s = sin(theta/2), b = beta.
-    With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order: the mean of
-    the wave's two neighbouring samples, whose response is cos(Omega/2), cancels the rest. The
-    source layer itself and its neighbours also hold a near field of a few percent.
+    With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order. The factor
+    1 + Omega^2/8 is cancelled by the mean of two neighbouring samples of the wave, whose response
+    is cos(Omega/2). The source layer and its neighbours also have a near field of a few per cent.
     """
     courant = air.sound_speed * setup.time_step / setup.cells.spacing[2]
     return courant * (wave[1:] + wave[:-1])

@@ -1,4 +1,4 @@
-"""Scattering of duct modes by a lumen, over a band, from broadband runs on a short grid."""
+"""Scattering of duct modes by a lumen over a band, from broadband FDTD runs on a short grid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.port_waves import Complex, PortProblem, Progress
 
 SETTLED_CHANGE = 1e-3
-"""Largest change of a coefficient over the last quarter of a run that counts as settled."""
+"""Largest change of a coefficient over the last quarter of a run for it to count as settled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,9 @@ class PlaneWave:
     Attributes
     ----------
     length : ndarray
-        Of the parts of the bend in m, (n_parts,).
+        Lengths of the parts of the bend in m, (n_parts,).
     wavenumber : ndarray
-        In each of them in 1/m, at the frequencies of the scattering, (n_parts, n).
+        Wavenumber in each part in 1/m, at the frequencies of the scattering, (n_parts, n).
     """
 
     length: Array
@@ -46,22 +46,23 @@ class ModalScattering:
     frequency : ndarray
         In Hz, (n,).
     modes : tuple of str
-        As ``00``, ``11c``, ``21s``; of the round bore with the area of the end at low z.
+        Names as ``00``, ``11c``, ``21s``, of the modes of a round bore with the area of the end at
+        low z.
     s : ndarray
         Outgoing over incoming amplitude, power-normalised, at the reference planes, for time
         dependence exp(+j omega t). (n, port_out, mode_out, port_in, mode_in), ports 0 at low z and
         1 at high z; zero where a mode does not propagate.
     propagates : ndarray of bool
-        (n, n_modes).
+        Whether each mode propagates at each frequency, (n, n_modes).
     cut_ons : ndarray
-        In Hz, (n_modes,); of the grid where there is one.
+        Cut-on frequencies in Hz, (n_modes,); those of the grid if the matrix is from a grid.
     sound_speed : float
         In m/s.
     extent : tuple of float
         Start and end of the part that is not straight, in m from the position.
     planes : tuple of float
-        Reference planes of the ports, in m from the position: both there for a press, at its ends
-        for a bend.
+        Reference planes of the ports, in m from the position: both at the position of a press, or
+        at the ends of a bend.
     inside : PlaneWave or None
         Wavenumber of the plane wave in each part of a bend, for the clutter there and for
         interpolation over frequency; None for a press.
@@ -111,7 +112,7 @@ class PlacedScatterer:
     Attributes
     ----------
     scattering : ModalScattering
-        That of a file has both reference planes at the position, z = 0 of its surface.
+        A scattering from a file has both reference planes at the position, z = 0 of its surface.
     position : float
         Distance from the source end in m.
     """
@@ -120,7 +121,7 @@ class PlacedScatterer:
     position: float
 
     def from_other_end(self, length: float) -> PlacedScatterer:
-        """Return the same as seen from the other end of a tube of a length in m: mirrored."""
+        """Return the scatterer mirrored: as seen from the other end of a tube `length` m long."""
         s = self.scattering
         inside = s.inside
         if inside is not None:
@@ -164,20 +165,20 @@ def scatter(
         The whole lumen, not its half.
     air : Air
     frequency : ndarray
-        Rising frequencies in Hz.
+        Rising frequencies in Hz, (n,).
     reference : tuple of float
-        Reference planes of the ports at low z and at high z: heights z in m, in the coordinates of
-        the cells. The ends are continued straight to there.
+        Reference planes of the ports at low z and at high z: coordinates z in m, in the system of
+        the cells. The ends are continued straight to these planes.
     lossy : bool
         With viscothermal losses at the wall and absorption in the air.
     symmetric : bool, optional
-        Whether the lumen is symmetric about x = 0, where that is known. By default it is, if cells
-        and their mirror images differ by less than a fiftieth of a cell.
+        Whether the lumen is symmetric about x = 0, if this is known. By default it is symmetric if
+        cells and their mirror images differ by less than a fiftieth of a cell.
     symmetric_only : bool
         For a lumen symmetric about x = 0, compute the symmetric modes only: a plane wave couples
         to no others.
     longest : float
-        Time in s after which a run ends even if it still rings.
+        Time in s after which a run ends even if the pressure has not decayed.
     absorber_thickness : float
         In m. The absorbers' reflections cancel, see Notes: they only have to end the ringing.
     progress : callable, optional
@@ -199,10 +200,10 @@ def scatter(
     both directions, outwards into an absorber. The pressures in two layers of probes at each port,
     projected onto the modes of the section, are separated into ingoing and outgoing waves by the
     modes' wavenumbers, known in closed form on the grid (see :mod:`acoustube.waves.port_waves`).
-    With the ingoing waves of all runs as the columns of A and the outgoing ones of B, B = S A: the
-    absorbers' reflections are part of A and therefore cancel. A lumen symmetric about x = 0 is
-    computed by halves, the symmetric and the antisymmetric modes separately; of one symmetric along
-    z, on the grid too, one end is driven.
+    With the ingoing waves of all runs as the columns of A and the outgoing ones as those of B,
+    B = S A: the absorbers' reflections are part of A and therefore cancel. A lumen symmetric about
+    x = 0 is computed by halves, the symmetric and the antisymmetric modes separately. A lumen
+    symmetric along z, also on the grid, is driven from one end only.
     """
     frequency = np.asarray(frequency, float)
     if not np.all(np.diff(frequency) > 0):
@@ -246,7 +247,7 @@ def _combine(
     """Combine the scattering of both symmetries, in the order of the cut-ons."""
     names = [name for part in parts for name in part.names]
     cut_ons = np.concatenate([part.modes.cut_ons for part in parts])
-    # The order of the round bore: the cut-ons of a pair differ by rounding.
+    # In the order of the round bore's cut-ons: on the grid those of a pair differ by rounding.
     order = sorted(
         range(len(names)), key=lambda i: (bessel_zero(*mode_numbers(names[i])), names[i])
     )

@@ -16,7 +16,7 @@ from acoustube.waves.port_waves import Complex
 
 
 def star_product(first: Complex, second: Complex) -> Complex:
-    """Return the scattering of two parts in series, (n, 2 m, 2 m)."""
+    """Return the scattering matrix of two parts in series, (n, 2 m, 2 m)."""
     m = first.shape[1] // 2
     (a11, a12), (a21, a22) = _blocks(first, m)
     (b11, b12), (b21, b22) = _blocks(second, m)
@@ -31,5 +31,5 @@ def star_product(first: Complex, second: Complex) -> Complex:
 
 
 def _blocks(s: Complex, m: int) -> Any:
-    """Return the four blocks of a scattering matrix: [port out][port in]."""
+    """Return the four (n, m, m) blocks of a scattering matrix: [port out][port in]."""
     return (s[:, :m, :m], s[:, :m, m:]), (s[:, m:, :m], s[:, m:, m:])

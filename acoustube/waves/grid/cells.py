@@ -1,8 +1,9 @@
 """A tube's lumen on a Cartesian grid of cut cells.
 
-Each cell holds the exact fractions of its volume and faces that are open. With pressures in the
-cells and velocities on the faces this is the conformal (cut-cell) form of the FDTD method, known
-from electromagnetics [1]_ and acoustics [2]_, and a finite-volume method as in room acoustics [3]_.
+The grid has the exact open fractions of the volume and of the faces of each cell. With pressures in
+the cells and velocities on the faces this is the conformal (cut-cell) form of the FDTD method,
+known from electromagnetics [1]_ and acoustics [2]_, and a finite-volume method as in room acoustics
+[3]_.
 
 References
 ----------
@@ -38,7 +39,7 @@ from acoustube.waves.grid.polyhedron import (
 Spacing = tuple[float, float, float]
 Indices = NDArray[np.intp]
 STRAIGHT_LAYERS = 4
-"""Number of layers of a straight end that are cut; further ones are copies."""
+"""Number of layers of a straight end that are cut into cells; the others are copies."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +53,7 @@ class CutCells:
     origin : tuple of float
         Lower corner of the first cell in m.
     length : float
-        Axial length L of the lumen in m; the lumen ends there, on a grid plane or not.
+        Axial length L of the lumen in m. The end z = L need not be a grid plane.
     volume_fraction : ndarray
         Open fraction of each cell, (nx, ny, nz).
     open_x, open_y, open_z : ndarray
@@ -95,19 +96,19 @@ def cut_cells(
     Parameters
     ----------
     surface : trimesh.Trimesh
-        Watertight lumen, outward normals, in m, bore axis x = y = 0, from a flat cap at z = 0 to
-        one at z = L.
+        Watertight surface of the lumen in m, with outward normals and the bore axis x = y = 0, from
+        a flat cap at z = 0 to one at z = L.
     spacing : float or (3,) array_like
         Cell size in m, the same in all directions or (dx, dy, dz).
     half : bool
-        Keep x > 0 only; the face x = 0 is then a rigid symmetry plane.
+        Keep the half x > 0 only; the plane x = 0 is then a rigid symmetry plane.
 
     Returns
     -------
     CutCells
         Exact fractions. x = 0 and y = 0 are grid planes; cell centres lie at z = k dz. The first
         layer spans -dz/2 to dz/2; its outer half mirrors the inner one. The number of cells across
-        is even (in the half model along x, too), so that few array shapes occur.
+        is even (along x also in the half model), so that few array shapes occur.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def cut_cells(
 
 
 def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
-    """Return a tube without most of its straight ends, and which of its layers each layer equals.
+    """Return a tube with shortened straight ends, and the equal layer in it of each layer.
 
     Parameters
     ----------
@@ -148,14 +149,14 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     Returns
     -------
     triangles : ndarray
-        Whole layers shorter, without those that have no area then.
+        Triangles of the tube shortened by whole layers, without those that then have no area.
     layers : ndarray of int
-        Indices of layers of the shorter tube, one for each layer of the tube.
+        For each layer of the tube, the index of the equal layer of the shorter tube.
     """
     z = triangles[..., 2]
     length = float(z.max())
     n_layers = int(np.ceil(length / step + 0.5 - SNAP))
-    # A facet along the axis has a normal without z component, exactly: its coordinates repeat.
+    # The normal of a facet along the axis has exactly no z component: its coordinates repeat.
     (ux, uy), (vx, vy) = ((triangles[:, i, :2] - triangles[:, 0, :2]).T for i in (1, 2))
     cap = np.all(z == z[:, :1], axis=1) & ((z[:, 0] == z.min()) | (z[:, 0] == length))
     shaped = z[(ux * vy - uy * vx != 0.0) & ~cap]
@@ -164,14 +165,14 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     after = max(int((length - last) / step) - STRAIGHT_LAYERS, 0)
     moved = triangles.copy()
     moved[..., 2] = np.clip(z, before * step if before else None, length - after * step)
-    # Clipping may turn a facet of irregular shape to face the other way within its plane.
+    # Clipping may reverse the orientation of a facet of irregular shape within its plane.
     area, left = twice_area(triangles), twice_area(moved)
     if np.any(np.sum(area * left, axis=1) < -ROUNDING * np.sum(area * area, axis=1)):
         return triangles, np.arange(n_layers)
     moved[..., 2] -= before * step
     moved = moved[np.any(left != 0.0, axis=1)]
-    # Each layer that is left out equals the first one, or the last but two: the last ones may end
-    # beyond the tube.
+    # Each omitted layer equals the first layer, or the last but two: the last layers may extend
+    # beyond the end of the tube.
     short = np.arange(n_layers - before - after)
     behind = max(len(short) - 2, 1)
     layers = np.concatenate(
@@ -195,27 +196,27 @@ def _check(surface: trimesh.Trimesh, steps: Array) -> None:
 
 
 def _complete_first_layer(parts: Fractions) -> None:
-    """Fill the half of the first layer that lies before z = 0 with the inner half's image."""
+    """Fill the half of the first layer before z = 0 with the mirror image of the inner half."""
     for part in (parts.volume, parts.open_x, parts.open_y):
         part[..., 0] = np.minimum(2.0 * part[..., 0], 1.0)
     parts.open_z[..., 0] = parts.open_z[..., 1]
 
 
 def _triple(values: Array) -> Spacing:
-    """Return three plain floats."""
+    """Return three values as plain floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z
 
 
 def select_layers(cells: CutCells, layers: Indices) -> CutCells:
-    """Return a grid of some layers, each with its lower face.
+    """Return a grid that consists of some layers of another, each with its lower face.
 
     Parameters
     ----------
     cells : CutCells
         The grid.
     layers : ndarray of int
-        (n,); the last is the grid's last, whose upper face is kept.
+        Indices of the layers, (n,). The last must be the grid's last, whose upper face is kept.
     """
     parts = {n: getattr(cells, n)[..., layers] for n in ("volume_fraction", "open_x", "open_y")}
     length = cells.length + (len(layers) - cells.shape[2]) * cells.spacing[2]
@@ -238,7 +239,7 @@ def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCe
     Returns
     -------
     CutCells
-        Its outermost faces are those of an endless continuation.
+        With outermost faces as open as in an endless continuation.
     """
     dz = cells.spacing[2]
     last = cells.shape[2] - 1
@@ -246,7 +247,8 @@ def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCe
         last = int(np.floor(cells.length / dz - 0.5 + 1e-6))
     section = np.arange(-before, last + 1 + (after or 0)).clip(0, last)
     take = {n: getattr(cells, n)[..., section] for n in ("volume_fraction", "open_x", "open_y")}
-    # Faces between two copies are as open as the copied section, which keeps the plane wave plane.
+    # Faces between two copies have the open fractions of the section, so that plane waves stay
+    # plane.
     volume = take["volume_fraction"]
     open_z = np.concatenate([volume, volume[..., -1:]], axis=2)
     open_z[..., before + 1 : before + last + 1] = cells.open_z[..., 1 : last + 1]

@@ -18,9 +18,9 @@ Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.int64]
 
 ROUNDING = 1e-12
-"""Fraction below which a cell or face counts as closed: rounding of the cumulative sums."""
+"""Fraction below which a cell or face counts as closed, due to rounding of cumulative sums."""
 SNAP = 1e-10
-"""Distance in cells within which vertices are moved onto a grid plane."""
+"""Distance from a grid plane, in cells, within which vertices are moved onto it."""
 BATCH = 50_000
 """Number of triangle parts that are clipped at once, so that they stay in the processor's cache."""
 
@@ -48,8 +48,8 @@ def cut_polyhedron(
     spacing : (3,) array_like
         Cell size in m.
     shape : tuple of int
-        Number of cells. The grid must enclose the polyhedron, except below x: the part there is cut
-        off, and the first x faces then hold the cut's open area.
+        Number of cells. The grid must enclose the polyhedron, except towards low x: the part there
+        is cut off, and the first x faces then have the open area of the cut.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def cut_polyhedron(
     Raises
     ------
     ValueError
-        If a fraction leaves [0, 1]: the surface is open or folds through itself.
+        If a fraction lies outside [0, 1]: the surface is open or folds through itself.
 
     Notes
     -----
@@ -105,7 +105,7 @@ def _split_at_planes(triangles: Array, axis: int) -> Array:
 
 
 def _batches(owner: Indices, lower: Array) -> Iterator[tuple[Indices, Array]]:
-    """Iterate over the triangles and their slabs in batches."""
+    """Iterate over triangle numbers and the lower planes of their slabs in batches."""
     for begin in range(0, len(owner), BATCH):
         yield owner[begin : begin + BATCH], lower[begin : begin + BATCH]
 
@@ -113,8 +113,8 @@ def _batches(owner: Indices, lower: Array) -> Iterator[tuple[Indices, Array]]:
 def _clip(triangles: Array, lower: Array, axis: int) -> Array:
     """Return the parts of triangles between two planes, lower and lower + 1, as triangles.
 
-    With corners sorted along the axis, the part is the polygon between the long edge bottom-top
-    and the chain bottom-middle-top; it is cut into a fan.
+    With the corners sorted along the axis, the part is the polygon between the long edge
+    bottom-top and the chain bottom-middle-top. It is divided into a fan of triangles.
     """
     order = np.argsort(triangles[:, :, axis], axis=1)
     corners = np.take_along_axis(triangles, order[:, :, None], axis=1)
@@ -147,7 +147,7 @@ def _chain(bottom: Array, middle: Array, top: Array, height: Array, axis: int) -
 
 
 def _point(start: Array, end: Array, height: Array, axis: int) -> Array:
-    """Return the point of an edge at a height, exactly in the plane despite rounding."""
+    """Return the point of an edge at a height; it lies exactly in the plane despite rounding."""
     rise = end[:, axis] - start[:, axis]
     ratio = (height - start[:, axis]) / np.where(rise > 0.0, rise, 1.0)
     point = start + ratio[:, None] * (end - start)
@@ -157,7 +157,7 @@ def _point(start: Array, end: Array, height: Array, axis: int) -> Array:
 
 
 def twice_area(triangles: Array) -> Array:
-    """Return twice the vector areas; written out, because numpy.cross is slower on many."""
+    """Return twice the vector areas of triangles, (n, 3); numpy.cross is slower."""
     (ux, uy, uz), (vx, vy, vz) = (
         (triangles[:, i] - triangles[:, 0]).T for i in (1, 2)
     )  # fmt: skip
@@ -165,7 +165,7 @@ def twice_area(triangles: Array) -> Array:
 
 
 def _owning_cell(pieces: Array, area: Array) -> Indices:
-    """Return the cell of each piece; a piece in a grid plane belongs to the lumen's side."""
+    """Return the cell of each piece; for a piece in a grid plane, that on the lumen's side."""
     cell = np.floor(pieces.mean(axis=1)).astype(np.int64)
     plane = pieces[:, 0]
     flat = np.all(pieces == plane[:, None], axis=1) & (plane == np.rint(plane))

@@ -25,14 +25,14 @@ def without_repeated_layers(cells: CutCells, kept: int) -> tuple[CutCells, Indic
     cells : CutCells
         The shorter grid.
     layers : ndarray of int
-        The layer of the shorter grid that each layer equals, (nz,).
+        For each layer, the index of the equal layer of the shorter grid, (nz,).
     """
     faces = cells.open_z
     same = np.all(faces[..., 1:-1] == faces[..., :-2], axis=(0, 1))
     same &= np.all(faces[..., 2:] == faces[..., 1:-1], axis=(0, 1))
     for part in (cells.volume_fraction, cells.open_x, cells.open_y):
         same &= np.all(part[..., 1:] == part[..., :-1], axis=(0, 1))
-    # A layer is left out where the `kept` layers to both sides equal it.
+    # A layer is omitted if the `kept` layers on either side equal it.
     alike = np.concatenate([[0], np.cumsum(same)])
     inner = np.arange(kept, len(alike) - kept)
     uniform = alike[inner + kept] - alike[inner - kept] == 2 * kept

@@ -22,8 +22,8 @@ def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp
     Parameters
     ----------
     area_x, area_y : ndarray
-        Weighted open areas of the faces, (nx+1, ny) and (nx, ny+1). Beyond an open face at the rim
-        of the grid the pressure is zero.
+        Weighted open areas of the faces, (nx+1, ny) and (nx, ny+1). Beyond an open face at the
+        boundary of the grid the pressure is zero.
     inside : ndarray of bool
         The open cells, (nx, ny).
 
@@ -58,13 +58,13 @@ def section_cut_ons(
 ) -> NDArray[np.float64]:
     """Return the cut-on frequencies of the cross-section at one layer of cells.
 
-    Where the section changes slowly, a mode propagates where its local cut-on is below its
-    frequency and is evanescent elsewhere.
+    In a slowly varying section, a mode propagates where its local cut-on is below the frequency
+    and is evanescent elsewhere.
 
     Parameters
     ----------
     cells : CutCells
-        The lumen. A half model has the modes symmetric about x = 0 only.
+        The lumen. A half model has only the modes symmetric about x = 0.
     layer : int
         Index of the layer along z.
     sound_speed : float
@@ -75,7 +75,7 @@ def section_cut_ons(
     Returns
     -------
     ndarray
-        Frequencies in Hz, (n_modes,), ascending; the first is the plane mode's zero.
+        Frequencies in Hz, (n_modes,), ascending; the first is that of the plane mode, zero.
 
     Raises
     ------
@@ -84,8 +84,8 @@ def section_cut_ons(
 
     Notes
     -----
-    The eigenvalue problem ``sum A (p - p') = (2 pi f h / c)^2 V p`` of the cut cells across the
-    tube, by shift-inverted Lanczos iteration.
+    The eigenvalue problem of the layer, ``sum A (p - p') = (2 pi f h / c)^2 V p``, is solved by
+    shift-inverted Lanczos iteration.
     """
     dx, dy, _ = cells.spacing
     n_layers = cells.volume_fraction.shape[2]
@@ -99,8 +99,8 @@ def section_cut_ons(
         )
     faces = cells.open_x[:, :, layer] / dx**2, cells.open_y[:, :, layer] / dy**2
     stiffness = section_stiffness(*faces, inside)
-    # Just below zero: the plane mode's eigenvalue is zero and would make the shift singular. From a
-    # given start vector, so that equal sections have equal cut-ons to the last digit.
+    # The shift is just below zero, the plane mode's eigenvalue, at which the matrix is singular.
+    # With a fixed start vector, equal sections have equal cut-ons to the last digit.
     squares = eigsh(
         stiffness.tocsc(),
         n_modes,

@@ -24,9 +24,9 @@ from acoustube.waves.grid.repeated_layers import without_repeated_layers
 CLOSED_FRACTION = 1e-6
 """Volume fraction up to which a cell is closed: its ratio of faces to volume is undefined."""
 BORROWING_RATIO = 1.25
-"""Open faces over volume, relative to a full cell, above which a cell borrows volume."""
+"""Ratio of open faces to volume, relative to a full cell, above which a cell borrows volume."""
 PADDING_RATIO = 1.5
-"""The same ratio above which a cell is padded that could not borrow enough."""
+"""The same ratio, above which the volume of a cell that could not borrow enough is increased."""
 BORROWING_ROUNDS = 2
 
 
@@ -49,20 +49,20 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     Returns
     -------
     CutCells
-        The same transverse faces; volumes and axial faces moved between neighbours. Their sums are
-        conserved except for cells emptier than 1e-6 and, where a lumen is narrower than a cell,
-        padding.
+        Cells with the same transverse faces; volumes and axial faces are moved between neighbours.
+        Their sums are conserved, except for cells with fractions below 1e-6, which are closed, and
+        for padding where a lumen is narrower than a cell.
 
     Notes
     -----
-    A cell limits the time step by its open faces over its volume. A cell of more than 1.25 times
-    the full cell's ratio borrows the missing volume. Its donor lies across the largest open face,
-    that is along the wall's normal, where the pressure gradient vanishes: the move changes the
-    energy by O(h^2), whereas a floor adds volume and a cap on the faces removes mobility, both
-    O(h). Axial faces move with the volumes: in a straight tube they stay equal, and the plane wave
-    stays plane.
+    A cell limits the time step by the ratio of its open faces to its volume. A cell with more than
+    1.25 times the ratio of a full cell borrows the missing volume. Its donor lies across the
+    largest open face, that is along the wall's normal, where the pressure gradient vanishes. The
+    move therefore changes the energy by O(h^2), whereas a lower bound of the volume adds volume and
+    an upper bound of the faces removes mobility, both O(h). Axial faces move with the volumes: in a
+    straight tube they stay equal, and plane waves stay plane.
 
-    Measured on the circle's cross-section, worst of five (borrow: six) positions within a cell, at
+    Errors for a circular cross-section, the worst of five (borrow: six) positions within a cell, at
     16, 32 and 64 cells per diameter; the step is the smallest, relative to an uncut grid's:
 
     ==================== ===================== ===================== ===== ==========
@@ -74,13 +74,13 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     borrow above 1.25    0.222, 0.050, 0.013   0.704, 0.175, 0.043   2.0   0.95
     ==================== ===================== ===================== ===== ==========
 
-    Borrowing as done here, on the three-dimensional ratio, errs by 0.205, 0.048, 0.011 % and
-    0.635, 0.157, 0.038 %; at 32 cells per diameter the step of a half model, straight or pinched
-    by up to 90 %, is 0.93 to 0.94 of the uncut grid's, of which 0.98 is the safety factor and
-    0.965 the axial correction. Five to seven cells emptier than 2e-5 are padded.
+    The method implemented here uses the ratio in three dimensions. Its errors are 0.205, 0.048,
+    0.011 % and 0.635, 0.157, 0.038 %. At 32 cells per diameter the step of a half model, straight
+    or pinched by up to 90 %, is 0.93 to 0.94 of the uncut grid's; this includes factors of 0.98
+    (safety) and 0.965 (axial correction). Five to seven cells with fractions below 2e-5 are padded.
     """
     length = cells.length
-    # In a round a layer depends on two to either side: a cell lends less if others borrow, too.
+    # In one round a layer depends on two on either side: a cell lends less if others also borrow.
     cells, layers = without_repeated_layers(cells, 2 * BORROWING_ROUNDS + 1)
     cells = _without_closed_cells(cells)
     for _ in range(BORROWING_ROUNDS):
@@ -111,14 +111,14 @@ def _neighbour(values: Array, side: _Side) -> Array:
 
 
 def _cfl_volume(cells: CutCells) -> Array:
-    """Return the volume fraction at which a cut cell has a full cell's CFL limit."""
+    """Return the volume fraction at which a cut cell has the CFL limit of a full cell."""
     weights = 1.0 / np.asarray(cells.spacing) ** 2
     total = sum(side.area * weights[side.axis] for side in _sides(cells))
     return np.asarray(total / (2.0 * weights.sum()))
 
 
 def _without_closed_cells(cells: CutCells) -> CutCells:
-    """Return cut cells with nearly empty cells closed: their volume and faces set to zero."""
+    """Return cut cells in which nearly empty cells are closed: zero volume and faces."""
     alive = cells.volume_fraction > CLOSED_FRACTION
     faces = []
     for axis, area in enumerate((cells.open_x, cells.open_y, cells.open_z)):
@@ -137,7 +137,7 @@ def _borrow(cells: CutCells) -> CutCells:
     need = np.where(
         volume > 0.0, np.maximum(_cfl_volume(cells) / BORROWING_RATIO - volume, 0.0), 0.0
     )
-    # Rounded, because equal faces must give the same choice in every layer of a straight tube.
+    # Areas are rounded, so that the choice is the same in every layer of a straight tube.
     choice = np.argmax([np.round(side.area, 9) for side in sides], axis=0)
     asked = [np.where(choice == i, need, 0.0) for i in range(len(sides))]
     demand = sum(_neighbour(a, _opposite(s)) for a, s in zip(asked, sides, strict=True))

@@ -15,13 +15,14 @@ STRAIGHT_TOLERANCE = 1e-4
 SYMMETRY_TOLERANCE = 0.02
 """Largest difference between volume fractions of cells that count as equal, or as mirror images.
 
-The diagonals of two triangles are not mirrored, which moves the wall by a hundredth of a cell.
+The diagonals that divide the wall into triangles are not mirrored, which moves the wall by a
+hundredth of a cell.
 """
 SKEWED_TOLERANCE = 5e-3
-"""The same along z, for a lumen that is not symmetric about x = 0.
+"""The same for symmetry along z, of a lumen that is not symmetric about x = 0.
 
-A slightly turned rod makes a lumen that differs from its mirror images by little more than
-triangles do.
+The lumen under a slightly turned rod differs from its mirror images by little more than the effect
+of the triangles.
 """
 
 
@@ -48,7 +49,7 @@ def straight_ends_cut(cells: CutCells) -> CutCells:
     Raises
     ------
     ConfigError
-        If an end is not straight over three layers, the ends differ, or are not symmetric about
+        If an end is not straight over three layers, or the ends differ or are not symmetric about
         x = 0.
     """
     volume = cells.volume_fraction
@@ -69,7 +70,7 @@ def straight_ends_cut(cells: CutCells) -> CutCells:
 
 
 def _last_straight_layer(cells: CutCells, last: int, inwards: int) -> int:
-    """Return the innermost straight layer of the end from which z runs inwards, or outwards."""
+    """Return the innermost straight layer of the end at low z (`inwards` = 1) or high z (-1)."""
     volume, rim = cells.volume_fraction, 1 if inwards > 0 else last - 1
     off = np.abs(volume - volume[..., [rim]]).max(axis=(0, 1)) > STRAIGHT_TOLERANCE
     inside = np.arange(rim, last if inwards > 0 else 0, inwards)

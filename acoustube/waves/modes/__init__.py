@@ -1,8 +1,8 @@
-"""Modes of ducts: of the round bore in closed form, of any section on its grid, and probes.
+"""Modes of ducts: of the round bore in closed form, and of any section on its grid; probes.
 
 Reading order: `round_duct` (cut-ons, wavenumbers, attenuation), `bore_couplings` (for bends),
-`grid_modes` (of any section), `probes` (amplitudes of modes), `yielding_wall` (an
-elastic tube of any thickness, where the wall is not rigid).
+`grid_modes` (modes of any section), `probes` (amplitudes of modes), `yielding_wall` (plane mode
+of an elastic tube of any thickness, whose wall is not rigid).
 """
 
 from acoustube.waves.modes.round_duct import Mode as Mode

@@ -19,14 +19,15 @@ class BoreModes:
     Attributes
     ----------
     names : tuple of str
-        As ``00``, ``11c``, ``11s``; those with c are cos(m phi) and those with s sin(m phi), phi
-        from the centre of curvature: from -y towards +x, where a press comes from +y.
+        As ``00``, ``11c``, ``11s``: c stands for cos(m phi), s for sin(m phi), with phi measured
+        from the direction of the centre of curvature, from -y towards +x; a press comes from +y.
     zeros : ndarray
         j'mn, (n,).
     x, across, twist : ndarray
         X, Y and M of :mod:`acoustube.waves.bends`, (n, n), in units of the bore's radius.
     flattening : ndarray
-        Derivatives of the squared cut-on wavenumbers by the ovality, (n,), in the same units.
+        Derivatives of the squared cut-on wavenumbers with respect to the ovality, (n,), in the same
+        units.
     """
 
     names: tuple[str, ...]
@@ -38,7 +39,7 @@ class BoreModes:
 
 
 def bore_modes(highest: float) -> BoreModes:
-    """Return the modes of a round bore up to a j'mn, with their coupling coefficients.
+    """Return the modes of a round bore up to a largest j'mn, with their coupling coefficients.
 
     Parameters
     ----------
@@ -47,8 +48,8 @@ def bore_modes(highest: float) -> BoreModes:
 
     Notes
     -----
-    The integrals over the section are a Gauss rule along the radius times the trapezoidal rule
-    in azimuth, exact to rounding for the smooth products of the modes.
+    The integrals over the section use a Gauss rule along the radius and the trapezoidal rule in
+    azimuth, which is exact to rounding for the smooth products of the modes.
     """
     known = modes_below(highest, 1 / (2 * pi), 1.0)
     sides = [(mode.m, mode.n, side) for mode in known for side in ("c", "s")[: 1 + (mode.m > 0)]]
@@ -77,12 +78,12 @@ def bore_modes(highest: float) -> BoreModes:
 
 
 def _flattened(m: int, n: int, side: str) -> float:
-    """Return d(cut-on wavenumber^2) / d(ovality), in units of the radius.
+    """Return the derivative of a squared cut-on wavenumber by the ovality, in units of the radius.
 
-    Hadamard's formula for a rigid wall moved outwards by w, d(k^2) = -integral of w (k^2 psi^2 -
-    (grad psi)^2) over the wall for psi of unit norm, with w = -zeta R cos 2 phi and psi = J_1 cos
-    phi: d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2); of the sine the negative. Other modes
-    than (1, n) shift by the ovality squared only.
+    Hadamard's formula for a rigid wall moved outwards by w is d(k^2) = -integral of w (k^2 psi^2 -
+    (grad psi)^2) over the wall, for psi of unit norm. With w = -zeta R cos 2 phi and psi = J_1 cos
+    phi it gives d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2), and the negative for sin phi. The
+    cut-ons of other modes than (1, n) shift by the ovality squared only.
     """
     if m != 1:
         return 0.0

@@ -7,10 +7,10 @@ k^2 the layer's eigenvalue times (c dt)^2 and s = 4 sin^2(Omega/2), X = 4 sin^2(
 
     s (1 + kappa h) = b (k^2 (1 - d h) + nu^2 X (1 + beta X) (1 - d_z h)).
 
-h is the transfer function from the pressure to its half-integral; kappa, d and d_z are the wall's
-losses, to first order in the boundary layers, and b those of the air. Without losses this
-dispersion relation is exact on the grid: ingoing and outgoing waves can be separated, or moved to
-another plane, without an error of discretisation.
+h is the transfer function from the pressure to its half-integral; kappa, d and d_z are coefficients
+of the losses at the wall, to first order in the boundary layers, and b is the factor of the air's
+absorption. Without losses this dispersion relation is exact on the grid: ingoing and outgoing waves
+can be separated, or moved to another plane, without an error of discretisation.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from acoustube.waves.scheme.operator import Operator
 from acoustube.waves.scheme.problem import Scheme
 
 MIRROR_PERTURBATION = 1e-6
-"""Weight of the mirror operator that separates degenerate symmetric and antisymmetric modes."""
+"""Relative weight of the mirror operator that separates degenerate modes by symmetry."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 
@@ -44,17 +44,17 @@ class DuctModes:
     Attributes
     ----------
     squares : ndarray
-        Eigenvalues in 1/s2, (n_modes,): in continuous time, the cut-ons' angular frequencies
-        squared.
+        Eigenvalues in 1/s2, (n_modes,): the squares of the cut-ons' angular frequencies in
+        continuous time.
     cut_ons : ndarray
         Cut-on frequencies on the grid, its time steps included, in Hz, (n_modes,).
     shapes : ndarray
         Pressures with a mean square of one over the section, (n_modes, nx, ny).
     weights : ndarray
-        Projection weights: their products with a layer of pressures sum to the modal amplitudes,
-        (n_modes, nx, ny).
+        Projection weights, (n_modes, nx, ny): a modal amplitude is the sum of the products of its
+        weights with the pressures of a layer.
     odd : ndarray of bool
-        Whether antisymmetric about x = 0, (n_modes,).
+        Whether each mode is antisymmetric about x = 0, (n_modes,).
     losses : dict of ndarray
         kappa, d k^2 and d_z of each mode as ``compliance``, ``across`` and ``along``, (n_modes,);
         empty without losses.
@@ -78,9 +78,9 @@ def duct_modes(
     scheme : Scheme
         Coefficients of the grid.
     volume : ndarray
-        Its volume fractions, (nx, ny, nz).
+        Volume fractions of the grid, (nx, ny, nz).
     layer : int
-        In a straight part.
+        Index of a layer in a straight part.
     highest : float
         Largest cut-on in Hz of the modes that are returned.
     whole : bool
@@ -114,10 +114,10 @@ def duct_modes(
     order = order[squares[order] < (2 * np.pi * highest) ** 2]
     squares, parity = squares[order], parity[order]
     vectors = (vectors[:, order] / root[:, None]).T * np.sqrt(mass.sum())
-    # The plane mode's eigenvalue is zero but for rounding.
+    # The plane mode's eigenvalue is zero except for rounding.
     squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
     shapes = np.zeros((len(vectors), *filled.shape))
-    # The sign is arbitrary; the first cell of more than half the peak shall be positive.
+    # The sign is arbitrary; the first cell above half the peak magnitude is made positive.
     first = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
     vectors = vectors * np.sign(vectors[np.arange(len(vectors)), first])[:, None]
     shapes[:, filled > 0] = vectors
@@ -175,7 +175,7 @@ def phases(modes: DuctModes, scheme: Scheme, spacing: float, frequency: Array, c
     beta = float(scheme.operator.beta)
     turn = np.exp(2j * np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None]
     nu2 = dt2 * (c / spacing) ** 2
-    # Real, so that rounding does not make a propagating mode grow or decay.
+    # A real quantity, so that rounding does not make a propagating mode grow or decay.
     inertia = 4 * np.sin(np.pi * np.asarray(frequency) * np.sqrt(dt2))[:, None] ** 2
     lossless = (inertia - dt2 * modes.squares) / nu2
     stiffness, axial, added = dt2 * modes.squares, np.ones(1), np.ones(1)
@@ -209,10 +209,10 @@ class Phases:
         Complex phase per layer: a wave over m layers is exp(-j theta m), for time dependence
         exp(+j omega t).
     slope : ndarray
-        Derivative of the axial term by theta: the impedance of a source in one layer.
+        Derivative of the axial term with respect to theta: the impedance of a source in one layer.
     power : ndarray
-        The same without losses, to which the transmitted power is proportional; real where the mode
-        propagates, imaginary where it is evanescent.
+        The derivative without losses, to which the transmitted power is proportional; real where
+        the mode propagates, imaginary where it is evanescent.
     """
 
     theta: Complex
@@ -239,20 +239,21 @@ def _slope(square: Complex, beta: float) -> Complex:
 
 
 def labels(modes: DuctModes, radius: float, c: float) -> tuple[str, ...]:
-    """Return names of modes: those of a round bore of equal symmetry and order of the cut-ons.
+    """Return the names of modes: those of the round bore's modes of equal symmetry and order.
 
     Parameters
     ----------
     modes : DuctModes
+        In the order of their cut-ons.
     radius : float
-        Of the round bore, in m.
+        Radius of the round bore in m.
     c : float
         Sound speed in m/s.
 
     Returns
     -------
     tuple of str
-        As ``00``, ``11c``, ``21s``: nodal diameters, nodal circles, and the symmetry of those with
+        As ``00``, ``11c``, ``21s``: nodal diameters, nodal circles, and the symmetry of modes with
         nodal diameters.
     """
     highest, names = cut_on_frequency(1, 1, radius, c), {False: list[str](), True: list[str]()}
@@ -273,7 +274,7 @@ def _label(mode: Mode, odd: bool) -> str:
 
 
 def mode_numbers(label: str) -> tuple[int, int]:
-    """Return the nodal diameters and circles of a mode's name."""
+    """Return the numbers of nodal diameters and circles from a mode's name."""
     digits = label.rstrip("cs")
     return int(digits[:-1]), int(digits[-1])
 

@@ -1,4 +1,4 @@
-"""Probes of the mean pressure, of a mode or at a point of a layer; and modal sources."""
+"""Probes of the mean pressure, of a mode's amplitude or of a point's pressure; modal sources."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import Setup
 
 CELLS_PER_RADIAN = 1.5
-"""Least number of cells per 1/k at its cut-on for which a mode can be probed on a grid."""
+"""Smallest number of cells per 1/k, at a mode's cut-on, for which the mode can be probed."""
 
 
 class ModalProbe(NamedTuple):
-    """Probe of the amplitude of a duct mode, where the tube should be straight.
+    """Probe of the amplitude of a duct mode, to be placed in a straight part of the tube.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class PointProbe(NamedTuple):
 
 
 Probe = float | ModalProbe | PointProbe
-"""Probe, or a distance in m, which stands for the mean over its plane (plane-mode amplitude)."""
+"""Probe; a distance in m stands for the mean pressure over the plane (plane-mode amplitude)."""
 
 
 def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
@@ -65,7 +65,7 @@ def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
     Raises
     ------
     ValueError
-        If a mode is not resolved by the grid, or a point is not in the air.
+        If a mode is not resolved by the grid, or a point does not lie in the air.
     """
     scheme = setup.scheme
     weights = [
@@ -88,7 +88,7 @@ def _weights(probe: Probe, setup: Setup, layer: int, air: Air) -> Array:
 
 
 def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes, int]:
-    """Return the modes of a layer that the grid resolves, and the index of one among them.
+    """Return the modes of a layer that the grid resolves, and the index of the named one.
 
     Raises
     ------
@@ -133,9 +133,9 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     Parameters
     ----------
     setup : Setup
-        With an absorber before z = 0.
+        Setup with an absorber before z = 0.
     wave : ndarray
-        Wanted amplitude at z = 0 at the ends of the steps, (n+1,).
+        Required amplitude at z = 0 at the ends of the steps, (n+1,).
     mode : str
         See `ModalProbe`.
     air : Air
@@ -150,8 +150,8 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     -----
     A unit source in a layer radiates exp(-i theta n) / (i slope) over n layers in both directions,
     with `slope` the theta derivative of the axial term. The increments are the wave divided by
-    this response, frequency by frequency; at the cut-on, where the slope vanishes, they vanish too.
-    The source layer and its neighbours also hold a near field of a few per cent.
+    this response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The
+    source layer and its neighbours also have a near field of a few per cent.
     """
     modes, which = named_mode(setup, setup.source_layer, mode, air)
     # Padded against wrap-around: the filter's response decays slowly at a cut-on.

@@ -16,7 +16,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 
 MOST_WAVES = 300
-"""Largest circumference of a bore in wavelengths for which modes are counted."""
+"""Largest circumference of a bore, in wavelengths, for which modes are computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Mode:
 
 
 def bessel_zero(m: int, n: int) -> float:
-    """Return j'mn, the n-th zero of the derivative of J_m; (0, 0) is the plane mode's 0.
+    """Return j'mn, the n-th zero of the derivative of J_m; for the plane mode (0, 0) it is 0.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
         )
     modes = [Mode(m=0, n=0, cut_on=0.0)]
     for m in range(int(highest) + 1):  # j'm1 > m
-        # Near x, J'm is a cosine of this phase (Debye); one zero more, for the error near x = m.
+        # Near x, J'm is a cosine of this phase (Debye). One more zero, for the error near x = m.
         phase = sqrt(highest**2 - m**2) - m * acos(m / highest) if highest else 0.0
         zeros = np.asarray(jnp_zeros(m, int(phase / pi) + 2))
         cut_ons = zeros[zeros < highest] * (sound_speed / (2.0 * pi * radius))
@@ -93,14 +93,16 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
 
 @checked(band=Reals(0, 1e12, "Hz", last=2), radius=LENGTH, sound_speed=SPEED)
 def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float) -> list[Mode]:
-    """Return the modes whose cut-on lies in a band: a small error decides whether they propagate.
+    """Return the modes whose cut-on lies in a band.
+
+    Near its cut-on, a small error decides whether a mode propagates.
 
     Parameters
     ----------
     band : tuple of float
         Lowest and highest frequency in Hz.
     radius, sound_speed : float
-        In m and m/s.
+        Bore radius in m and speed of sound in m/s.
 
     Returns
     -------
@@ -128,7 +130,8 @@ def axial_wavenumber(
     m, n : int
         Mode; (0, 0) is the plane mode.
     frequency : array_like
-        In Hz; a negative imaginary part stands for a decaying exponential.
+        In Hz. With a negative imaginary part, spectra are those of signals times a decaying
+        exponential.
     radius : float
         Bore radius in m.
     air : Air
@@ -139,8 +142,8 @@ def axial_wavenumber(
     Returns
     -------
     ndarray
-        kz in 1/m, of the shape of `frequency`. Below cut-on it is imaginary except for the losses;
-        minus its imaginary part is the attenuation in Np/m.
+        kz in 1/m, of the shape of `frequency`. The attenuation in Np/m is minus its imaginary part.
+        Below cut-on kz is imaginary, except for the effect of losses.
 
     Notes
     -----
@@ -150,7 +153,7 @@ def axial_wavenumber(
 
         kz^2 = k^2 (gamma - (gamma - 1) F(s_t)) / F(s_v).
 
-    Higher-order modes have the boundary layers to first order [3]_: with
+    For higher-order modes the boundary layers are included to first order [3]_: with
     D_v = sqrt(nu / (j omega)), D_t = D_v / sqrt(Pr) and Q = 2/R for m = 0, otherwise
     2 / (R (1 - m^2/j'^2)),
 

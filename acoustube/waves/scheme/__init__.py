@@ -1,4 +1,4 @@
-"""The leapfrog scheme of the wave equation, in JAX and compiled for processors.
+"""The leapfrog scheme of the wave equation, in JAX and compiled for the CPU.
 
 Reading order: `pulse`, `operator` (c^2 div grad on cut cells), `time_step` (stability limit), `pml`
 (absorbing layers), `relaxation_fit` and `losses` (at the wall and in the air), `problem` (ends,

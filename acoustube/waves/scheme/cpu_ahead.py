@@ -1,4 +1,4 @@
-"""Compilation of the march over columns, ahead of the first march."""
+"""Compilation of the time-stepping kernel over columns, ahead of the first run."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from acoustube.waves.scheme.cpu_layout import (
 
 
 def compile_march(*, lossy: bool) -> None:
-    """Compile the march in single precision by marching no step, where JAX runs on the CPU.
+    """Compile the kernel in single precision by a call with no steps, if JAX runs on the CPU.
 
     Parameters
     ----------
     lossy : bool
-        Whether the march will have losses.
+        Whether the run will have losses.
     """
     if jax.default_backend() != "cpu":
         return
@@ -47,5 +47,5 @@ def compile_march(*, lossy: bool) -> None:
 
 
 def _empty(*axes: int) -> Iterator[Array]:
-    """Yield an array without entries for each number of axes."""
+    """Yield an empty array for each number of axes."""
     return (np.zeros((0,) * n_axes, np.float32) for n_axes in axes)

@@ -1,8 +1,8 @@
 """Leapfrog step over columns of cells along the tube, compiled by numba.
 
-Importing this module imports numba, so it is imported only where a march starts. The arrays are
-those of `cpu_layout`, with z last. A loop over z writes to few arrays, because it is vectorised
-only if the compiler can check that none overlaps another.
+This module imports numba, and is therefore imported only when a run starts. The arrays are those of
+`cpu_layout`, with z last. Each loop over z writes to few arrays, because it is vectorised only if
+the compiler can check that no arrays overlap.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from acoustube.waves.scheme.cpu_layout import CORE, CUT
 
 BARRIER_POLLS = 2000
 """Number of polls of the barrier before a thread yields its core."""
-# Indices are unsigned: signed ones would be checked for negative values.
+# Indices are unsigned, because signed ones would be checked for negative values.
 _NONE, _ONE, _TWO, _THREE, _FOUR = (np.uint64(i) for i in range(5))
-# Sums may be reassociated, but NaN must be preserved. References are not counted: the
+# Sums may be reassociated, but NaN must be preserved. Reference counting is off, because the
 # threads would share the counts, and every slice would change them.
 _compiled = njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"},
@@ -68,7 +68,7 @@ def _barrier_wait(counter, total):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _full_divergence(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of a cell all of whose faces are full."""
+    """Return the divergence of the gradient in a cell whose faces are all full."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     twice = q[i, j, m] + q[i, j, m]
     across = full[0] * ((q[i + _ONE, j, m] + q[x, j, m]) - twice)
@@ -80,7 +80,7 @@ def _full_divergence(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of a cell over its transverse faces."""
+    """Return the divergence of the gradient in a cell, over its transverse faces."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     here, area_x, area_y = q[i, j, m], operator.area_x, operator.area_y
     flow_x = area_x[i, y, k] * (q[i + _ONE, j, m] - here) - area_x[x, y, k] * (here - q[x, j, m])
@@ -90,7 +90,7 @@ def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_along(velocities, areas, beta):  # type: ignore[no-untyped-def]
-    """Return the divergence over the axial faces, as `operator.axial_divergence`."""
+    """Return the divergence of u over the axial faces, as `operator.axial_divergence`."""
     before, below, above, behind = velocities
     a, b, c, d = areas
     low, here, high = (
@@ -109,7 +109,7 @@ def _axial_areas(operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _cut_divergence(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of a cell, each face with its own area."""
+    """Return the divergence of the gradient in a cut cell, each face with its own area."""
     i, j = x + _ONE, y + _ONE
     a, b, c, d, e = (
         q[i, j, k],
@@ -144,7 +144,7 @@ def _lossless_cut(operator, q, following, change, x, y, begin, end):  # type: ig
 
 @_compiled
 def _update_air_memory(lossy, relaxed, middle, following, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance the air's relaxations, and subtract them from the Laplacian's argument."""
+    """Advance the air's relaxations, and subtract them from the argument of the Laplacian."""
     for j in range(np.uint64(lossy.bulk.size)):
         decay, gain, lag = lossy.decay[j], lossy.gain[j], lossy.bulk[j]
         for k in range(begin, end):
@@ -303,9 +303,9 @@ def _lossy_column(problem, q, following, integral, later, work, c, x, y, limit):
 
 @_compiled
 def _step(problem, thread, now, begin, end, sample, limit, work, recorded):  # type: ignore[no-untyped-def]
-    """Advance some columns by one step, up to a layer.
+    """Advance a range of columns by one step, up to a layer.
 
-    Without losses `work` is None, and what has losses is not compiled.
+    Without losses `work` is None, and the code for losses is not compiled.
     """
     columns, operator, _, fields, before, behind, ends = problem
     q, following = fields.ahead[now], fields.ahead[1 - now]
@@ -343,18 +343,18 @@ def advance(problem, thread, now, samples, limits, work, recorded, counter):  # 
     thread : int
         Index of the thread.
     now : int
-        Index of the present in `Fields.ahead` and `Fields.integral`, 0 or 1.
+        Index of the present time in `Fields.ahead` and `Fields.integral`, 0 or 1.
     samples : ndarray
         Source signal, one sample per step, (n,).
     limits : ndarray
-        Number of layers that each step advances, of uint64, (n,).
+        Number of layers that each step advances, uint64, (n,).
     work : ndarray or None
-        For intermediate values with losses, (n_threads, 2, nz); None without.
+        Work space with losses, (n_threads, 2, nz); None without losses.
     recorded : ndarray
         Receives the threads' contributions to the probes' pressures, (n_threads, n, n_probes);
         initially zero.
     counter : ndarray
-        Of int64, (1,), initially zero.
+        Number of arrivals at the barrier, int64, (1,), initially zero.
     """
     bounds = problem[0].bounds
     n_threads = bounds.size - 1

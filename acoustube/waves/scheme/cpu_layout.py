@@ -1,6 +1,6 @@
 """Arrays of the compiled leapfrog scheme: columns of open cells, coefficients, state.
 
-All arrays have the tube's axis z last. Coefficients and states bear the names that they have in
+All arrays have the tube's axis z last. Coefficients and states have the same names as in
 `operator`, `losses` and `pml`; a test lists the exceptions.
 """
 
@@ -15,7 +15,7 @@ Array = NDArray[np.floating[Any]]
 Integers = NDArray[np.integer[Any]]
 
 CORE, CUT = 0, 1
-"""Kinds of spans: of full cells without losses at the wall, and all others."""
+"""Kinds of spans: full cells without losses at the wall (core), and all others (cut)."""
 
 
 class Columns(NamedTuple):
@@ -48,7 +48,7 @@ class Stencil(NamedTuple):
         Inverse volume times the time step squared, (nx, ny, nz).
     area_x, area_y, area_z : ndarray
     full : ndarray
-        Areas of the three full faces, times the time step squared, (3,).
+        Areas of full faces normal to x, y and z, times the time step squared, (3,).
     beta : ndarray
         (1,).
     """
@@ -67,16 +67,17 @@ class LossCoefficients(NamedTuple):
     Attributes
     ----------
     drag : Stencil
-        Acts in cut spans only.
+        Viscous drag, which acts in cut spans only.
     compliance, implicit_factor : ndarray
         (nx, ny, nz).
     weight : ndarray
         Weight of the air's absorption in each layer, (nz,).
     decay, gain, wall, bulk : ndarray
-        Of the relaxations, those of the air first, (n_poles,); `wall` is the contribution of a
-        relaxation to the half-integral within a step, `bulk` that of the air's relaxations only.
+        Coefficients of the relaxations, those of the air first, (n_poles,). `wall` is the factor of
+        a relaxation in the half-integral's change over a step; `bulk` has the air's relaxations
+        only.
     scalars : ndarray
-        Response and rate, (2,).
+        `response` and `rate`, (2,).
     """
 
     drag: Stencil
@@ -91,17 +92,17 @@ class LossCoefficients(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """State of a march.
+    """State of a run.
 
     Attributes
     ----------
     ahead : ndarray
-        Argument of the Laplacian: the pressure plus the terms of the air's absorption. At two
+        Argument of the Laplacian, the pressure plus the terms of the air's absorption, at two
         times, (2, nx+2, ny+2, nz+4).
     change : ndarray
         Pressure change over the last step, (nx, ny, nz).
     pressure : ndarray
-        (nx+2, ny+2, nz+4); empty without losses, as are all that follow.
+        (nx+2, ny+2, nz+4); empty without losses, as are all the following arrays.
     relaxed : ndarray
         Relaxation states, (nx, ny, n_poles, nz).
     relaxing : ndarray
@@ -109,7 +110,7 @@ class Fields(NamedTuple):
     integral : ndarray
         Half-integral of the pressure at two times, (2, nx+2, ny+2, nz+4).
     increment : ndarray
-        Its change over the last step, (nx, ny, nz).
+        Change of the half-integral over the last step, (nx, ny, nz).
     """
 
     ahead: Array
@@ -148,7 +149,7 @@ class SourceAndProbes(NamedTuple):
     shape : ndarray
         Shape of the source over its layer, (nx, ny).
     keep : ndarray
-        Factor of the pressure that the source replaces, or adds to, (1,).
+        Factor of the source layer's pressure, (1,): 0 if the source replaces it, 1 if it is added.
     layer : int
         Index of the source layer.
     planes : ndarray

@@ -1,4 +1,4 @@
-"""Leapfrog marching on the CPU, over columns of open cells.
+"""Leapfrog time stepping on the CPU, over columns of open cells.
 
 The same scheme as `leapfrog`, with the same results except for rounding. One pass over the grid
 applies operator, losses, absorbers and source to a column of cells, and writes the next pressure
@@ -6,7 +6,7 @@ into a second array, so that threads synchronise once per step. Cells that are f
 all around and without losses at the wall, need no coefficients and no memory of the wall.
 
 The stored field is the argument of the Laplacian: the pressure plus the terms of the air's
-absorption, which depend on the cell alone.
+absorption, which are local to a cell.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ Array = NDArray[np.floating[Any]]
 WALL, ABSORBING = -1, 2
 """Kinds of cells that belong to no span."""
 SHORTEST_CORE = 32
-"""Number of cells of a core span below which it is merged with its neighbouring cut spans."""
+"""Smallest number of cells of a core span; shorter ones are merged with neighbouring cut spans."""
 CELL_COSTS = 1.0, 4.0, 4.0
-"""Relative time of a cell in a core span, a cut span and an absorber, for balancing threads."""
+"""Relative time for a cell in a core span, a cut span and an absorber, for balancing threads."""
 MOST_THREADS = 4
-"""Largest number of threads; more were not measured."""
+"""Largest number of threads; more were not tested."""
 
 
 class CompiledMarcher:
@@ -89,7 +89,7 @@ class CompiledMarcher:
         Parameters
         ----------
         source : array_like
-            (n,).
+            Source signal, (n,).
         layers : array_like of int, optional
             Number of layers that each step advances, from the first, (n,); all by default.
 
@@ -132,8 +132,8 @@ class CompiledMarcher:
     def state(self) -> State:
         """Return a copy of the state.
 
-        Memory variables that act on nothing - of the air within an absorber, of the wall away from
-        it - are not advanced.
+        Memory variables without effect (of the air within an absorber, of the wall in cells away
+        from it) are not advanced.
         """
         _, _, lossy, fields, before, behind, _ = self._problem
         return State(
@@ -151,7 +151,7 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
     Raises
     ------
     SimulationError
-        If a thread cannot be started; the function was not called then.
+        If a thread cannot be started; the function is then not called.
     """
     gate = Barrier(n_threads)
 
@@ -177,7 +177,8 @@ def _run_together(run: Callable[[int], None], n_threads: int) -> None:
 def default_threads() -> int:
     """Return the number of threads: numba's own, up to `MOST_THREADS`.
 
-    Numba's is ``NUMBA_NUM_THREADS`` or one per core, unless ``numba.set_num_threads`` lowered it.
+    Numba's number is ``NUMBA_NUM_THREADS``, by default one per core, unless it was lowered by
+    ``numba.set_num_threads``.
     """
     return min(get_num_threads(), MOST_THREADS)
 
@@ -205,7 +206,7 @@ def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
 
 
 def _full(operator: Operator) -> Mask:
-    """Return the mask of full cells with full faces, axially also those of both neighbours."""
+    """Return the mask of full cells whose faces, and axial faces of both neighbours, are full."""
     x, y, z = (np.asarray(area) for area in operator[1:4])
     x, y, z = (area == face for area, face in zip((x, y, z), _full_faces(operator), strict=True))
     across = x[1:] & x[:-1] & y[:, 1:] & y[:, :-1]
@@ -248,7 +249,7 @@ def _kinds(setup: Setup, state: State) -> NDArray[np.integer[Any]]:
 
 
 def _columns(setup: Setup, state: State, n_threads: int) -> Columns:
-    """Return the columns that hold open cells, and their spans outside the absorbers."""
+    """Return the columns that contain open cells, and their spans outside the absorbers."""
     kinds = _kinds(setup, state)
     _, ny, nz = kinds.shape
     kinds = kinds.reshape(-1, nz)
@@ -283,7 +284,7 @@ def _runs(values: NDArray[np.integer[Any]]) -> tuple[NDArray[np.integer[Any]], .
 
 
 def _air_first(losses: Losses) -> tuple[NDArray[np.integer[Any]], int]:
-    """Return the permutation that puts the air's relaxations first, and their number."""
+    """Return the permutation that puts the air's relaxations first, and the number of these."""
     of_air = np.array([float(lag) != 0 for lag in losses.bulk])
     return np.argsort(~of_air, kind="stable"), int(of_air.sum())
 
@@ -337,7 +338,7 @@ def _fields(scheme: Scheme, state: State, lossy: LossCoefficients, dtype: Any) -
 
 
 def _twice(field: ArrayLike) -> Array:
-    """Return an array for a field at two time levels, the second uninitialised."""
+    """Return an array for a field at two time levels, the second zero."""
     field = np.asarray(field)
     both = np.zeros((2, *field.shape), field.dtype)
     both[0] = field

@@ -1,9 +1,9 @@
-"""Leapfrog marching of the pressure and of its change per step.
+"""Leapfrog time stepping of the pressure and of its change per step.
 
-The pressure-velocity scheme with the velocities eliminated (see `operator`). It is implemented
-twice: here in JAX, which runs on GPUs and can be differentiated, and in `cpu_leapfrog` for the CPU,
-where that is several times as fast. Both take all coefficients as arguments, so that a second lumen
-of equal shape is not compiled again.
+The scheme is the staggered pressure-velocity scheme with the velocities eliminated (see
+`operator`). It is implemented twice: here in JAX, which runs on GPUs and can be differentiated, and
+in `cpu_leapfrog` for the CPU, where the latter is several times as fast. Both take all coefficients
+as arguments, so that no compilation is needed for a second lumen of equal shape.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Array = NDArray[np.floating[Any]]
 CHUNK = 250
 """Number of steps between two calls of `progress`."""
 UNROLL = 2
-"""Steps per iteration of the loop: XLA then copies no field, and stores fewer intermediates."""
+"""Steps per loop iteration: with two, XLA copies no field and stores fewer intermediates."""
 
 
 def initial_state(setup: Setup, pressure: ArrayLike) -> State:
@@ -52,12 +52,12 @@ def initial_state(setup: Setup, pressure: ArrayLike) -> State:
     setup : Setup
         The discrete problem.
     pressure : (nx, ny, nz) array_like
-        In Pa, on the marched grid; it should vanish in the absorbers.
+        In Pa, on the grid with its absorbers, in which it should vanish.
 
     Returns
     -------
     State
-        Initial state of a march.
+        Initial state of a run.
     """
     silence, scheme = setup.state, setup.scheme
     field, change = _from_rest(on_device(pressure, silence.change.dtype), scheme)
@@ -93,19 +93,18 @@ def march(
     source : ndarray
         Source signal: the values to which the source layer is set, or increments, (n,).
     layers : ndarray of int, optional
-        Number of layers, from the first, that have to be advanced in each step, (n,), as from
-        `audible_layers`; all by default. Only compiled columns leave the others out, whose state
-        is then that of an earlier step.
+        Number of layers, from the first, that have to be advanced in each step, (n,), such as those
+        from `audible_layers`; all by default. Only the compiled implementation omits the others,
+        which then keep the state of an earlier step.
     progress : callable, optional
         Called with the finished fraction after each chunk.
     compiled : bool, optional
-        Whether to march over compiled columns rather than in JAX; by default where JAX runs on the
-        CPU.
+        Use the compiled implementation rather than JAX; by default if JAX runs on the CPU.
 
     Returns
     -------
     state : State
-        After the last step.
+        State after the last step.
     pressure : ndarray
         Pressure at the probes after each step, (n_probes, n).
 
@@ -145,7 +144,7 @@ class Marcher(Protocol):
 
 
 def _marcher(setup: Setup, state: State, compiled: bool | None) -> Marcher:
-    """Return the marcher of a state: over compiled columns on a CPU, in JAX elsewhere."""
+    """Return the marcher of a state: compiled on a CPU, in JAX elsewhere."""
     if compiled is None:
         compiled = jax.default_backend() == "cpu"
     if not compiled:
@@ -189,10 +188,10 @@ class _Fields(NamedTuple):
     pressure : Array or None
         In Pa, (nx, ny, nz); without losses it is `ahead`, and this is None.
     change : Array
-        Over the last step, in Pa, (nx, ny, nz).
+        Pressure change over the last step, in Pa, (nx, ny, nz).
     before, behind : Absorber or None
     memory : RelaxationState or None
-        Its half-integral without halo.
+        With the half-integral without halo.
     """
 
     ahead: jax.Array
@@ -207,20 +206,22 @@ class _Fields(NamedTuple):
 def run_chunk(
     state: State, scheme: Scheme, source: jax.Array, *, source_layer: int
 ) -> tuple[State, jax.Array]:
-    """Advance by some steps in JAX, differentiably, and record the probes after each.
+    """Advance by several steps in JAX, differentiably, and record the probes after each step.
 
     Parameters
     ----------
     state : State
     scheme : Scheme
     source : array of shape (n_steps,)
-        Increment of the source pressure in each step.
+        Source signal in each step; see `march`.
     source_layer : int
+        Index of the source layer.
 
     Returns
     -------
     state : State
     record : array of shape (n_steps, n_probes)
+        Pressures at the probes after each step.
     """
     step = partial(_step, scheme, source_layer)
     fields, record = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
@@ -273,7 +274,7 @@ def _step(
 
 def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | None) -> jax.Array:
     """Return a field whose first and last layers are replaced."""
-    # By selection, since XLA does not fuse a concatenation with the operations that follow.
+    # By selection, because XLA does not fuse a concatenation with the following operations.
     n = middle.shape[2]
     layer = jnp.arange(n)
     if first is not None:
@@ -298,7 +299,7 @@ def _absorber_step(
 def _window(
     pressure: jax.Array, operator: Operator, first: int, n_layers: int
 ) -> tuple[jax.Array, Operator]:
-    """Return the pressure in and around several layers, and their coefficients."""
+    """Return the pressure in and around several layers, and the coefficients of these layers."""
     cells = slice(first, first + n_layers)
     local = Operator(
         inverse_volume=operator.inverse_volume[:, :, cells],
@@ -318,6 +319,6 @@ def _driven(pressure: jax.Array, scheme: Scheme, source_layer: int, sample: jax.
 
 
 def _probe(pressure: jax.Array, scheme: Scheme) -> jax.Array:
-    """Return the weighted sums over the probed layers, (n_probes,)."""
+    """Return the weighted sums of the pressure over the probed layers, (n_probes,)."""
     planes = jnp.take(pressure, scheme.probe_layers, axis=2)
     return jnp.sum(planes * scheme.probe_weights, axis=(0, 1))

@@ -1,9 +1,9 @@
 """Viscothermal losses at the wall and absorption in the air, in the time domain.
 
 A boundary layer that is thin compared with the bore reduces the tangential velocity v by viscous
-drag, and makes the compression of the air isothermal [1]_. To first order in its thickness [2]_,
-with the wetted area per volume S of the air near the wall, nu and nu_t the viscous and thermal
-diffusivities, gamma the ratio of heat capacities and s = d/dt,
+drag, and makes the compression of the air isothermal [1]_. Let S be the wetted area per volume of
+the air near the wall, nu and nu_t the viscous and thermal diffusivities, gamma the ratio of heat
+capacities and s = d/dt. To first order in the layer's thickness [2]_,
 
     s v = -grad p / rho (1 - S sqrt(nu) s^(-1/2)),
     s p (1 + (gamma - 1) S sqrt(nu_t) s^(-1/2)) = -rho c^2 div v.
@@ -15,27 +15,27 @@ Without the velocities, and with y = s^(-1/2) p,
 `half_integral` approximates s^(-1/2) over a band by first-order relaxations with positive weights,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
 The dissipation is then positive at every frequency, on any grid: the real part of the response of y
-to p, times the frequency, has one sign. The scheme is also stable at zero frequency as long as
-S sqrt(nu) times the sum's value at s = 0 stays below one; without a bound on S the viscous
-boundary condition is ill-posed in the time domain [4]_. In a gap of a few layers S is about twice
-the inverse of the gap, and may exceed that: the static stiffness would be negative, and pressures
-of alternating sign grow. Therefore S sqrt(nu) is limited to `LARGEST_DRAG` over that value. Each
-face's term, with weights w and rates r,
+to p, times the frequency, has one sign. At zero frequency the scheme is stable as long as S
+sqrt(nu) times the value of the sum of relaxations at s = 0 is less than one; without a bound on S
+the viscous boundary condition is ill-posed in the time domain [4]_. In a gap of a few layers S is
+about twice the inverse of the gap, and may exceed this bound: the static stiffness would be
+negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is limited to
+`LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
 
     1 - S sqrt(nu) sum w / (s + r) = 1 - S sqrt(nu) sum w / r + S sqrt(nu) sum (w / r) s / (s + r),
 
-is then a spring in parallel with a spring and dashpot in series for each relaxation, none of them
-negative: passive by construction.
+is then a spring in parallel with a spring and dashpot in series for each relaxation. None of them
+is negative, so that the term is passive by construction.
 
-S must not be too concentrated elsewhere, either. Therefore the wetted area of a wall cell is not
-assigned to that cell alone, whose volume may be arbitrarily small, but spread over `WALL_SPREAD` by
-diffusion, which conserves its total and makes the result independent of the grid. The tangential
-parts are spread with it: the area times one minus the square of the normal's component, for each
-direction of a face.
+S must not be too concentrated in other places, either. The wetted area of a wall cell, whose volume
+may be arbitrarily small, is therefore not assigned to that cell alone but spread over `WALL_SPREAD`
+by diffusion, which conserves its total and makes the result independent of the grid. The tangential
+parts are spread with it: for each direction of a face, the area times one minus the square of the
+normal's component.
 
-The absorption of the air adds to the pressure whose Laplacian is taken a part proportional to its
-rate (the classical absorption) and parts that lag behind it (the vibrational relaxations of oxygen
-and nitrogen).
+The absorption of the air adds two terms to the pressure whose Laplacian is taken: one proportional
+to the pressure's rate of change (classical absorption), and terms that lag behind the pressure (the
+vibrational relaxations of oxygen and nitrogen).
 
 References
 ----------
@@ -78,10 +78,11 @@ from acoustube.waves.scheme.time_step import largest_eigenvalue
 WALL_SPREAD = 0.2e-3
 """Standard deviation in m of the distance over which the wetted area is spread."""
 WALL_THRESHOLD = 0.01
-"""Wetted area, relative to that at a flat wall, below which a cell has no losses at the wall."""
+"""Wetted area per volume, relative to that at a flat wall, below which a cell has no losses at the
+wall."""
 LARGEST_DRAG = 0.99
-"""Largest part of the air's mobility at zero frequency that drag takes away; rounding of the
-relaxations' decay in single precision changes the part by 1e-4 at most."""
+"""Largest fraction of the air's mobility at zero frequency that the drag removes; rounding of the
+relaxations' decay in single precision changes it by 1e-4 at most."""
 
 
 class Losses(NamedTuple):
@@ -90,7 +91,7 @@ class Losses(NamedTuple):
     Attributes
     ----------
     drag : Operator
-        Operator whose faces are weighted with S sqrt(nu), limited.
+        Operator whose faces are weighted with S sqrt(nu), up to its limit.
     compliance : Array
         (gamma - 1) S sqrt(nu_t) in s^(-1/2), (nx, ny, nz).
     implicit_factor : Array
@@ -126,11 +127,11 @@ class RelaxationState(NamedTuple):
     Attributes
     ----------
     relaxed : tuple of Array
-        Relaxations, n of (nx, ny, nz). As one array they took four times as long.
+        n relaxations, each (nx, ny, nz). A single array took four times as long.
     integral : Array
         Half-integral y of the pressure, with halo.
     increment : Array
-        Its change over the last step, (nx, ny, nz).
+        Change of the half-integral over the last step, (nx, ny, nz).
     """
 
     relaxed: tuple[jax.Array, ...]
@@ -154,9 +155,9 @@ def losses(
     Parameters
     ----------
     cells : CutCells
-        The grid as it is marched, after `share_small_volumes`.
+        The grid of the scheme, after `share_small_volumes`.
     exact : CutCells
-        The grid before that.
+        The grid before `share_small_volumes`.
     operator : Operator
         Operator of `cells`.
     air : Air
@@ -188,7 +189,7 @@ def losses(
     most = LARGEST_DRAG / float(np.sum(wall.weights / wall.rates))
     drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), most, dtype)
     compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted.sum(axis=0)
-    # The classical absorption A f^2 belongs to the diffusivity A c^3 / (2 pi^2) of the pressure.
+    # The classical absorption A f^2 corresponds to a diffusivity of the pressure A c^3 / (2 pi^2).
     diffusivity = air.classical_absorption * air.sound_speed**3 / (2 * pi**2)
     response = float(gain @ weights)
     found = Losses(
@@ -218,20 +219,20 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     Parameters
     ----------
     cells, exact : CutCells
-        A grid after `share_small_volumes`, and before that.
+        A grid after and before `share_small_volumes`.
 
     Returns
     -------
     ndarray
-        The area times the squares of its normal's components, (3, nx, ny, nz), in 1/m; their sum is
-        the wetted area per volume.
+        The wetted area per volume times the squares of the components of its normal,
+        (3, nx, ny, nz), in 1/m; the sum over the components is the wetted area per volume.
 
     Notes
     -----
-    The wall's vector area in a cell closes those of its open faces. A tube that continues beyond
-    its ends has no wall there, and a plane of symmetry is not a wall. The tail of the diffusion
-    beyond three `WALL_SPREAD`, a few thousandths, is redistributed to the rest: cells in the core
-    need no memory variables then.
+    The wall's vector area in a cell is minus the sum of those of its open faces. A tube that
+    continues beyond its ends has no wall there, and a plane of symmetry is not a wall. The tail of
+    the diffusion beyond three `WALL_SPREAD`, a few thousandths of the total, is redistributed to
+    the rest, so that cells in the core need no memory variables.
     """
     dx, dy, dz = exact.spacing
     x, y, z = exact.open_x, exact.open_y, exact.open_z
@@ -277,8 +278,9 @@ def _diffused(density: jax.Array, operator: Operator, n_steps: int) -> jax.Array
 def _drag(operator: Operator, wetted: Array, most: float, dtype: DTypeLike) -> Operator:
     """Return an operator whose faces are weighted with the tangential wetted area up to a limit.
 
-    A face's weight is the mean of two cells' and keeps the limit, and so does the axial correction,
-    whose areas are the smaller of two weighted ones: the drag is passive (see the module).
+    The weight of a face is the mean of those of two cells, and is therefore within the limit. So is
+    the axial correction, whose areas are the smaller of two weighted ones. The drag is therefore
+    passive (see the module's docstring).
     """
     x, y, z = np.minimum(wetted.sum(axis=0) - wetted, most)
     x, y = np.pad(x, ((1, 1), (0, 0), (0, 0)), "edge"), np.pad(y, ((0, 0), (1, 1), (0, 0)), "edge")
@@ -312,16 +314,16 @@ def lossy_change(
     around : Array
         The pressure plus `bulk_absorption`, with halo, in Pa.
     pressure : Array
-        Without halo, in Pa.
+        Pressure without halo, in Pa.
     change : Array
-        Over the last step, in Pa.
+        Pressure change over the last step, in Pa.
     step_squared : Array
-        In s2.
+        Time step squared in s2.
 
     Returns
     -------
     Array
-        Over this step, in Pa.
+        Pressure change over this step, in Pa.
     """
     force = laplacian(around, operator) - laplacian(with_halo(memory.integral), losses.drag)
     stiff = losses.compliance * (_expected(losses, memory, pressure) - memory.increment)
@@ -339,7 +341,7 @@ def advance_relaxations(
     memory : RelaxationState
         At the time of `pressure`, without halo.
     pressure, change : Array
-        Before the step and over it, in Pa.
+        Pressure before the step, and its change over the step, in Pa.
     """
     increment = _expected(losses, memory, pressure) + 0.5 * losses.response * change
     middle = pressure + 0.5 * change
@@ -351,7 +353,7 @@ def advance_relaxations(
 
 
 def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) -> jax.Array:
-    """Return the bulk absorption's pressure term in Pa, which is added under the Laplacian."""
+    """Return the bulk absorption's term in Pa, added to the pressure whose Laplacian is taken."""
     lagging = sum(
         (weight * one for weight, one in zip(losses.bulk, memory.relaxed, strict=True)),
         start=jnp.zeros_like(change),
@@ -360,7 +362,7 @@ def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) 
 
 
 def _expected(losses: Losses, memory: RelaxationState, pressure: jax.Array) -> jax.Array:
-    """Return the half-integral's increment without the response to the step's own change."""
+    """Return the half-integral's increment, without the response to the change in this step."""
     relaxing = (
         weight * (decay - 1) * one
         for weight, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)

@@ -6,11 +6,11 @@ Mass balance and momentum on a staggered grid [1]_, [2]_ are, per cell and face,
 
     V dp/dt = -rho c^2 sum(A u),    rho du/dt = -grad p.
 
-Eliminating the face velocities leaves V d2p/dt2 = c^2 sum(A grad p), with half the memory traffic
-of the staggered form and, in leapfrog time stepping, the same pressures. Axially the open area is
-replaced by A + beta D2' N D2, with D2 the difference of neighbouring axial faces and N the smaller
-of their open areas. In a straight duct a plane wave of axial phase theta = k dz per cell and
-Omega = omega dt per step then obeys, with nu = c dt / dz,
+Eliminating the face velocities leaves V d2p/dt2 = c^2 sum(A grad p). This has half the memory
+traffic of the staggered form and, in leapfrog time stepping, gives the same pressures. Along the
+tube the open area is replaced by A + beta D2' N D2, where D2 is the difference between neighbouring
+axial faces and N the smaller of their open areas. In a straight duct a plane wave of axial phase
+theta = k dz per cell and Omega = omega dt per step then obeys, with nu = c dt / dz,
 
     sin^2(Omega/2) = nu^2 sin^2(theta/2) (1 + 4 beta sin^2(theta/2)).
 
@@ -18,10 +18,10 @@ Expanded with Omega = nu theta, 1 - nu^2 theta^2/12 = (1 - theta^2/12)(1 + beta 
 
     beta = (1 - nu^2) / 12
 
-removes the second-order dispersion of space and time together. This is the symmetric stencil
-D' M' A M D with M = 1 - (beta/2) D2^2 to that order, but one pass, and consistent at slanted walls:
-N vanishes next to a closed face, so there is no flow through it. The operator stays self-adjoint
-and negative semidefinite for any areas, so the discrete energy is conserved.
+removes the second-order dispersion of space and time together. To that order, this is the symmetric
+stencil D' M' A M D with M = 1 - (beta/2) D2^2, but it takes one pass and is consistent at slanted
+walls: N vanishes next to a closed face, so that there is no flow through it. The operator is
+self-adjoint and negative semidefinite for any areas, so that the discrete energy is conserved.
 
 References
 ----------
@@ -45,9 +45,9 @@ from acoustube.air import Air
 from acoustube.waves.grid.cells import CutCells
 
 HALO = ((1, 1), (1, 1), (2, 2))
-"""Closed cells around a field; the axial stencil reaches two cells."""
+"""Number of closed cells around a field on each side; the axial stencil reaches two cells."""
 INTERIOR = (slice(1, -1), slice(1, -1), slice(2, -2))
-"""Slices of a field without its halo."""
+"""Slices that select a field without its halo."""
 
 
 class Operator(NamedTuple):
@@ -93,11 +93,11 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
     Returns
     -------
     Operator
-        Its outermost faces are closed.
+        With closed outermost faces.
 
     Notes
     -----
-    JAX can differentiate it, and a march of it, with respect to the fractions.
+    JAX can differentiate the operator, and time stepping with it, with respect to the fractions.
     """
     volume, *faces = (
         on_device(part, dtype)
@@ -115,7 +115,7 @@ def _coefficients(volume: jax.Array, faces: list[jax.Array], scales: list[ArrayL
         _closed_outside(face, axis) * scale
         for axis, (face, scale) in enumerate(zip(faces, scales, strict=True))
     )
-    # No division by zero in either branch, so that the derivative is finite too.
+    # No division by zero in either branch, so that the derivative is also finite.
     inverse = jnp.where(volume > 0.0, 1.0 / jnp.where(volume > 0.0, volume, 1.0), 0.0)
     return inverse, x, y, jnp.pad(z, ((0, 0), (0, 0), (1, 1)))
 
@@ -128,7 +128,7 @@ def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
 
 
 def on_device(values: ArrayLike, dtype: DTypeLike) -> jax.Array:
-    """Return values as a JAX array; NumPy converts them, because JAX compiles conversions."""
+    """Return values as a JAX array, converted by NumPy, because JAX would compile a conversion."""
     known = isinstance(values, jax.Array)
     return jnp.asarray(values, dtype) if known else jnp.asarray(np.asarray(values, dtype))
 
@@ -201,7 +201,7 @@ def axial_divergence(velocity: jax.Array, area: jax.Array, beta: jax.Array) -> j
     Array
         Divergence per cell, (nx, ny, nz).
     """
-    # Face by face rather than as one flux and its differences: a compiler then stores no flux.
+    # Face by face rather than by differences of a flux, so that the compiler stores no flux.
     n = velocity.shape[2] - 3
     before, below, above, behind = (velocity[:, :, i : i + n] for i in range(4))
     a, b, c, d = (area[:, :, i : i + n] for i in range(4))

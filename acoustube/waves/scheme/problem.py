@@ -1,4 +1,4 @@
-"""The discrete problem: grid with its ends, coefficients and initial state."""
+"""The discrete problem: grid with its ends, coefficients, and initial state."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from acoustube.waves.scheme.time_step import marching_step
 SourceEnd = Literal["release", "absorbing", "rigid"]
 FarEnd = Literal["absorbing", "rigid"]
 LOSS_TAPER = 8e-3
-"""Length in m over which losses are tapered off towards an absorber."""
+"""Length in m over which the losses are tapered to zero towards an absorber."""
 
 
 class State(NamedTuple):
-    """Fields of a march, which change from step to step.
+    """Fields of the scheme, which change from step to step.
 
     Attributes
     ----------
     pressure : Array
-        With halo, (nx+2, ny+2, nz+4), in Pa.
+        Pressure with halo, (nx+2, ny+2, nz+4), in Pa.
     change : Array
         Pressure change over the last step, sources excluded, (nx, ny, nz), in Pa.
     before, behind : Absorber or None
@@ -85,12 +85,12 @@ class Scheme(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Setup:
-    """Discrete problem of a lumen with its ends, ready to march.
+    """Discrete problem of a lumen with its ends, ready for time stepping.
 
     Attributes
     ----------
     cells : CutCells
-        The grid as marched: after `share_small_volumes`, absorbers appended.
+        The grid of the scheme: after `share_small_volumes`, with the absorbers appended.
     scheme : Scheme
         Coefficients.
     state : State
@@ -138,13 +138,13 @@ def prepare(
         absorber behind it; or a rigid cap half a cell before z = 0, for problems that start
         from an initial pressure.
     far_end : {"absorbing", "rigid"}
-        Straight continuation into an absorber, or a cap at z = L.
+        Straight continuation into an absorber, or a rigid cap at z = L.
     absorber_thickness : float
         In m.
     time_step : float, optional
         In s; the default is `stable_step`.
     lossy_band : tuple of float, optional
-        Frequencies in Hz between which the losses are fitted; without it the air is lossless.
+        Lowest and highest frequency in Hz of the fit of the losses; by default there are no losses.
     dtype : dtype
         Precision of the fields.
 
@@ -226,7 +226,7 @@ def _loss_weight(n_layers: int, ahead: int, behind: int, taper: int) -> Array:
     """Return the weight of the losses in each layer: 0 in absorbers, with a taper towards them.
 
     The absorbers are designed for lossless air, and an abrupt end of the losses would reflect. The
-    two layers next to an absorber, within reach of its stencil, are lossless too.
+    two layers next to an absorber, which its stencil reaches, are lossless too.
     """
     distance = np.full(n_layers, np.inf)
     if ahead:

@@ -23,13 +23,14 @@ class Pulse:
     frequency : float
         Carrier frequency f in Hz.
     cycles : float
-        Length of the window in carrier cycles.
+        Duration of the window in carrier cycles.
 
     Notes
     -----
     s(t) = exp(-(t - T/2)^2 / (2 sigma^2)) sin(2 pi f (t - T/2)) for 0 <= t <= T = cycles / f, else
-    0, with sigma = T/6: the window holds +-3 sigma and cuts the envelope at 1.1 %. With a whole
-    number of cycles the carrier vanishes there, so the signal is continuous.
+    0, with sigma = T/6. The window extends over +-3 sigma and truncates the envelope at 1.1 % of
+    its peak. With a whole number of cycles the carrier vanishes there, and the signal is
+    continuous.
     """
 
     frequency: float
@@ -41,7 +42,7 @@ class Pulse:
 
     @property
     def duration(self) -> float:
-        """Length of the window in s."""
+        """Duration of the window in s."""
         return self.cycles / self.frequency
 
     @property
@@ -90,8 +91,8 @@ class SampledPulse:
 
     Notes
     -----
-    A cubic spline between the samples, zero before the first and behind the last: sample at ten
-    times the highest frequency or more.
+    The samples are interpolated by a cubic spline, with zero before the first and after the last
+    sample. The sampling rate should be ten times the highest frequency or more.
     """
 
     pressure: ArrayLike

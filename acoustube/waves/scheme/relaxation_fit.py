@@ -1,4 +1,4 @@
-"""Approximation of the half-integral s^(-1/2) by relaxations: a passive model over a band [1]_.
+"""Approximation of the half-integral s^(-1/2) by relaxations, a passive model over a band [1]_.
 
 References
 ----------
@@ -33,7 +33,7 @@ class HalfIntegral:
     Attributes
     ----------
     rates, weights : ndarray
-        In 1/s, and in s^(-1/2), (n,).
+        Relaxation rates in 1/s, and weights in s^(-1/2), (n,).
     error : float
         Largest relative error over the band.
     """

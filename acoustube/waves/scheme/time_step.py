@@ -24,11 +24,11 @@ from acoustube.waves.scheme.operator import (
 )
 
 SAFETY = 0.98
-"""Time step over its stability limit; it covers the error of the Lanczos value."""
+"""Ratio of the time step to its stability limit; it covers the error of the Lanczos value."""
 ITERATIONS = 40
 """Number of Lanczos steps."""
 LANCZOS_LAYERS = 32
-"""Layers kept at both ends of a straight part in which the eigenvalue is sought."""
+"""Number of layers kept at each end of a straight part for the computation of the eigenvalue."""
 
 
 @checked(cells=CutCells, air=Air)
@@ -57,7 +57,7 @@ def marching_step(cells: CutCells, air: Air) -> float:
     Parameters
     ----------
     cells : CutCells
-        The grid as it is marched, after `share_small_volumes`.
+        The grid of the scheme, after `share_small_volumes`.
     air : Air
         Gas in the lumen.
 
@@ -69,11 +69,11 @@ def marching_step(cells: CutCells, air: Air) -> float:
     Notes
     -----
     The operator's axial correction beta = (1 - nu^2)/12 depends on the step, and the largest
-    eigenvalue grows with beta. The step found for the bound beta = 1/12 is therefore stable, and
-    so is the longer one found for the beta of that step, whose own beta is smaller still.
+    eigenvalue grows with beta. The step for the bound beta = 1/12 is therefore stable. So is the
+    longer step for the beta of that step, because its own beta is smaller still.
     """
     step = 0.0
-    # A straight part of this length has all that a longer one has but 6e-4 of the axial term.
+    # Shortening a straight part to this length reduces the axial term by a relative 6e-4.
     cells, _ = without_repeated_layers(cells, LANCZOS_LAYERS)
     for _ in range(2):
         operator = assemble(cells, air, dispersion_coefficient(cells, air, step))
@@ -92,7 +92,7 @@ def largest_eigenvalue(operator: Operator) -> float:
     Returns
     -------
     float
-        The Lanczos value [1]_, or Gershgorin's bound if that is smaller.
+        The Lanczos value [1]_, or Gershgorin's bound if it is smaller.
 
     Raises
     ------
@@ -101,8 +101,8 @@ def largest_eigenvalue(operator: Operator) -> float:
 
     Notes
     -----
-    Lanczos iteration in the volume-weighted inner product, in which the operator is self-adjoint,
-    from a checkerboard, the highest mode of an uncut grid. Noise on it excites modes that are
+    Lanczos iteration in the volume-weighted inner product, in which the operator is self-adjoint.
+    It starts from a checkerboard, the highest mode of an uncut grid, with noise that excites modes
     localised in single wall cells. ``scipy.sparse.linalg.eigsh`` converges to a value higher by
     3e-5 to 1e-4 and takes three to ten times as long, since each of its products leaves JAX.
 
@@ -150,7 +150,7 @@ def _lanczos(
 
 @jax.jit
 def _gershgorin(operator: Operator) -> jax.Array:
-    """Return Gershgorin's bound of the spectrum: twice the open faces over the volume.
+    """Return Gershgorin's bound of the eigenvalues: twice the open faces over the volume.
 
     The axial correction beta D2' N D2 is at most 4 beta A, because N never exceeds A.
     """

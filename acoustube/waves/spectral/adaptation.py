@@ -1,4 +1,4 @@
-"""Adaptation of degree and elements to an error tolerance, and the error that is left."""
+"""Adaptation of degree and elements to an error tolerance, and the remaining error."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from acoustube.waves.spectral.walls import Wall
 
 MAX_DEGREE = 16
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
-"""Shifts at which the basis is adapted first, as fractions of the index range."""
+"""Shifts at which the basis is adapted, as fractions of the index range."""
 COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance above which the degree is raised by 4 instead of 2."""
 MAX_ADAPTATIONS = 8
 
 
 class Adapted(NamedTuple):
-    """Discretisation refined at the probes, to the tolerance or as far as the limits allow.
+    """Discretisation refined to the tolerance at test shifts, or as far as the limits allow.
 
     Attributes
     ----------
     system : Discretisation
     basis : Basis
     responses : dict
-        From squared wavenumbers in 1/m2 to responses.
+        Responses by squared wavenumber in 1/m2.
     """
 
     system: Discretisation
@@ -64,7 +64,7 @@ def discretised(
         Symmetry about x = 0; None for all modes.
     basis : Basis
     lossy : bool
-        The wall has boundary layers.
+        Whether the wall has boundary layers.
     order : int
         Degree along an element.
     """
@@ -82,18 +82,18 @@ def adapted(
     *,
     lossy: bool,
 ) -> Adapted:
-    """Raise the degree and split elements until both errors at test shifts are within tolerance.
+    """Raise the degree and split elements until their errors at test shifts are within tolerance.
 
     Parameters
     ----------
     wall, k, odd, lossy
         As for :func:`discretised`.
     basis : Basis
-        To begin with.
+        Initial basis.
     wanted : float
-        Tolerance of either error.
+        Tolerance of the error by degree, and of that by elements.
     known : Adapted or None
-        Result before, whose responses have all shifts of the basis.
+        Previous result, whose responses include all shifts of the basis.
 
     Returns
     -------
@@ -125,20 +125,20 @@ def adapted(
 
 
 def _probes(shifts: Array) -> Array:
-    """Return the shifts at which the basis is adapted first."""
+    """Return the shifts at which the basis is adapted."""
     return shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
 
 
 def truncation_ratio(
     system: Discretisation, responses: dict[float, list[Response]], k: Array
 ) -> Array:
-    """Return the ratio of the error of degree and elements to what the corrections change, (n,).
+    """Return the ratio of the error by degree and elements to the change by corrections, (n,).
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
-        From squared wavenumbers in 1/m2 to responses.
+        Responses by squared wavenumber in 1/m2.
     k : ndarray
         Wavenumbers in 1/m, (n,).
     """
@@ -154,7 +154,7 @@ def truncation_ratio(
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return the changes of S at the shifts for a higher degree across, and along each element."""
+    """Return the largest changes of S by a higher degree across, and along each element."""
     corrections = {
         shift: [np.concatenate([side.by_degree[None], side.by_element]) for side in sides]
         for shift, sides in responses.items()
@@ -168,7 +168,7 @@ def _largest_changes(
     responses: dict[float, list[Response]],
     corrections: dict[float, list[Array]],
 ) -> Array:
-    """Return the largest changes of S for corrections (n, ...) of the impedances, (n,)."""
+    """Return the largest changes of S, (n,), by n corrections of the impedances at each shift."""
     found = []
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():

@@ -10,8 +10,9 @@ again in the span of the P_i, so that
 
     K = int grad p . grad q dV,    M = int p q dV
 
-need only the sections' Gram matrices int P_i P_k dx dy. Within an element the box is a polynomial
-through the extent of the wall at Gauss-Lobatto points, so that it is continuous along the tube.
+require only the sections' Gram matrices int P_i P_k dx dy. Within an element the box is a
+polynomial through the extent of the wall at Gauss-Lobatto points, and is therefore continuous along
+the tube.
 """
 
 from __future__ import annotations
@@ -74,9 +75,9 @@ class Elements:
     stiffness, mass : ndarray
         (n_elements, size, size), in m and m3; see :class:`Layout`.
     first, last : ndarray
-        The box x0, a, y0, b at both ends in m, (4,).
+        The boxes x0, a, y0, b at both ends in m, (4,).
     sections : Sections
-        Of the polynomials of the basis.
+        Gram matrices of the polynomials of the basis.
     """
 
     stiffness: Array
@@ -119,9 +120,9 @@ class Layout(NamedTuple):
     Attributes
     ----------
     n, n_all : int
-        Number of functions across the tube of both.
+        Number of functions across the tube, of the basis and of the enriched basis.
     order : int
-        Degree along an element of the basis.
+        Degree of the basis along an element.
     """
 
     n: int
@@ -144,7 +145,7 @@ class Layout(NamedTuple):
         return self.n_basis + self.n_higher + self.n
 
     def end(self, j: int) -> Index:
-        """Return the places of the unknowns of an end, j = 0 or 1, for all functions across."""
+        """Return the indices of the unknowns of an end, j = 0 or 1, for all functions across."""
         more = self.n_all - self.n
         return np.concatenate(
             [j * self.n + np.arange(self.n), self.n_basis + j * more + np.arange(more)]
@@ -153,7 +154,7 @@ class Layout(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _places(layout: Layout) -> Index:
-    """Return where the entries of an element's matrix are in one (n_j, n_j, n_all, n_all)."""
+    """Return the flat indices of an element's entries in an array of (n_j, n_j, n_all, n_all)."""
     n, n_all, n_j = layout.n, layout.n_all, layout.order + 1
     low, high = np.arange(n), np.arange(n, n_all)
     rows = [(j, i) for part in (low, high) for j in range(n_j) for i in part]
@@ -173,7 +174,7 @@ def along_elements(
     layout : Layout
     slopes, mixed, values : ndarray
         Factors of L_j' L_k', of L_j' L_k (and of its mirror image) and of L_j L_k at all points,
-        (n_points, n_all, n_all); the first two may be none.
+        (n_points, n_all, n_all); the first two may be None.
 
     Returns
     -------
@@ -207,7 +208,7 @@ def along_elements(
 
 
 def element_boxes(wall: Wall, rule: AxialRule) -> tuple[Boxes, Array, Array]:
-    """Return the bounding boxes of the sections at a rule's points, and those at both ends."""
+    """Return the bounding boxes of the sections at a rule's points, and at both ends."""
     nodes = gauss_lobatto(BOX_POINTS)
     step = rule.step
     z = (rule.edges[:-1, None] + step[:, None] * (nodes + 1) / 2).ravel()
@@ -234,7 +235,7 @@ def section_matrices(
 ) -> tuple[Array, Array, Array]:
     """Return int P P^T, int P (B P)^T and int grad P . grad P^T of each section.
 
-    The gradient of the last is that at fixed L_j: d/dx, d/dy and B. Each (n_sections, n, n).
+    Each is (n_sections, n, n). The gradient is that at fixed L_j: d/dx, d/dy and B.
     """
     n = basis.degree
     x = (contours.x - boxes.x0[:, None]) / boxes.a[:, None]

@@ -23,14 +23,15 @@ from acoustube.waves.spectral.ports import (
 from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance
 
 ADAPTATION_TOLERANCE = 0.25
-"""Fraction of the tolerance for the errors that cost little: of the shifts and of the points."""
+"""Tolerance of the error of the shifts, which costs little, as a fraction of the whole tolerance.
+"""
 EXTRA_BLOCKS = {False: 2, True: 3}
-"""Blocks of the Krylov space at an added shift, without and with losses: most of it is in the
-others' span."""
+"""Number of blocks of the Krylov space at an added shift, without and with losses: most of the
+space is in the span of the others."""
 MAX_ROUNDS = 6
-"""Largest number of times that shifts are added."""
+"""Largest number of rounds in which shifts are added."""
 NEAREST = 0.1
-"""Distance of a new shift from the others, in widths of the interval between them."""
+"""Smallest distance of a new shift from its neighbours, relative to the interval between them."""
 
 
 def swept(
@@ -40,17 +41,17 @@ def swept(
     k: Array,
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, tuple[Array, Array], list[int]]:
-    """Return the largest basis per parity, S, its errors, and basis sizes before the last shifts.
+    """Return the largest space per parity, S, its errors, and space sizes before the last shifts.
 
-    The errors are what the corrections change, and the error of the shifts, (n,) each.
+    The errors are the change of S by the corrections, and the error of the shifts, (n,) each.
 
     Notes
     -----
     The error of a space of m blocks at each shift is first extrapolated from the change d of S by
-    the last of them, as d^(m / (m - 1)): the error falls by the same factor with each block. A
-    shift is then added in each interval between others in which that is too large, and at least
-    one. What it changes there replaces the extrapolation, in that interval alone: elsewhere it
-    does not indicate the error.
+    the last block, as d^(m / (m - 1)): the error falls by the same factor with each block. A shift
+    is then added in each interval between shifts in which this error is too large, and in one
+    interval at least. The change by an added shift replaces the extrapolation in its interval only,
+    because it does not indicate errors elsewhere.
     """
     lossy, limit = system.layers is not None, ADAPTATION_TOLERANCE * tolerance
     blocks = KRYLOV_BLOCKS[lossy]
@@ -99,7 +100,7 @@ def _extended(
 def _doubtful(
     k: Array, doubt: Array, shifts: Array, limit: float
 ) -> tuple[list[float], NDArray[np.bool_]]:
-    """Return new shifts, one in each interval of too large an error, and what they test.
+    """Return new shifts, one in each interval with too large an error, and the tested wavenumbers.
 
     Parameters
     ----------
@@ -110,13 +111,14 @@ def _doubtful(
     shifts : ndarray
         In 1/m2, rising, (n_shifts,).
     limit : float
+        Largest allowed error.
 
     Returns
     -------
     more : list of float
-        In 1/m2; at least one.
+        New shifts in 1/m2, at least one.
     tested : ndarray of bool
-        Which wavenumbers are in an interval with a new shift, (n,).
+        Whether each wavenumber is in an interval with a new shift, (n,).
     """
     borders = np.concatenate([[0.0], shifts, [max(shifts[-1], k[-1] ** 2) * (1 + 1e-12)]])
     interval = np.searchsorted(shifts, k**2)
@@ -140,7 +142,7 @@ def _side_by_side(fields: list[Array]) -> Array:
 
 
 def difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:
-    """Return the largest difference of propagating coefficients at each wavenumber."""
+    """Return the largest difference of the coefficients of propagating modes, (n,)."""
     travels = k[:, None] * system.radius > system.modes.zeros
     both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
     return np.asarray(np.where(both, np.abs(a - b), 0.0).max(axis=(1, 2, 3, 4)))

@@ -1,4 +1,4 @@
-"""Integrals over a lumen's wall of products of its functions, and of their gradients."""
+"""Integrals over a lumen's wall of products of the basis functions, and of their gradients."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
 WALL_DEGREE = 4
-"""Degree that limits the number of points round the tube: the integrands are small corrections."""
+"""Degree that determines the number of quadrature points round the tube. It is low, because the
+integrals are small corrections."""
 
 
 class WallPoints(NamedTuple):
@@ -25,11 +26,11 @@ class WallPoints(NamedTuple):
     contours : Contours
     boxes : Boxes
     normal : ndarray
-        Outward, (3, n_sections, n_points).
+        Outward unit normals, (3, n_sections, n_points).
     area : ndarray
-        Wall area that each point stands for, per length along z, in m, (n_sections, n_points).
+        Wall area of each point per length along z, in m, (n_sections, n_points).
     halved : bool
-        Whether the points are those of x > 0, and stand for their mirror images too.
+        Whether the points are those of x > 0, and represent their mirror images too.
     sealing_gap : float
         Height in m of a gap that is half sealed; see `layers.SEALING_WIDTH`.
     """
@@ -109,10 +110,10 @@ class TangentialFunctions(NamedTuple):
     Attributes
     ----------
     p, around, along : ndarray
-        Values and derivatives along the contour and at right angles to it,
+        Values, and derivatives along the contour and along the wall at right angles to it,
         (n_sections, n, n_points).
     rise : ndarray
-        Component along the tube of the latter direction, (n_sections, 1, n_points).
+        Component along the tube of the direction of `along`, (n_sections, 1, n_points).
     """
 
     p: Array
@@ -140,7 +141,7 @@ def tangential_matrices(
     weight: Array,
     elements: Index,
 ) -> tuple[Array, Array]:
-    """Integrate as :func:`wall_matrices`, over some elements, with gradients along the wall."""
+    """Integrate as :func:`wall_matrices`, but over some elements and with tangential gradients."""
     here = np.isin(points.rule.element, elements)
     share = (weight * points.area)[here, None]
     p, around, along, rise = (part[here] for part in functions)

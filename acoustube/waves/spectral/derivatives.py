@@ -1,12 +1,12 @@
 """Derivatives of a scattering matrix by motions of the wall.
 
-For a wall that moves outwards by v_n per parameter, Hadamard's formula [1]_ gives, with the fields
-x of the ports' loads C,
+For a wall that moves outwards by v_n per unit of the parameter, Hadamard's formula [1]_ gives, with
+the fields x of the ports' loads C,
 
     dZ = dC^T x + x^T dC - int v_n (grad x . grad x^T - k^2 x x^T) dS
 
-over the wall, without a new solution. The loads change, and so do the ends' axial wavenumbers k_z,
-where the ends move; dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
+over the wall, without a new solution. If the ends move, the loads and the ends' axial wavenumbers
+k_z change too. dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
 
 References
 ----------
@@ -33,19 +33,20 @@ from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 LEAST_OVERLAP = 0.9
-"""Overlap of a displaced wall's mode with the unmoved wall's under which they are not the same."""
+"""Smallest overlap of a displaced wall's mode and the unmoved wall's that count as the same mode.
+"""
 NO_MODES = port_modes(-1.0, None)
 
 
 class Changes(NamedTuple):
-    """Derivatives of a discretisation by a parameter, in the enriched basis's polynomials.
+    """Derivatives of a discretisation by a parameter, in the polynomials of the enriched basis.
 
     Attributes
     ----------
     stiffness, mass : ndarray
         (n_elements, size, size).
     load : ndarray
-        Of the modes of all ports, (n_elements, size, n_ports n_modes).
+        Loads of the modes of all ports, (n_elements, size, n_ports n_modes).
     """
 
     stiffness: Array
@@ -62,7 +63,7 @@ def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: f
     wall : Wall
     motion : Motion
     wavenumber : float
-        The highest of interest in 1/m, of which `system` was made.
+        Highest wavenumber of interest in 1/m, with which `system` was assembled.
     """
     points = wall_points(wall, system.rule)
     x, y = motion.velocity(points.rule.z[:, None], points.contours.t)
@@ -78,7 +79,7 @@ def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: f
 def _add_ends(
     changes: Changes, system: Discretisation, wall: Wall, motion: Motion, wavenumber: float
 ) -> None:
-    """Add what changes as the ends move: the loads and the impedance of the far modes."""
+    """Add the changes by moving ends: of the loads and of the far modes' impedance."""
     _, first, last = element_boxes(wall, system.rule)
     far = far_modes(wall, wavenumber, system.functions.odd)
     n, layout = len(system.modes), system.layout
@@ -104,12 +105,12 @@ def _add_ends(
 def modes_like(
     wall: Wall, near: PortModes, far: PortModes, odd: bool | None
 ) -> tuple[PortModes, PortModes]:
-    """Return the modes of a displaced wall's ends, as many as those of the wall.
+    """Return the modes of a displaced wall's ends that correspond to the modes `near` and `far`.
 
     Raises
     ------
     ConfigError
-        If they are not those of the wall: two that cut on together may be combined differently.
+        If they do not correspond: two modes of equal cut-on may be combined differently.
     """
     if wall.circular:
         return near, far
@@ -124,7 +125,7 @@ def modes_like(
 
 
 def changed_wavenumbers(system: Discretisation, motion: Motion, kz: Complex) -> Complex:
-    """Return the derivative of the axial wavenumbers kz (n, n_modes) without losses, in 1/m."""
+    """Return the derivatives of the lossless axial wavenumbers kz, (n, n_modes), in 1/m."""
     transverse = [
         modes_like(wall, system.modes, NO_MODES, system.functions.odd)[0].zeros / wall.radius
         for wall in (motion.less, motion.more)

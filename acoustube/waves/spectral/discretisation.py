@@ -1,8 +1,7 @@
 """Discretisation of a lumen in a basis and in an enriched one, for the error estimate.
 
-The enriched basis has polynomials of a total degree higher by
-`DEGREE_INCREASE`, and along each element one degree more. The basis itself consists of the first
-functions of each.
+The total degree of the enriched basis is higher by `DEGREE_INCREASE`, and its degree along each
+element by one. The functions of the basis are the first of those of the enriched basis.
 """
 
 from __future__ import annotations
@@ -22,23 +21,23 @@ from acoustube.waves.spectral.quadrature import AxialRule, axial_rule
 from acoustube.waves.spectral.walls import Wall
 
 DEGREE_INCREASE = 2
-"""Difference of total degree between the richer basis and the basis."""
+"""Difference of total degree between the enriched basis and the basis."""
 LAYER_RATIO = 0.476
 """(gamma - 1) / sqrt(Pr): effect of the thermal layer relative to the viscous one."""
 ACTIVE_MARGIN = 0.6
-"""Margin of j' over k R up to which modes have more than one block, and corrections."""
+"""Margin of j' over k R up to which port modes have several Krylov blocks, and corrections."""
 
 
 class Layers(NamedTuple):
-    """The wall of a lumen, for losses there.
+    """The wall of a lumen, for the losses at the wall.
 
     Attributes
     ----------
     points : WallPoints
     functions : TangentialFunctions
-        Of the basis.
+        Functions of the basis.
     stiffness, mass : ndarray
-        Of an even layer in the basis, (n_elements, n_basis, n_basis).
+        Matrices of a layer of uniform thickness in the basis, (n_elements, n_basis, n_basis).
     blocks : int
         Number of successive responses to that layer in the Krylov space of a shift.
     """
@@ -60,14 +59,15 @@ class Discretisation:
     Attributes
     ----------
     low, high : Chain
-        Matrices of the basis, and of the functions across the tube that it lacks.
+        Matrices of the basis, and of the functions of higher degree across the tube that it lacks.
     cross : tuple of ndarray
-        Stiffness and mass of the functions that the basis lacks (those across the tube, then those
-        along it) with the basis, (n_elements, size - n_basis, n_basis).
+        Stiffness and mass between the functions that the basis lacks (those across the tube, then
+        those along it) and the basis, (n_elements, size - n_basis, n_basis).
     rest : tuple of ndarray
-        Those of the functions that it lacks, (n_elements, size - n_basis, size - n_basis).
+        Stiffness and mass between the functions that the basis lacks,
+        (n_elements, size - n_basis, size - n_basis).
     turns : tuple of ndarray
-        Coefficients of the inner modes in the inner functions, of `low` and of `high`.
+        Coefficients of the elements' modes in the inner functions, for `low` and for `high`.
     layout : Layout
         Order of the unknowns.
     rule : AxialRule
@@ -75,21 +75,21 @@ class Discretisation:
     sections : Sections
         Gram matrices of the basis at the rule's points.
     functions : Polynomials
-        Of the enriched basis.
+        Polynomials of the enriched basis.
     modes : PortModes
-        Of the ports.
+        Modes of the ports.
     ports : ndarray
         Integrals of the polynomials times the modes, in m, (n_ports, n_all, n_modes).
     heights : tuple of float
-        z of the ports in m.
+        Coordinates z of the ports in m.
     radius : float
-        Of the ports in m.
+        Radius of the ports in m.
     rim : Rim
         Products of the modes along the contour of an end.
     halved : bool
-        Whether it is the half beyond the plane about which the lumen is symmetric, with one port.
+        Whether only the half beyond the plane of symmetry is discretised, which has one port.
     layers : Layers, optional
-        Of the wall; the Krylov space then has more blocks.
+        Boundary layers of the wall, with which the Krylov space has more blocks.
     """
 
     low: Chain
@@ -125,7 +125,7 @@ class Discretisation:
         return load
 
     def in_polynomials(self, fields: Array, corrections: Array) -> tuple[Array, Array]:
-        """Return fields of the basis and of what it lacks with the polynomials' coefficients."""
+        """Return fields, and corrections in what the basis lacks, as polynomial coefficients."""
         found: list[Array] = []
         for part, turn in zip((fields, corrections), self.turns, strict=True):
             own = part.copy()
@@ -136,7 +136,7 @@ class Discretisation:
         return found[0], found[1]
 
     def in_modes(self, matrix: Array) -> Array:
-        """Return matrices of the basis, (n_elements, n_basis, n_basis), between these unknowns."""
+        """Transform matrices (n_elements, n_basis, n_basis) in polynomials to these unknowns."""
         turn = self.turns[0]
         n = self.layout.n_basis - turn.shape[1]
         beside = np.concatenate([matrix[:, :, :n], matrix[:, :, n:] @ turn], axis=2)
@@ -149,15 +149,15 @@ class Response(NamedTuple):
     Attributes
     ----------
     fields, last : ndarray
-        Blocks of a Krylov space in the basis, the response itself among them, and its last block,
-        (n_elements, n_basis, n_columns).
+        Blocks of a Krylov space in the basis, the first of which is the response, and the last
+        block, (n_elements, n_basis, n_columns).
     correction : ndarray
         First-order correction of the response by the other functions of the enriched basis,
         (n_elements, size - n_basis, n_columns).
     impedance : ndarray
         Z in m, modal pressure over modal normal derivative, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
-        Correction of Z by the polynomials of higher degree.
+        Correction of Z by the polynomials of higher degree, of the shape of `impedance`.
     by_element : ndarray
         Correction of Z by one degree more along each element, (n_elements, ...).
     """
@@ -179,7 +179,8 @@ def discretise(
     ----------
     wall : Wall
     edges : ndarray
-        Boundaries of the elements in m, from the first port, or the plane of symmetry, to the last.
+        Boundaries of the elements in m, from the first port or the plane of symmetry to the last
+        port.
     degree, order : int
         Total degree across the tube, degree along an element.
     odd : bool or None
@@ -224,7 +225,7 @@ def discretise(
 def _in_inner_modes(
     elements: Elements, layout: Layout
 ) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Return the matrices of :class:`Discretisation` with modes inside the elements."""
+    """Return the matrices of :class:`Discretisation` with the elements' modes as inner unknowns."""
     n, more = layout.n_basis, layout.n_higher
     chains, turns = [], []
     for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):
@@ -265,7 +266,7 @@ def _add_far_modes(
 
 
 def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
-    """Return the modes of the ends that are too far below their cut-on to be port modes."""
+    """Return the modes of the ends that are too far below their cut-on for port modes."""
     reach = MARGIN + wavenumber * wall.radius
     return end_modes(wall, reach + EVANESCENT_RANGE, odd, lowest=reach)
 
@@ -273,7 +274,7 @@ def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
 def far_matrices(
     functions: Array, modes: PortModes, radius: float, wavenumber: float
 ) -> tuple[Array, Array]:
-    """Return stiffness and mass of the impedance of far modes, (n, n), from their functions."""
+    """Return stiffness and mass, (n, n), of the impedance of strongly evanescent modes."""
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
     stiffness = (functions * (decay + middle / (2 * decay))) @ functions.T
@@ -281,7 +282,7 @@ def far_matrices(
 
 
 def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]:
-    """Solve for the ports' loads at one squared wavenumber, with Krylov vectors and corrections.
+    """Solve for the ports' loads at one squared wavenumber, with Krylov blocks and corrections.
 
     Parameters
     ----------
@@ -302,7 +303,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     load = np.concatenate([system.load] * len(sides), axis=-1)
     held = np.repeat(sides, system.load.shape[-1])
     response = solve(factors, load[:, :n], held)
-    # Modes far below their cut-on respond almost alike at all shifts.
+    # The response of modes far below their cut-on is almost the same at all shifts.
     reach = np.sqrt(max(shift, 0.0)) * system.radius + ACTIVE_MARGIN
     active = np.tile(
         system.modes.zeros < max(reach, 1.01 * system.modes.zeros[0]),

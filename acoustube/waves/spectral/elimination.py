@@ -1,8 +1,8 @@
 """Direct solution of K - s M along the tube: condensation of the elements, then elimination.
 
-The inner unknowns of an element, those that vanish at both of its ends, are the coefficients of its
-own modes with zero pressure at the ends, of which K and M are diagonal. With s, only diagonal
-matrices have then to be inverted in an element [1]_.
+The inner unknowns of an element belong to functions that vanish at both of its ends. They are the
+coefficients of the element's modes with zero pressure at the ends, for which K and M are diagonal.
+For each s only diagonal matrices have therefore to be inverted in an element [1]_.
 
 References
 ----------
@@ -21,21 +21,21 @@ from scipy.linalg import solve_triangular
 from acoustube.waves.spectral.polynomials import Array
 
 DEPENDENCE = 1e-12
-"""Relative eigenvalue of scaled M below which functions count as linearly dependent."""
+"""Eigenvalue of scaled M, relative to the largest, below which functions count as dependent."""
 
 SURPLUS = 1e30
-"""Squared wavenumber in 1/m2 given to modes that are zero."""
+"""Squared wavenumber in 1/m2 that is assigned to surplus modes, which are zero."""
 
 
 class Chain(NamedTuple):
-    """Matrices of a chain of elements in the coordinates of :func:`chain`.
+    """Matrices of a chain of elements, with the elements' modes as inner unknowns.
 
     Attributes
     ----------
     square : ndarray
         Squared wavenumbers of the elements' modes in 1/m2, (n_elements, n_inner); their M is one.
     stiffness, mass : ndarray
-        Of the ends, (n_elements, 2 n, 2 n).
+        Matrices of the unknowns at the ends of the elements, (n_elements, 2 n, 2 n).
     pull, drag : ndarray
         Stiffness and mass between modes and ends, (n_elements, n_inner, 2 n).
     """
@@ -47,7 +47,7 @@ class Chain(NamedTuple):
     drag: Array
 
     def times_mass(self, field: Array) -> Array:
-        """Return M times fields (n_elements, n_j n, n_fields)."""
+        """Return the products of M with fields (n_elements, n_j n, n_fields)."""
         border = self.mass.shape[-1]
         ends, inner = field[:, :border], field[:, border:]
         return np.concatenate(
@@ -55,7 +55,7 @@ class Chain(NamedTuple):
         )
 
     def projected(self, left: Array, right: Array) -> tuple[Array, Array]:
-        """Return the products of fields (n_elements, n_j n, ...) with K, and with M, between."""
+        """Return left^T K right and left^T M right of fields (n_elements, n_j n, ...)."""
         border = self.mass.shape[-1]
         a, b = left[:, border:], right[:, border:]
         a_ends, b_ends = left[:, :border], right[:, :border]
@@ -70,19 +70,19 @@ class Chain(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """Elements without their inner unknowns, and their nodes eliminated from the last on.
+    """Factors of K - s M: elements condensed to their ends, and nodes eliminated from the last.
 
     Attributes
     ----------
     chain : Chain
     inside : ndarray
-        Inverses of the inner diagonals, (n_elements, n_inner, 1).
+        Inverses of the diagonal entries of the inner modes, (n_elements, n_inner, 1).
     coupling : ndarray
-        Between modes and ends, (n_elements, n_inner, 2 n).
+        Entries of K - s M between modes and ends, (n_elements, n_inner, 2 n).
     nodes : ndarray
         Inverses of the nodes' blocks, (n_elements + 1, n, n).
     onwards : ndarray
-        Negative response of each node but the first to the one before it, (n_elements, n, n).
+        Negative response of each node except the first to the one before it, (n_elements, n, n).
     """
 
     chain: Chain
@@ -109,8 +109,9 @@ def inner_modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
     Returns
     -------
     square, modes : ndarray
-        (n_elements, n) in 1/m2, and (n_elements, n, n), with columns of unit M. Of functions that
-        are linearly dependent, the surplus modes are zero, with `square` as `SURPLUS`.
+        Squared wavenumbers in 1/m2, (n_elements, n), and modes as columns of unit M,
+        (n_elements, n, n). If functions are linearly dependent, the surplus modes are zero and
+        their `square` is `SURPLUS`.
     """
     scale = 1 / np.sqrt(np.einsum("eii->ei", mass))
     stiffness, mass = (part * scale[:, None] * scale[:, :, None] for part in (stiffness, mass))
@@ -148,7 +149,7 @@ def factor(chain: Chain, shift: float) -> Factors:
 
     Notes
     -----
-    By explicit inverses, which makes all that follows products of stacks of matrices. The first
+    With explicit inverses, all further operations are products of stacks of matrices. The first
     node is the last to be eliminated, so that it can be held or free with the same factors.
     """
     n = chain.mass.shape[-1] // 2
@@ -174,14 +175,14 @@ def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
     ----------
     factors : Factors
     load : ndarray
-        Of each element, (n_elements, n_j n, n_loads); a node's loads are summed.
+        Load vectors of each element, (n_elements, n_j n, n_loads); those at a node are summed.
     held : ndarray of bool
-        For which loads the pressure at the first node is prescribed as zero, (n_loads,).
+        True for loads for which the pressure at the first node is prescribed as zero, (n_loads,).
 
     Returns
     -------
     ndarray
-        Of the loads' shape; the value at a node is repeated in both of its elements.
+        Fields, of the shape of `load`; the value at a node is repeated in both of its elements.
     """
     n_elements, n = len(load), factors.nodes.shape[-1]
     inner = factors.inside * load[:, 2 * n :]

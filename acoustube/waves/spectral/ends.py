@@ -1,9 +1,9 @@
 """Modes of the ends of a lumen: of a round bore in closed form, of any other section numerically.
 
 The modes of a section solve its Neumann problem, in the same polynomials as the sound in the
-lumen but of a higher degree. Wavenumbers are times an effective radius, which for a round bore is
-its own and for any other section that of the circle of equal area; so they are the zeros j' of a
-round bore.
+lumen but of a higher degree. Cut-on wavenumbers are multiplied by an effective radius: that of a
+round bore, or for any other section that of the circle of equal area. For a round bore the products
+are the zeros j'.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Contours, Wall
 
 SECTION_DEGREE = 18
-"""Total degree of the polynomials in which the modes of a section that is not round are found."""
+"""Total degree of the polynomials for the modes of a section that is not round."""
 
 BESIDE_TOP = 0.02
-"""Distance from the middle plane, in half widths, at which odd modes are made positive."""
+"""Distance from the middle plane, in half widths, of the point at the top at which odd modes are
+made positive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +44,18 @@ class Section:
     Attributes
     ----------
     contours : Contours
-        Of one section.
+        Contour of the one section.
     boxes : Boxes
-        Of the polynomials: the bounding box, or that of the unmoved wall's section.
+        Box of the polynomials: the section's bounding box, or that of the unmoved wall's section.
     extent : Boxes
         Bounding box of the section itself.
     basis : Polynomials
     coefficients : ndarray
-        Of the modes, normalised to a unit integral of the square, (n, n_modes).
+        Coefficients of the modes, normalised to a unit integral of the square, (n, n_modes).
     modes : PortModes
-        All that the basis resolves.
+        All modes that the basis resolves.
     alike : ndarray
-        Overlap of each mode with that of the same number of the unmoved wall, (n_modes,).
+        Overlap of each mode with the unmoved wall's mode of the same number, (n_modes,).
     """
 
     contours: Contours
@@ -77,7 +78,7 @@ def end_modes(wall: Wall, highest: float, odd: bool | None, lowest: float = -1.0
     ----------
     wall : Wall
     highest, lowest : float
-        Of the cut-on's wavenumber times the wall's `radius`.
+        Bounds of j', the cut-on wavenumber times the wall's `radius`.
     odd : bool or None
         Symmetry about x = 0; None for both.
     """
@@ -98,7 +99,7 @@ def end_functions(wall: Wall, modes: PortModes, basis: Polynomials, box: Array) 
     ----------
     wall : Wall
     modes : PortModes
-        Some of :func:`end_modes`.
+        Some of the modes of :func:`end_modes`.
     basis : Polynomials
     box : ndarray
         x0, a, y0, b of the end in m, (4,).
@@ -124,8 +125,8 @@ class Rim(NamedTuple):
     Attributes
     ----------
     product, slope : ndarray
-        Of two modes, times the contour's length at each point, in 1/m, and of their derivatives
-        along it, in 1/m3, (n_points, n, n). One point stands for the contour of a round end.
+        Products of two modes, in 1/m, and of their derivatives along the contour, in 1/m3, both
+        times the length of contour at each point, (n_points, n, n). A round end has one point.
     section : Section or None
         None if the end is round.
     """
@@ -136,7 +137,7 @@ class Rim(NamedTuple):
 
 
 def rim_of(wall: Wall, modes: PortModes, odd: bool | None) -> Rim:
-    """Return the products of modes of a symmetry along the contour of an end."""
+    """Return the products of the modes of one symmetry along the contour of an end."""
     if wall.circular:
         m, zeros = modes.m, modes.zeros
         share = 1 - np.divide(m, zeros, out=np.zeros_like(zeros), where=zeros > 0) ** 2
@@ -162,10 +163,10 @@ def rim_of(wall: Wall, modes: PortModes, odd: bool | None) -> Rim:
 
 @lru_cache(maxsize=8)
 def section_of(wall: Wall, odd: bool | None) -> Section:
-    """Return the section of a straight end with its modes of a symmetry.
+    """Return the section of a straight end with its modes of one symmetry.
 
-    The modes of a displaced wall's end have the coordinates and the signs of those of the unmoved
-    end, so that their difference is a derivative where `Section.alike` is about one.
+    The modes of a displaced wall's end have the coordinates and signs of the unmoved end's modes,
+    so that their difference gives a derivative where `Section.alike` is about one.
 
     Raises
     ------
@@ -192,12 +193,12 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     sine = np.full(len(zeros), bool(odd))
     if odd is None:
         mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
-        # The functions are combinations of products of like parity of the degree in X.
+        # The functions are combinations of products of equal parity of the degree in X.
         mirror = basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))
         sine = np.einsum("im,ij,jm->m", vectors, mass @ mirror.T, vectors) < 0
     names, m = _names(sine)
     if unmoved is None:
-        # Odd modes vanish at the top itself.
+        # Odd modes vanish at the top, so that a point beside it is taken for them.
         top, beside = basis.values(np.array([0.0, BESIDE_TOP]), np.ones(2)).T
         positive = np.where(sine, beside @ vectors, top @ vectors)
     else:

@@ -18,32 +18,34 @@ ELEMENT_DEGREE = 7
 """Polynomial degree along an element."""
 LEAST_DEGREE = 8
 DEGREE_PER_WAVE = 1.2
-"""Initial polynomial degree across the tube per k R (wavenumber times radius), to which
+"""Initial polynomial degree across the tube per unit of k R (wavenumber times radius), to which
 `DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
 FLAT, FLAT_DEGREES, LEAST_FLAT_DEGREE = 0.03, 2, 12
-"""Half height of the flattest section, relative to the radius of the ends, below which a lumen
-counts as flat, how much higher its degree is, and its least degree."""
+"""Half height or half width of a section, relative to the radius of the ends, below which a lumen
+counts as flat; the increase of the degree across the tube of flat lumens; and their least degree.
+"""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
-"""Fields of the reduced space per standing wave that fits the lumen in the band, without and with
-losses."""
+"""Number of fields of the reduced space per standing wave in the lumen within the band, without and
+with losses."""
 KRYLOV_BLOCKS = {False: 4, True: 3}
 """Number of blocks of the Krylov space at each shift, without and with losses.
 
-The response to the boundary layers enters at the shifts alone: with losses, more shifts of fewer
-blocks give smaller errors in a space of the same size."""
+The response to the boundary layers is included at the shifts only. With losses, more shifts with
+fewer blocks therefore give smaller errors in a space of the same size."""
 SPARE_SHIFTS = {False: 2, True: 6}
-"""Number of shifts beyond those that the standing waves ask for, without and with losses."""
+"""Number of shifts in addition to those required for the standing waves, without and with losses.
+"""
 GRADING = 1.4
-"""Shifts are even in this power of the frequency."""
+"""Exponent p: the shifts are equally spaced in k^p."""
 ABOVE_CUT_ON = 1.1
-"""With losses, one shift more is at so many times each cut-on: there the response of the layers to
-a mode changes fast, whose axial wavenumber has just become real."""
+"""Ratio to each cut-on of the frequency of an additional shift with losses. There the response of
+the layers to a mode whose axial wavenumber has just become real changes fast."""
 CLOSEST = 0.2
-"""Distance of such a shift from the others, relative to their largest, below which they suffice."""
+"""Smallest distance of an additional shift from the others, relative to their largest spacing."""
 DERIVATIVE_DEGREES = {False: 4, True: 2}
-"""Degrees more across the tube for derivatives, without and with losses: their error is of the
-first order in the field's, and that of the scattering matrix of the second."""
+"""Increase of the degree across the tube for derivatives, without and with losses: their error is
+of first order in the error of the field, that of the scattering matrix of second order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +55,9 @@ class Basis:
     Attributes
     ----------
     degree : int
-        Across the tube.
+        Total degree across the tube.
     edges : ndarray
-        Borders of the elements along the tube in m, (n_elements + 1,).
+        Boundaries of the elements along the tube in m, (n_elements + 1,).
     shifts : ndarray
         Squared wavenumbers in 1/m2, (n_shifts,).
     flat : bool
@@ -81,9 +83,9 @@ def first_basis(
     k : ndarray
         Wavenumbers in 1/m, (n,), rising.
     lossy : bool
-        The wall has boundary layers.
+        Whether the wall has boundary layers.
     moving : bool
-        Derivatives by a motion of the wall are asked for.
+        Whether derivatives by a motion of the wall are required.
     """
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
@@ -106,15 +108,15 @@ def first_basis(
 
 
 def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
-    """Return which elements have a section lower or narrower than `FLAT` allows, (n_elements,).
+    """Return a mask of the elements with a section lower or narrower than `FLAT`, (n_elements,).
 
     Parameters
     ----------
     wall : Wall
     edges : ndarray
-        Borders of the elements in m, (n_elements + 1,).
+        Boundaries of the elements in m, (n_elements + 1,).
     """
-    # Where the matrices are integrated: the flattest section may be inside an element.
+    # At the points of the quadrature: the flattest section may be inside an element.
     rule = axial_rule(edges, ELEMENT_DEGREE + 1, wall.knots)
     x, y, *_ = wall.lines(rule.z)
     flat = np.minimum(np.ptp(x, axis=1), np.ptp(y, axis=1)) < 2 * FLAT * wall.radius
@@ -122,7 +124,7 @@ def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
 
 
 def _with_more(shifts: Array, more: Array) -> Array:
-    """Return rising shifts with those of `more` that are below the last and not close to others."""
+    """Return shifts with those of `more` that are below the last and not close to others."""
     close = CLOSEST * np.diff(shifts).max()
     for shift in more[more < shifts[-1]]:
         if np.abs(shifts - shift).min() > close:

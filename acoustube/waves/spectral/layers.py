@@ -1,23 +1,23 @@
-"""Boundary layers at a wall, as an impedance of its tangential and its compressive motion.
+"""Boundary layers at a wall, as an impedance for tangential motion and for compression.
 
-To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), the air within D of a wall
-does not move along it, and within (gamma - 1) D_t more it is compressed isothermally:
+To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), the air within D_v of a wall
+does not move along it, and isothermal compression within D_t acts like (gamma - 1) D_t more air:
 
     A = K - k^2 M - D_v K_wall - (gamma - 1) D_t k^2 M_wall,
 
-K_wall with gradients along the wall. That removes more than there is where the air is a few layers
-wide. There a slit of height h loses D tanh(h / 2D) at each wall instead of D, and a round tube of
-diameter h loses D I1(h / 2D) / I0(h / 2D); with the wall's curvature kappa, which tells one from
-the other, the wall takes
+where K_wall has gradients along the wall. If the air is only a few layers wide, this subtracts more
+than the air contributes. There a slit of height h loses D tanh(h / 2D) at each wall instead of D,
+and a round tube of diameter h loses D I1(h / 2D) / I0(h / 2D). The wall's curvature kappa
+determines the mixture of the two, and D is replaced by
 
     f D,    f = (1 - b) tanh(h / 2D) + b I1(h / 2D) / I0(h / 2D),    b = kappa h / 2 from 0 to 1,
 
-where h is the diameter of the greatest circle in the section that touches the wall there. So the
-matrix stays that of passive air as h vanishes, both limits are exact, and so is the first
-correction by curvature, D - kappa D^2 / 2. Over a band, f is a sum of few products of a function of
-the place and one of the frequency, by singular values. Where the walls are pressed together, the
-mean velocity in the gap is that of a slit `LEAK` times as high, f = tanh(LEAK h / 2D) / LEAK in
-D_v alone: touching walls seal, though the mechanics leaves a gap.
+where h is the diameter of the greatest circle in the section that touches the wall there. The
+matrix then remains that of passive air as h vanishes, both limits are exact, and so is the first
+correction by curvature, D - kappa D^2 / 2. Over a band, a singular value decomposition gives f as a
+sum of few products of a function of position and a function of frequency. Where the walls are
+pressed together, the mean velocity in the gap is that of a slit `LEAK` times as high, with f =
+tanh(LEAK h / 2D) / LEAK for D_v only: touching walls seal, although the mechanics leaves a gap.
 """
 
 from __future__ import annotations
@@ -38,36 +38,36 @@ from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
-"""Heights of a section, in viscous layers, under which the gaps are measured point by point."""
+"""Height or width of a section, in viscous layers, below which gaps are measured at each point."""
 WIDE_GAP = 30.0
-"""Least width of an element's gaps, in viscous layers, from which it counts as wide."""
+"""Width, in viscous layers, that all gaps of an element exceed if it counts as wide."""
 MANY_LAYERS = 15.0
-"""Half widths in ``|D|`` from which the functions of the width are taken asymptotically."""
+"""Real part of h / 2D from which f is computed by its asymptotic series."""
 TANGENTIAL = 1e-3
-"""Sine of the angle to a wall under which a point counts as one of its own neighbours."""
+"""Sine of the angle to the wall below which another point counts as a neighbour on that wall."""
 LEAK = 0.7
 """Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
-move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the estimate of
-the error under a 25 mm rod at 8 mm is 2e-2, at 0.7 1e-3 (of the lossless fields alone)."""
+move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the error
+estimate under a 25 mm rod at 8 mm is 2e-2, at 0.7 it is 1e-3 (of the lossless fields only)."""
 SEALING_WIDTH = 0.2
 """Range of heights, relative to the sealing gap, over which walls pass from sealed to open. Gaps
-vary little across a contact: sealed at one height, it would open at once over its whole width, and
-no quadrature along the tube would converge."""
+vary little over a contact: if it were sealed at one height exactly, it would open at once over its
+whole width, and no quadrature along the tube would converge."""
 SAMPLES = 10
-"""Number of frequencies from which the functions of place are derived."""
+"""Number of frequencies from which the functions of position are derived."""
 LEAST_PART = 1e-4
-"""Smallest singular value of a function that is kept, relative to the greatest."""
+"""Smallest singular value of a function that is kept, relative to the norm of all values."""
 
 
 class LayerSeries(NamedTuple):
-    """Losses at the wall as sums over products of functions of the place and of the frequency.
+    """Losses at the wall as sums of products of functions of position and of frequency.
 
     Attributes
     ----------
     weights : ndarray
-        Of the place, (n_parts, n_sections, n_points).
+        Functions of position, (n_parts, n_sections, n_points).
     viscous, thermal : ndarray
-        Of the frequency, f D_v and (gamma - 1) f D_t in m, (n_frequencies, n_parts).
+        Functions of frequency, of f D_v and (gamma - 1) f D_t, in m, (n_frequencies, n_parts).
     """
 
     weights: Array
@@ -82,9 +82,9 @@ def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
 
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
-    """Return the filling function f of h, b and D (see the module's docstring), broadcast."""
+    """Return the function f of h, b and D (see the module's docstring), broadcast."""
     argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
-    # Asymptotic to a relative 1e-7 where the air is many layers wide, as it mostly is.
+    # Asymptotic to a relative 1e-7 where the air is many layers wide, which is mostly the case.
     inverse = 1 / argument
     series = 0.5 + inverse * (0.125 + inverse * (0.125 + 0.195 * inverse))
     found: Complex = np.array(1 - b * inverse * series)
@@ -95,14 +95,14 @@ def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
 
 
 class Gaps(NamedTuple):
-    """Air next to a wall, as wide as the greatest circles in its sections that touch it.
+    """Gaps next to a wall: greatest circles in its sections that touch it.
 
     Attributes
     ----------
     width, roundness : ndarray
         Diameter h of the circles in m, and b, (n_sections, n_points).
     measured : ndarray of bool
-        Which sections' widths are measured point by point, (n_sections,).
+        Whether the widths of a section are measured point by point, (n_sections,).
     sealed : ndarray
         Weight from 0, open, to 1, pressed together, (n_sections, n_points).
     """
@@ -120,9 +120,9 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
     ----------
     points : WallPoints
     thickness : float
-        Of the thickest viscous layer, in m.
+        Thickness of the thickest viscous layer in m.
     like : Gaps, optional
-        Gaps of nearly the same wall, of which the same are measured.
+        Gaps of nearly the same wall; the same sections are measured as in these.
     """
     contours, boxes = points.contours, points.boxes
     measured = _narrow(boxes, thickness) if like is None else like.measured
@@ -132,9 +132,9 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
 
 
 def sealing_weight(width: Array, sealing_gap: float) -> Array:
-    """Return how far gaps are sealed, from 0, open, to 1, pressed together.
+    """Return the weight of sealing of gaps, from 0, open, to 1, pressed together.
 
-    A smooth step over `SEALING_WIDTH` about the sealing gap, of the shape of `width`.
+    It is a smooth step over `SEALING_WIDTH` about the sealing gap, of the shape of `width`.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def sealing_weight(width: Array, sealing_gap: float) -> Array:
 
 
 def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
-    """Return which sections are so narrow that their gaps are measured point by point."""
+    """Return a mask of the sections so narrow that their gaps are measured point by point."""
     return 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
 
 
@@ -179,9 +179,9 @@ def changed_series(
     ----------
     points : WallPoints
     shifted : tuple of WallPoints
-        The same points of the wall before and after.
+        The same points of the wall before and after a small step.
     step : float
-        Of the parameter, between these two.
+        Step of the parameter between these two.
     frequency : ndarray
         In Hz, (n,), rising.
     air : Air
@@ -194,7 +194,7 @@ def changed_series(
 
 
 def _sampled(frequency: Array) -> Array:
-    """Return the frequencies from which the functions of the place are derived."""
+    """Return the frequencies from which the functions of position are derived."""
     if len(frequency) == 1:
         return frequency
     return np.geomspace(frequency[0], frequency[-1], SAMPLES)
@@ -205,11 +205,11 @@ def _thickest(sampled: Array, air: Air) -> float:
 
 
 def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
-    """Return f of the viscous layers, and then of the thermal ones, (2 n_sampled, n_points)."""
+    """Return f of the viscous and then of the thermal layers, (2 n_sampled, n_points)."""
     width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
     both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
-    # The mean velocity of a lower slit, by its own function of the height.
+    # A sealed gap has the mean velocity of a lower slit.
     closed, viscous = share > 0, both[: len(sampled)]
     leak = np.tanh(LEAK * width[closed] / (2 * layers[0][:, None])) / LEAK
     viscous[:, closed] += share[closed] * (leak - viscous[:, closed])
@@ -241,13 +241,13 @@ def _series(
 def _parts(rows: Array, wide: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return values (n, n_points) as functions (n, n_parts) times weights (n_parts, n_points).
 
-    Functions of the wide points first: the others' weights are zero there, so that integrals with
-    them are over few elements.
+    The functions of the wide points come first. The weights of the others are zero there, so that
+    their integrals extend over few elements only.
     """
     left, functions, weights = rows, [], []
     least = (LEAST_PART * np.linalg.norm(rows)) ** 2
     for where in (wide, ~wide):
-        # Of the small side: the points are many.
+        # From the smaller product matrix, because the points are many.
         square, turned = np.linalg.eigh(left[:, where] @ left[:, where].T)
         functions.append(turned[:, square > least])
         weights.append(functions[-1].T @ left)
@@ -273,7 +273,7 @@ def gap_widths(
 ) -> Array:
     """Return the diameter in m of the largest inscribed circle tangent to the wall at each point.
 
-    Of sections that are not `measured`, (n_sections,), it is taken as the less of their two sizes.
+    For sections that are not `measured`, (n_sections,), it is the smaller of height and width.
     """
     width = np.tile(2 * np.minimum(boxes.a, boxes.b)[:, None], (1, contours.x.shape[1]))
     for section in np.flatnonzero(measured):
@@ -299,18 +299,18 @@ def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array
     here, inwards : ndarray
         Points and normals of unit length, (2, n).
     there, facing : ndarray
-        The same all round the contour, in its order, (2, n_all).
+        The same for the whole contour, in its order, (2, n_all).
 
     Returns
     -------
     ndarray
-        (n,); in m.
+        Diameters in m, (n,).
 
     Notes
     -----
-    The circle through the point at a distance a, with the normal n, has the diameter
-    a^2 / (a . n). Opposite walls may be much closer than the points of a contour: from the wall
-    that faces a point, the least value on the chord between two neighbours is taken.
+    The circle that touches the wall with normal n and passes through a point at the vector a has
+    the diameter a^2 / (a . n). Opposite walls may be much closer than the points of a contour:
+    where the wall faces a point, the least value on the chord between two neighbours is taken.
     """
     away = there[:, None] - here[:, :, None]
     chord = np.roll(there, -1, axis=1) - there
@@ -320,7 +320,7 @@ def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array
         ahead > TANGENTIAL * np.sqrt(square), square / np.where(ahead > 0, ahead, 1.0), np.inf
     )
     slope = np.einsum("pij,pj->ij", away, chord)
-    # Of (square + 2 slope s + length s^2) / (ahead + rise s), 0 < s < 1.
+    # Minimum of (square + 2 slope s + length s^2) / (ahead + rise s) over 0 < s < 1.
     turn = rise * square - 2 * slope * ahead
     down = length * ahead
     down = down + np.sqrt(np.maximum(down**2 + length * rise * turn, 0.0))
@@ -342,9 +342,9 @@ def lossy_ends(
     k : ndarray
         Wavenumbers of free sound in the air in 1/m, (n,).
     modes : PortModes
-        Of the ends without losses.
+        Modes of the ends without losses.
     radius : float
-        Of the wall, in m.
+        The wall's `radius` in m.
     rim : Rim
         Products of the modes along the contour.
     frequency : ndarray
@@ -360,10 +360,10 @@ def lossy_ends(
 
     Notes
     -----
-    With the lossless modes' products f G = closed int f psi_a psi_b on the contour,
-    N = 1 - D_v f G and the eigenproblem
-    kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v, G' of the modes' derivatives
-    along the contour; the flux is N v, with v^T N v = 1.
+    With f G = closed int f psi_a psi_b of the lossless modes along the contour, f G' the same of
+    their derivatives along it, and N = 1 - D_v f G, the eigenproblem is
+    kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v. The flux is N v, normalised to
+    v^T N v = 1.
     """
     layers = layer_thickness(frequency, air)
     width, roundness = np.array([2 * radius]), np.ones(1)

@@ -40,22 +40,23 @@ from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Wall
 
 SAMPLES_PER_RESONANCE, SPARE_SAMPLES = 1.6, 8
-"""Fields from directly solved frequencies per resonance of the lumen, and further frequencies."""
+"""Number of fields per resonance of the lumen from directly solved frequencies, and number of
+further frequencies."""
 LOSSY_BLOCKS = 3
-"""Number of blocks of the Krylov space at each of them."""
+"""Number of blocks of the Krylov space at each directly solved frequency."""
 CHECKS = 12
 """Number of frequencies at which the error is estimated."""
 MOVING_SAMPLES = 1e-3
-"""For derivatives, factor to the tolerance of the span of directly solved frequencies: their error
-is of the first order in the fields' error."""
+"""Factor of the tolerance of the span of directly solved frequencies for derivatives, whose error
+is of first order in the error of the fields."""
 LAYER_DEGREE = 6
-"""Polynomial degree by which the number of quadrature points round the tube is chosen."""
+"""Polynomial degree that determines the number of quadrature points round the tube."""
 LAYER_BLOCKS = {False: 2, True: 3}
 """Number of successive responses to the layers at each shift, for other and for flat lumens."""
 LAYER_PIECES = 2
-"""Pieces of an element with a flat section, for the quadrature of the layers: walls pass from open
-to sealed within a fraction of it. Elsewhere kinks of the wall do not matter: losses are small
-corrections."""
+"""Number of pieces of an element with a flat section, for the quadrature of the layers: walls pass
+from open to sealed within a fraction of it. In other elements kinks of the wall do not matter,
+because losses are small corrections."""
 SAMPLE_GRADING = 1.6
 """Exponent p: the sampled frequencies are equally spaced in f^p."""
 
@@ -81,7 +82,7 @@ def with_layers(system: Discretisation, wall: Wall, flat: bool) -> Discretisatio
 
 
 def _pieces(wall: Wall, edges: Array) -> Array:
-    """Return the heights in m at which elements with a flat section are divided."""
+    """Return the coordinates z in m at which elements with a flat section are divided."""
     here = flat_elements(wall, edges)
     parts = np.arange(1, LAYER_PIECES) / LAYER_PIECES
     return np.ravel(edges[:-1][here, None] + np.outer(np.diff(edges)[here], parts))
@@ -94,14 +95,14 @@ def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFun
 
 
 def wall_layout(system: Discretisation) -> Layout:
-    """Return the layout that has the unknowns of a basis, and no others."""
+    """Return the layout that has the unknowns of the basis only."""
     return Layout(system.layout.n, system.layout.n, system.layout.order - 1)
 
 
 def wall_projections(
     system: Discretisation, layers: Layers, spaces: list[Reduced], frequency: Array, air: Air
 ) -> tuple[LayerSeries, list[list[tuple[Array, Array]]]]:
-    """Return the losses at the wall, and its integrals (K, M) in the space of each side."""
+    """Return the losses at the wall, and the wall's integrals (K, M) in the space of each side."""
     series = layer_series(layers.points, frequency, air)
     found: list[list[tuple[Array, Array]]] = [[] for _ in spaces]
     fields = [system.in_polynomials(space.fields, space.corrections)[0] for space in spaces]
@@ -125,9 +126,9 @@ class LossySide(NamedTuple):
         With the fluxes of the modes of all ports.
     solution : LossySolution
     impedance : ndarray
-        In m, (n, n_ports n_modes, n_ports n_modes).
+        Impedance matrix in m, (n, n_ports n_modes, n_ports n_modes).
     kz : ndarray
-        Of the modes of all ports in 1/m, (n, n_ports n_modes).
+        Axial wavenumbers of the modes of all ports in 1/m, (n, n_ports n_modes).
     """
 
     model: LossyModel
@@ -143,7 +144,7 @@ class LossySide(NamedTuple):
 
 
 def both_ports(part: Complex, n_ports: int) -> Complex:
-    """Return matrices of the modes of all ports, from those of one, (n, n_modes, n_modes)."""
+    """Return the matrices of the modes of all ports, from those of one, (n, n_modes, n_modes)."""
     return np.stack([block_diag(*[one] * n_ports) for one in part])
 
 
@@ -164,16 +165,16 @@ def lossy_scattering(
     ----------
     system : Discretisation
     spaces : list of Reduced
-        Of each side.
+        Reduced space of each side.
     walls, series
         From :func:`wall_projections`.
     frequency : ndarray
         In Hz, (n,).
     air : Air
     sizes : list of int
-        How many of the first fields of each side make the poorer space.
+        For each side, the number of its first fields that span the poorer space.
     moving : bool
-        Derivatives by a motion of the wall are asked for.
+        Whether derivatives by a motion of the wall are required.
 
     Returns
     -------
@@ -181,7 +182,8 @@ def lossy_scattering(
     kz : ndarray
         In 1/m, (n, n_modes).
     lacking : ndarray
-        Largest change of a coefficient of modes that propagate, (n,); between some frequencies.
+        Largest change of a coefficient of propagating modes, (n,), interpolated from that at a few
+        frequencies.
     """
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
     kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)
@@ -201,14 +203,14 @@ def lossy_scattering(
             for blocks, there in zip(fields, travels[sampled], strict=True)
             for block in blocks
         ]
-        # Of evanescent modes the response alone: they respond almost alike at all frequencies.
+        # For evanescent modes the response only: it is almost the same at all frequencies.
         columns += list(fields[:, 0])
         everything = np.concatenate(columns, axis=1)
         least = SAMPLE_TOLERANCE * (MOVING_SAMPLES if moving else 1.0)
         response, solution = lossy_impedance(model, band, everything, least)
         found.append(LossySide(model, band, solution, response, kz_all))
         s = found[-1].scattering
-        # Where the fields sampled are farthest away.
+        # At the frequencies farthest from the sampled ones.
         between = np.unique((sampled[:-1] + sampled[1:]) // 2)
         between = between if len(between) else sampled
         few = between[np.unique(np.linspace(0, len(between) - 1, CHECKS).astype(int))]
@@ -223,7 +225,7 @@ def lossy_scattering(
 
 
 def _sampled(model: LossyModel, k: Complex, cut_ons: Array) -> NDArray[np.intp]:
-    """Return the numbers of the frequencies at which the equations are solved directly."""
+    """Return the indices of the frequencies at which the equations are solved directly."""
     resonances = np.sum(model.square < k.real[-1] ** 2)
     count = SPARE_SAMPLES + int(np.ceil(SAMPLES_PER_RESONANCE * resonances / model.ports.shape[1]))
     # Resonances are dense where many modes propagate.
@@ -234,6 +236,6 @@ def _sampled(model: LossyModel, k: Complex, cut_ons: Array) -> NDArray[np.intp]:
 
 
 def _direct(model: LossyModel, band: LossyBand, kz: Complex) -> Complex:
-    """Return S of directly solved frequencies."""
+    """Return S at all frequencies of a band, each solved directly."""
     fields = lossy_fields(model, band)
     return scattering_of((model.ports @ band.flux).swapaxes(1, 2) @ fields[:, 0], kz)

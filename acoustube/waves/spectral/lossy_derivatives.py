@@ -1,8 +1,8 @@
 """Derivatives of a scattering matrix with boundary layers by motions of the wall.
 
-With losses the wall's own integrals change too: their points move, their area and directions turn,
-and the layers' functions of the gaps change. Polynomials stay fixed in space, so that the fields x
-of the loads R = C F, of the fluxes F of the lossy modes, give
+With losses the integrals over the wall change too: their points move, the area and directions of
+the wall change, and so do the gaps, on which the layers depend. The polynomials stay fixed in
+space. With the loads R = C F of the fluxes F of the lossy modes, and their fields x,
 
     dZ = dR^T x + x^T dR - x^T dA x,
 
@@ -36,12 +36,12 @@ from acoustube.waves.spectral.sound import Air
 
 
 class WallChanges(NamedTuple):
-    """Derivatives of the wall's integrals by a parameter, as sums over functions of the place.
+    """Derivatives of the wall's integrals by a parameter, as sums over functions of position.
 
     Attributes
     ----------
     viscous, thermal : ndarray
-        Of the frequency in m, (n_frequencies, n_parts).
+        Functions of frequency in m, (n_frequencies, n_parts).
     sides : list of tuple of ndarray
         Stiffness and mass in the space of each side, (n_parts, n_fields, n_fields).
     """
@@ -67,7 +67,7 @@ def wall_changes(
     motion : Motion
     spaces : list of Reduced
     series : LayerSeries
-        Of the wall.
+        Losses at the wall.
     frequency : ndarray
         In Hz, (n,).
     air : Air
@@ -75,7 +75,7 @@ def wall_changes(
     assert system.layers is not None
     base, layout = system.layers.points, wall_layout(system)
     less, more = (wall_points(w, base.rule, LAYER_DEGREE) for w in (motion.less, motion.more))
-    # The gaps follow the wall; the polynomials do not.
+    # The gaps move with the wall; the polynomials stay fixed.
     there = [
         (points, layer_functions(system, points._replace(boxes=base.boxes)))
         for points in (less, more)

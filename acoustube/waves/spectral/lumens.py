@@ -1,4 +1,4 @@
-"""Walls of lumens that are stacks of rings."""
+"""Walls of lumens that are given as stacks of rings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Rings(Protocol):
     Attributes
     ----------
     rings : ndarray
-        (n_rings, n_around, 3) in m, anticlockwise seen from the end of high z, the first point of
-        each at the bottom.
+        (n_rings, n_around, 3) in m, anticlockwise seen from the end of high z, with the first point
+        of each ring at the bottom.
     position : float
-        z in m that is the origin of heights.
+        Coordinate z in m that becomes the origin.
     symmetric : bool
         True if symmetric about x = 0.
     """
@@ -49,14 +49,14 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        Its first and last rings equal, as those of a tube beyond a press. If it has an attribute
-        `same`, rings and mirror images count as equal up to that distance in m; if `sealing_gap`,
-        gaps up to that height are sealed, with losses.
+        With equal first and last rings, as those of a tube beyond a press. If it has an attribute
+        `same`, rings and mirror images count as equal up to that distance in m. If it has an
+        attribute `sealing_gap`, gaps of that height in m are half sealed, with losses.
 
     Returns
     -------
     Wall
-        With heights z from the lumen's `position`.
+        With coordinates z relative to the lumen's `position`.
 
     Raises
     ------
@@ -65,9 +65,9 @@ def wall_of(lumen: Rings) -> Wall:
 
     Notes
     -----
-    Lines that join points of equal index are cubic splines through the rings of the pressed
-    part, over the rings' mean heights, and straight from there to the last ring of the straight
-    part on each side. Round ends lie about x = y = 0 afterwards.
+    Lines through points of equal index are cubic splines through the rings of the pressed part,
+    over the mean z of the rings, and straight from there to the last ring of the straight part on
+    each side. Round ends are moved to x = y = 0.
     """
     same = getattr(lumen, "same", SAME)
     rings = lumen.rings - [0.0, 0.0, lumen.position]
@@ -103,7 +103,7 @@ def wall_of(lumen: Rings) -> Wall:
 
 
 def _circle(ring: Array) -> tuple[float | None, Array]:
-    """Return radius and centre of a round ring; no radius if it is not round."""
+    """Return radius and centre of a ring; the radius is None if the ring is not round."""
     centre = ring[:, :2].mean(axis=0)
     if np.abs(centre).max() < SAME:
         centre = np.zeros(2)
@@ -119,12 +119,12 @@ def _effective_radius(ring: Array) -> float:
 
 
 class Lines:
-    """Longitudinal lines through the ring points of equal index, as functions of height.
+    """Longitudinal lines through the ring points of equal index, as functions of z.
 
     Parameters
     ----------
     rings : ndarray
-        (n_rings, n_around, 3) in m; the first and the last where the lumen becomes straight.
+        (n_rings, n_around, 3) in m; the lumen is straight at the first and at the last ring.
     """
 
     def __init__(self, rings: Array) -> None:
@@ -135,7 +135,7 @@ class Lines:
         self.rings = rings
 
     def __call__(self, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Return x, y and their z derivatives, (n, n_around), at heights z (n,)."""
+        """Return x, y and their z derivatives, (n, n_around), at z (n,) in m."""
         low, high = self.rings[1, :, 2], self.rings[-2, :, 2]
         height = np.broadcast_to(z[:, None], (len(z), len(low)))
         s = np.clip(height, self.knots[0], self.knots[-1])
@@ -152,7 +152,7 @@ class Lines:
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
     def _at(self, s: Array, axis: int) -> tuple[Array, Array]:
-        """Return a coordinate (n, n_around) and its derivative by the mean height of the rings."""
+        """Return a coordinate (n, n_around), and its derivative by the mean z of the rings."""
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         t = s - self.knots[piece]
         a, b, c, d = self.coefficients[axis][:, piece, np.arange(s.shape[1])]

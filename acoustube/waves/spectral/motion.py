@@ -1,8 +1,8 @@
-"""Motions of a wall by a parameter: the depth of a press, the size of a tool, the bore.
+"""Motions of a wall with a parameter: the depth of a press, the size of a tool, the bore.
 
-What follows from a motion by quadrature alone is differentiated by central differences of the
-integrals, between walls displaced by `DISPLACEMENT` of the radius: their error is of the second
-order in that, and no solution is differenced.
+Quantities that depend on the wall through integrals only are differentiated by central differences
+of these integrals, between walls displaced by `DISPLACEMENT` of the radius. The error is of second
+order in the displacement, and no solution is differenced.
 """
 
 from __future__ import annotations
@@ -19,28 +19,31 @@ from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 DISPLACEMENT = 1e-6
-"""Largest displacement of the wall either way, relative to the radius of the ends: rounding is
-1e-10 of a derivative then, and the differences' own error 1e-7 in a gap of 20 um."""
+"""Largest displacement of the wall in either direction, relative to the radius of the ends. The
+relative error of a derivative by rounding is then 1e-10, by differences 1e-7 in a gap of 20 um."""
 SLOPE_STEP = 1e-5
-"""Distance along the tube for slopes of a motion, relative to the radius."""
+"""Distance along the tube for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
-"""Number of sections in which the largest speed is sought."""
+"""Number of sections in which the motion is evaluated to find its largest speed."""
 ALIKE = 1e-5
-"""Difference of speeds, relative to the largest, up to which they count as equal."""
+"""Largest difference between speeds that count as equal, relative to the largest speed."""
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
-"""From z (n, 1) in m and t (n_points,) to how x and y of the wall move per parameter."""
+"""Function of z (n, 1) in m and t (n_points,) that returns the displacements of the wall in x and y
+per unit of the parameter, in m per unit."""
 
 
 class Motion(NamedTuple):
-    """A motion, and the wall a small step of the parameter before and after.
+    """A motion, with the walls before and after a small step of the parameter.
 
     Attributes
     ----------
     velocity : callable
+        See `Velocity`.
     less, more : Wall
+        The walls before and after.
     step : float
-        Of the parameter, between the two walls.
+        Step of the parameter between the two walls.
     ends : bool
         Whether the straight ends move.
     """
@@ -58,15 +61,15 @@ def wall_motion(before: Wall, after: Wall, change: float) -> Velocity:
     Parameters
     ----------
     before, after : Wall
-        Their lines have the same numbers of points, as those of one press at two depths.
+        Walls with the same number of points around, such as those of one press at two depths.
     change : float
-        Of the parameter between them. For values on either side of that of the wall that moves, the
-        error is of the second order in the change.
+        Change of the parameter between them. If the two values lie symmetrically about that of the
+        wall that moves, the error is of second order in the change.
 
     Returns
     -------
     callable
-        For the argument `velocity` of :func:`scatter_spectral`.
+        A function for the argument `velocity` of :func:`scatter_spectral`.
     """
 
     def velocity(z: Array, t: Array) -> tuple[Array, Array]:
@@ -85,12 +88,13 @@ def wall_motion(before: Wall, after: Wall, change: float) -> Velocity:
 
 
 def motion_of(wall: Wall, velocity: Velocity) -> Motion:
-    """Return a motion of a wall with the walls before and after a small step.
+    """Return a motion of a wall, with the walls before and after a small step.
 
     Raises
     ------
     ConfigError
-        If the wall is symmetric and the motion is not, or round ends do not stay round and alike.
+        If the wall is symmetric and the motion is not, if the ends move differently, or if round
+        ends do not stay round.
     """
     low, high = wall.ends
     sections = np.linspace(low - wall.radius, high + wall.radius, SAMPLES)
@@ -145,7 +149,7 @@ def _require(kept: np.bool_ | bool, what: str) -> None:
 
 
 def _mirrored(speed: Array) -> Array:
-    """Return speeds (n, n_points) at the points mirrored about x = 0."""
+    """Return the speeds (n, n_points) at the points mirrored about x = 0."""
     return np.roll(speed[:, ::-1], 1, axis=1)
 
 

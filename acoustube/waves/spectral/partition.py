@@ -1,4 +1,4 @@
-"""Elements along a lumen: short where its section changes, and limited by the wavelength."""
+"""Elements along a lumen: short where its section changes, with a limit by the wavelength."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ LEAD = 0.5
 LONGEST, LONGEST_WAVE = 1.2, 0.85
 """Largest element length in radii and in wavelengths, where the section does not change."""
 FEWEST = 3
-"""Least number of elements of half a lumen: a shorter one has shorter features."""
+"""Least number of elements of half a lumen, because a short lumen has short features."""
 PER_CHANGE = 1.0
-"""Elements more per change of a section's height or width by a factor of e."""
+"""Number of additional elements per change of a section's height or width by a factor of e."""
 SHORTEST = 0.3
-"""Length in radii of the shortest elements, but for those that errors ask for."""
+"""Smallest initial length of an element in radii; elements may be divided to reduce errors."""
 SAMPLES = 400
 
 
 def partition(wall: Wall, wavenumber: float) -> Array:
-    """Return the boundaries of the elements in m, from port to port or from the plane of symmetry.
+    """Return the boundaries of the elements in m, from the first port or plane of symmetry on.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def _change(wall: Wall, z: Array) -> Array:
 
 
 def _between(low: float, high: float, z: Array, passed: Array) -> Array:
-    """Return the boundaries of an interval's elements, with equal integrals of the density."""
+    """Return the boundaries of elements with equal integrals of the density, in an interval."""
     first, last = np.interp([low, high], z, passed)
     n = max(1, int(np.ceil(last - first - 1e-9)))
     inner = np.interp(np.linspace(first, last, n + 1)[1:-1], passed, z)

@@ -1,16 +1,16 @@
 """Polynomial basis of a section: products of Legendre polynomials in its bounding box.
 
 With X = (x - x0) / a and Y = (y - y0) / b, both within -1 to 1, the functions are combinations of
-P_i(X) P_j(Y), i + j <= N, orthonormal over the ellipse in the box: each by those before it, so that
-the first ones span all polynomials of a lower degree. They do not depend on the section: a
-rigid wall is the natural boundary condition of the weak form. All integrals of products of two of
-them over a section follow from its moments,
+P_i(X) P_j(Y), i + j <= N, orthonormal over the ellipse in the box. They are orthonormalised one
+after the other, so that the first ones span all polynomials of a lower degree. They do not depend
+on the section, because a rigid wall is the natural boundary condition of the weak form. All
+integrals of products of two functions over a section follow from the moments of the section,
 
     m_ij = int P_i(X) P_j(Y) dx dy = - closed int P_i(X) (int^Y P_j) b dx,
 
-by the expansion of a product of Legendre polynomials in Legendre polynomials; and all derivatives
-are in their span again. A contour may overhang, for the integral along it counts what lies between
-it and y0 with its sign.
+by the expansion of a product of Legendre polynomials in Legendre polynomials. All derivatives are
+again in the span of the functions. A contour may overhang, because the integral along it counts the
+area between contour and y0 with its sign.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Polynomials:
     partner : ndarray of int
         Degrees i and j of the products that span the X derivatives, (2, n_partner).
     partner_mix : ndarray
-        Coefficients of orthonormal functions in these, (n_partner, n_partner).
+        Coefficients of the partners, orthonormal functions, in these, (n_partner, n_partner).
     dx : ndarray
         Coefficients of the X derivative in the partners, (n, n_partner).
     x_dx, dy, y_dy : ndarray
@@ -71,7 +71,7 @@ class Polynomials:
         return len(self.i)
 
     def count(self, degree: int) -> int:
-        """Return the number of polynomials up to a total degree, which are the first ones."""
+        """Return the number of polynomials up to a total degree; they are the first ones."""
         return int(np.sum(self.i + self.j <= degree))
 
     def values(self, x: Array, y: Array) -> Array:
@@ -126,7 +126,7 @@ def _mix(degree: int, i: Index, j: Index) -> Array:
     phi = 2 * np.pi * np.arange(n_phi) / n_phi
     p, q = (legendre(degree, np.outer(r, side)) for side in (np.cos(phi), np.sin(phi)))
     values = (p[i] * q[j] * np.sqrt(weight * r / n_phi)[:, None]).reshape(len(i), -1)
-    # By QR and not from the Gram matrix, whose condition number is squared.
+    # By QR, because the condition number of the Gram matrix is the square of that of the values.
     triangle = np.linalg.qr(values.T, mode="r")
     return np.asarray(solve_triangular(triangle, np.eye(len(i)), trans="T"))
 
@@ -185,7 +185,7 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
     Parameters
     ----------
     degree : int
-        Highest in X, and in Y.
+        Highest degree in X, and in Y.
     x, y : ndarray
         Contours, anticlockwise, in the coordinates of their boxes, (n_sections, n_points).
     dx : ndarray
@@ -199,7 +199,7 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
         In m2, (n_sections, degree + 1, degree + 1).
     """
     found = np.empty((len(x), degree + 1, degree + 2))
-    # Few sections at a time, so that their polynomials stay in the processor's cache.
+    # Few sections at a time, so that their polynomials fit into the processor's cache.
     for start in range(0, len(x), CHUNK):
         few = slice(start, start + CHUNK)
         p, q = legendre(degree, x[few]), legendre(degree + 1, y[few])
@@ -210,7 +210,7 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def _antiderivatives(degree: int) -> Array:
-    """Return the coefficients of the normalised polynomials' antiderivatives in the next ones."""
+    """Return the antiderivatives of the normalised polynomials, as coefficients of such ones."""
     n = np.arange(degree + 1)
     norm = np.sqrt(2 * np.arange(degree + 2) + 1.0)
     found = np.zeros((degree + 1, degree + 2))
@@ -225,8 +225,9 @@ def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:
     Parameters
     ----------
     moment : ndarray
-        (n_sections, 2 degree + 1, 2 degree + 1).
+        Moments in m2, (n_sections, 2 degree + 1, 2 degree + 1).
     degree : int
+        Highest degree of the functions in X, and in Y.
     i, j : ndarray of int
         Degrees of the functions in X and Y, (n,).
 
@@ -257,14 +258,14 @@ def lobatto(degree: int, x: Array) -> tuple[Array, Array]:
     Returns
     -------
     values, slopes : ndarray
-        (degree + 1, n): the two that are one at the left and at the right end, and then the
-        integrated Legendre polynomials of degrees 2, 3, ..., zero at both.
+        (degree + 1, n): first the two linear functions that are one at the left and at the right
+        end, then the integrated Legendre polynomials of degrees 2, 3, ..., zero at both ends.
     """
     value = np.empty((degree + 1, len(x)))
     slope = np.empty_like(value)
     value[0], value[1] = (1 - x) / 2, (1 + x) / 2
     slope[0], slope[1] = -0.5, 0.5
-    # Slopes that are orthonormal make the stiffness of a straight rod the identity.
+    # With orthonormal slopes the stiffness matrix of a uniform rod is the identity.
     value[2:] = integrated_legendre(degree - 1, x)[1:] / np.sqrt(2)
     slope[2:] = legendre(degree - 1, x)[1:] / np.sqrt(2)
     return value, slope

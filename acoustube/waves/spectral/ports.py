@@ -1,7 +1,7 @@
-"""Round ends: their modes, and scattering matrices from a lumen's response to them.
+"""Round ends: their modes, and scattering matrices from the impedance matrix of a lumen.
 
-With the flux of mode n into a lumen whose ends are rigid otherwise, the pressures of its modes are
-Z times it. Waves in and out, a and b, have pressures (a + b) / sqrt(kz) and fluxes
+The impedance matrix Z gives the modal pressures from the modal fluxes into a lumen whose ends are
+otherwise rigid. Ingoing and outgoing waves, a and b, have pressures (a + b) / sqrt(kz) and fluxes
 j sqrt(kz) (a - b), so that with D = sqrt(j kz) and Q = D Z D
 
     b = S a,    S = (I + Q)^-1 (Q - I),
@@ -24,7 +24,7 @@ from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 MARGIN = 1.3
-"""Margin of j' over the largest k R for port modes: those that propagate, or almost do."""
+"""Margin of j' over the largest k R for port modes: modes that propagate, or almost propagate."""
 EVANESCENT_RANGE = 12.0
 """Range of j' beyond the port modes in which evanescent modes are terminated by their impedance."""
 
@@ -136,15 +136,15 @@ def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
 def changed_scattering(
     response: Complex | Array, change: Complex | Array, kz: Complex, drift: Complex | None = None
 ) -> Complex:
-    """Return the first-order change of the scattering matrix.
+    """Return the first-order change of the scattering matrix, (n_frequencies, n, n).
 
     Parameters
     ----------
     response, change : ndarray
-        Impedance matrix and its change, (n_frequencies, n, n).
+        Impedance matrix and its change in m, (n_frequencies, n, n).
     kz, drift : ndarray
-        Axial wavenumbers and their change in 1/m, (n_frequencies, n); the latter is zero by
-        default. It has to be zero where kz is, at a cut-on.
+        Axial wavenumbers and their change in 1/m, (n_frequencies, n); the change is zero by
+        default. It has to be zero where kz is zero, at a cut-on.
     """
     root = np.sqrt(1j * kz)
     if drift is not None:
@@ -156,10 +156,10 @@ def changed_scattering(
 
 
 def of_both_ports(found: list[Complex]) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from that of each side, or that of both ports.
+    """Return S at the ports, (n, 2, m, 2, m), from that of each parity, or that of both ports.
 
-    The sides of a lumen symmetric about its middle are the fields that are so too, and those that
-    are antisymmetric.
+    A lumen symmetric about its middle has two parities: the fields symmetric about the middle, and
+    the antisymmetric ones.
     """
     n, size = found[0].shape[:2]
     if len(found) == 1:

@@ -1,4 +1,4 @@
-"""Gauss rules along a lumen whose wall is smooth between knots only."""
+"""Gauss rules along a lumen whose wall is smooth only between knots."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from acoustube.waves.spectral.polynomials import Array, Index, gauss
 
 LEAST_POINTS = 3
-"""Gauss points between two knots, at least: a cubic wall there, and slopes of it."""
+"""Least number of Gauss points between two knots, for a cubic wall and its slopes."""
 SPARE_POINTS = 3
-"""Gauss points between two knots in excess of the polynomial degree there."""
+"""Number of Gauss points between two knots in addition to those for the polynomials."""
 MOST_PIECES = 24
-"""Largest number of pieces of an element; of more knots, some are passed over."""
+"""Approximate largest number of pieces of an element; with more knots, some are skipped."""
 
 
 class AxialRule(NamedTuple):
@@ -24,13 +24,13 @@ class AxialRule(NamedTuple):
     Attributes
     ----------
     z : ndarray
-        Heights in m, rising, (n_points,).
+        Coordinates z in m, rising, (n_points,).
     point, weight : ndarray
         Local coordinate from -1 to 1 in the element, and weight, (n_points,).
     element : ndarray of int
         Number of the element, (n_points,).
     edges : ndarray
-        Borders of the elements in m, (n_elements + 1,).
+        Boundaries of the elements in m, (n_elements + 1,).
     """
 
     z: Array
@@ -45,7 +45,7 @@ class AxialRule(NamedTuple):
         return slice(int(low), int(high))
 
     def only(self, elements: Index) -> AxialRule:
-        """Return the rule of some elements, in rising order, as if they followed each other."""
+        """Return the rule of some elements, in rising order, as if they were adjacent."""
         here = np.isin(self.element, elements)
         edges = np.concatenate([[0.0], np.cumsum(self.step[elements])])
         number = np.searchsorted(elements, self.element[here])
@@ -58,16 +58,16 @@ class AxialRule(NamedTuple):
 
 
 def axial_rule(edges: Array, degree: int, knots: NDArray[np.float64]) -> AxialRule:
-    """Return the Gauss rule for products of two polynomials of a degree and a smooth wall.
+    """Return the Gauss rule for products of two polynomials along a piecewise smooth wall.
 
     Parameters
     ----------
     edges : ndarray
-        Borders of the elements in m, rising, (n_elements + 1,).
+        Boundaries of the elements in m, rising, (n_elements + 1,).
     degree : int
-        Of a polynomial along an element.
+        Degree of a polynomial along an element.
     knots : ndarray
-        Heights in m between which the wall is smooth, in any order.
+        Coordinates z in m between which the wall is smooth, in any order.
     """
     found = []
     for number, (low, high) in enumerate(pairwise(edges)):

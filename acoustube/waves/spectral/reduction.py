@@ -14,15 +14,16 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
 DEPENDENCE_TOLERANCE = 1e-12
-"""Relative norm of a field's component outside the span below which it is dropped."""
+"""Singular value of normalised fields outside the span, below which a direction is dropped."""
 
 NO_MASS, NEGATIVE_MASS = 1e-12, -1e-8
-"""Eigenvalues of a scaled M, relative to the largest, below which a direction has no mass but for
-rounding, and below which the volume is negative: the sections overlap themselves."""
+"""Eigenvalues of scaled M, relative to the largest: below the first a direction has no mass except
+for rounding, below the second the volume is negative, because the sections overlap themselves."""
 SAMPLE_TOLERANCE = 1e-5
-"""The same for the span of solutions with losses at some frequencies."""
+"""Singular value of the sampled solutions with losses, relative to the largest, below which a
+direction is dropped."""
 MAX_MATRICES = 32
-"""Number of frequencies whose matrices are held at a time."""
+"""Number of frequencies whose matrices are in memory at the same time."""
 
 
 class Reduced(NamedTuple):
@@ -36,9 +37,9 @@ class Reduced(NamedTuple):
         Orthonormal fields in the other functions of the enriched basis,
         (n_elements, size - n_basis, n_corrections).
     stiffness, mass : ndarray
-        (r, r), r = n_fields + n_corrections.
+        Projected matrices, (r, r), r = n_fields + n_corrections.
     ports : ndarray
-        (r, n_ports n_modes).
+        Projected loads of the ports' modes, (r, n_ports n_modes).
     """
 
     fields: Array
@@ -69,7 +70,7 @@ def extended(system: Discretisation, before: Reduced | None, fields: Array) -> R
     everything = np.concatenate([old, new], axis=-1)
     found = list(system.low.projected(everything, new))
     if before is not None:
-        # Only what the new fields add is computed.
+        # Only the rows and columns of the new fields are computed.
         size = old.shape[-1]
         found = [
             np.block([[known, own[:size]], [own[:size].T, own[size:]]])
@@ -104,7 +105,8 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
     Returns
     -------
     square, vector : ndarray
-        In 1/m2, (m,), and (r, m); m < r where functions are linearly dependent to rounding.
+        Squared wavenumbers in 1/m2, (m,), and modes, (r, m); m < r where functions are linearly
+        dependent to rounding.
 
     Raises
     ------
@@ -113,9 +115,9 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
     Notes
     -----
-    Where the walls almost touch, polynomials over the whole section differ by less than rounding
-    on the air that is left, and M is singular. Their span is then that of the eigenvectors of M
-    whose eigenvalues are not zero.
+    Where the walls almost touch, polynomials over the whole section are linearly dependent, up to
+    rounding, on the air that is left, and M is singular. The span is then that of the eigenvectors
+    of M with nonzero eigenvalues.
     """
     stiffness, mass = ((matrix + matrix.T) / 2 for matrix in (stiffness, mass))
     try:
@@ -133,7 +135,7 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
 
 def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
-    """Return the projection (r, r) of other matrices of the elements, (n_elements, size, size)."""
+    """Return the projection (r, r) of matrices of the elements in polynomials."""
     fields, corrections = system.in_polynomials(space.fields, space.corrections)
     everything = np.zeros((*matrix.shape[:2], space.size))
     n, count = system.layout.n_basis, fields.shape[-1]
@@ -148,12 +150,13 @@ def _orthonormal(new: Array, old: Array) -> Array:
     known = old.reshape(len(flat), old.shape[-1])
     flat = flat / np.linalg.norm(flat, axis=0)
     flat -= known @ (known.T @ flat)
-    # Not by the diagonal of R: a field dropped there would be missing from later ones.
+    # By singular values, not by the diagonal of R: a field dropped there would be missing from
+    # later ones.
     _, size, turned = np.linalg.svd(np.linalg.qr(flat, mode="r"))
     kept = size > DEPENDENCE_TOLERANCE
     flat = flat @ (turned[kept].T / size[kept])
     flat -= known @ (known.T @ flat)
-    # The second time by the Gram matrix, which is several times as fast.
+    # The second orthonormalisation uses the Gram matrix, which is several times as fast.
     factor = np.linalg.cholesky(flat.T @ flat)
     flat = solve_triangular(factor, flat.T, lower=True, check_finite=False).T
     return np.asarray(flat.reshape(*shape, flat.shape[1]))
@@ -162,18 +165,19 @@ def _orthonormal(new: Array, old: Array) -> Array:
 class LossyModel(NamedTuple):
     """Matrices of a lumen with boundary layers, in the basis of its lossless modes.
 
-    At a wavenumber k its matrix is diag(`square`) - k^2 less the walls' parts times their losses.
+    At a wavenumber k the system matrix is diag(`square`) - k^2, minus the wall's matrices times
+    their loss factors.
 
     Attributes
     ----------
     square : ndarray
         Squared wavenumbers of the modes in 1/m2, (r,).
     vector : ndarray
-        The modes in the fields of the projection, (n_fields, r).
+        Coefficients of the modes in the fields of the projection, (n_fields, r).
     ports : ndarray
-        (r, n_ports n_modes).
+        Projected loads of the ports' modes, (r, n_ports n_modes).
     stiffness, mass : ndarray
-        Of the wall, one for each function of the place, (n_parts, r, r).
+        Matrices of the wall, one for each function of position, (n_parts, r, r).
     """
 
     square: Array
@@ -189,7 +193,7 @@ class LossyBand(NamedTuple):
     Attributes
     ----------
     wavenumber : ndarray
-        Of free sound in the air in 1/m, (n,).
+        Wavenumber of free sound in the air in 1/m, (n,).
     viscous, thermal : ndarray
         Factors of the wall's stiffness and of its mass in m, (n, n_parts).
     flux : ndarray
@@ -207,14 +211,14 @@ class LossyBand(NamedTuple):
 
     @property
     def factors(self) -> Complex:
-        """Factors of K, M and of the wall's stiffness and mass, (n, 2 + 2 n_parts)."""
+        """Factors of K, of M and of the wall's stiffness and mass, (n, 2 + 2 n_parts)."""
         square = self.wavenumber[:, None] ** 2
         one = np.ones_like(square)
         return np.concatenate([one, -square, -self.viscous, -square * self.thermal], axis=1)
 
 
 def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel:
-    """Return a lumen's matrices with boundary layers, from those without and its wall's (K, M)."""
+    """Return a lumen's matrices with boundary layers, from those without and the wall's (K, M)."""
     square, vector = ritz(reduced.stiffness, reduced.mass)
     stiffness, mass = (
         np.stack([vector.T @ part @ vector for part in parts]) for parts in zip(*wall, strict=True)
@@ -223,7 +227,7 @@ def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel
 
 
 def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex:
-    """Return the fields of the loads of the lossy modes, and further blocks of their Krylov spaces.
+    """Return the fields excited by the lossy port modes, and further blocks of their Krylov spaces.
 
     Returns
     -------
@@ -235,7 +239,7 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
     flat = np.concatenate([model.stiffness, model.mass]).reshape(2 * len(model.mass), -1)
     for number, (k, viscous, thermal, flux) in enumerate(zip(*band, strict=True)):
         losses = np.concatenate([viscous, k**2 * thermal])
-        # Real products: the matrices would otherwise be copied as complex ones.
+        # As real products; otherwise the matrices would be copied as complex ones.
         real, imaginary = np.stack([losses.real, losses.imag]) @ flat
         matrix = -(real + 1j * imaginary).reshape(model.mass.shape[1:])
         matrix[diagonal] += model.square - k**2
@@ -249,14 +253,14 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
 
 
 class LossySolution(NamedTuple):
-    """Fields of the loads of the lossy modes, with test functions that are their own space.
+    """Fields excited by the lossy port modes, by a Galerkin projection onto a span.
 
     Attributes
     ----------
     span : ndarray
-        Basis in the lossless modes, (r, n_span).
+        Basis of the span as coefficients of the lossless modes, (r, n_span).
     fields : ndarray
-        Coefficients in it, (n_frequencies, n_span, n_ports n_modes).
+        Coefficients of the fields in this basis, (n_frequencies, n_span, n_ports n_modes).
     """
 
     span: Complex
@@ -273,10 +277,10 @@ def lossy_impedance(
     model : LossyModel
     band : LossyBand
     columns : ndarray
-        Solutions at sample frequencies, (r, n_columns), which span the reduced basis of a
-        Galerkin projection; the system matrix is symmetric, so that they serve as test functions.
+        Solutions at sample frequencies, (r, n_columns), which span the reduced basis of a Galerkin
+        projection. They are also the test functions, because the system matrix is symmetric.
     tolerance : float
-        Singular value of the columns, relative to the largest, below which a direction is left out.
+        Singular value of the columns, relative to the largest, below which a direction is dropped.
     """
     turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
     span = turned[:, size > tolerance * size[0]]
@@ -301,7 +305,7 @@ def impedance(reduced: Reduced, wavenumber: Array) -> Array:
 
     Notes
     -----
-    Z = C^T (K - k^2 M)^-1 C by the eigenvectors of K and M.
+    Z = C^T (K - k^2 M)^-1 C, computed with the eigenvectors of K and M.
     """
     square, vector = ritz(reduced.stiffness, reduced.mass)
     ports = vector.T @ reduced.ports

@@ -21,17 +21,18 @@ class SpectralScattering(ModalScattering):
     Attributes
     ----------
     derivative : ndarray or None
-        Of `s` by the parameter that moves the wall, of its shape; none if no motion was given.
+        Derivative of `s` with respect to the parameter that moves the wall, of the shape of `s`;
+        None if no motion was given.
     error : ndarray
-        Estimated maximum error of the coefficients at each frequency, (n,).
+        Estimated largest error of the coefficients at each frequency, (n,).
     tolerance : float
         Requested tolerance.
     degree : int
         Highest total degree of the polynomials across the tube.
     n_elements : int
-        Number of elements along the tube, or along its half where it is symmetric.
+        Number of elements along the tube, or along half of a tube symmetric about its middle.
     n_shifts : int
-        Frequencies at which the full equations were solved.
+        Number of frequencies at which the full equations were solved.
     n_fields : int
         Number of fields of the reduced basis.
     """
@@ -51,7 +52,7 @@ class SpectralScattering(ModalScattering):
 
     @property
     def excess(self) -> str:
-        """At how many frequencies the estimated error exceeds the tolerance; empty if at none."""
+        """Sentence on the frequencies at which the error exceeds the tolerance; empty if none."""
         over = int((self.error > self.tolerance).sum())
         if not over:
             return ""

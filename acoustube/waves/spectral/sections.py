@@ -1,7 +1,7 @@
-"""Walls of lumens that are closed surfaces, from contours of their sections.
+"""Walls of lumens that are given as closed surfaces, from contours of their sections.
 
-The surface is cut at even heights; each contour is followed from its lowest point under the middle
-of the section, and divided evenly by arc length, which makes a stack of rings.
+The surface is cut at evenly spaced z. Each contour is followed from its lowest point under the
+middle of the section, and divided evenly by arc length, which gives a stack of rings.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.sound import ConfigError
 
 STEP = 0.06
-"""Distance of the sections, relative to the size of the end."""
+"""Distance between sections, relative to the size of the end."""
 MOST_SECTIONS = 1200
 AROUND = 240
 """Number of points of a contour."""
@@ -36,7 +36,7 @@ class SurfaceRings:
     rings : ndarray
         (n_rings, n_around, 3) in m, as those of a lumen.
     position : float
-        z in m of the origin of heights.
+        Coordinate z in m that becomes the origin.
     symmetric : bool
         True if symmetric about x = 0.
     """
@@ -52,9 +52,9 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
     Parameters
     ----------
     surface : trimesh.Trimesh
-        In m, between flat ends across z.
+        Surface in m, between flat ends normal to z.
     position : float
-        z in m that becomes the origin of heights.
+        Coordinate z in m that becomes the origin.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
     rim = surface.vertices[z - low < 1e-9 + 1e-6 * (high - low), :2]
     size = float(np.ptp(rim, axis=0).max())
     n = min(int(np.ceil((high - low) / (STEP * size))), MOST_SECTIONS)
-    # Off the ends, and off round numbers at which vertices lie.
+    # Away from the ends, and from round numbers, at which vertices may lie.
     heights = low + (high - low) * (np.arange(n) + 0.503) / n
     contours = [_contour(surface, height, AROUND) for height in heights]
     planes = [low, *heights, high]
@@ -112,7 +112,7 @@ def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:
 
 
 def _even(loop: Array, n: int) -> Array:
-    """Return n points on a closed polygon, from its lowest one under the middle, anticlockwise."""
+    """Return n points on a closed polygon, anticlockwise from its lowest point under the middle."""
     x, y = loop.T
     ahead = np.roll(loop, -1, axis=0)
     cross = x * ahead[:, 1] - ahead[:, 0] * y
@@ -132,7 +132,7 @@ def _even(loop: Array, n: int) -> Array:
 
 
 def _straightened(rings: Array, same: float) -> tuple[Array, Array]:
-    """Return the first and last two rings, made equal where both ends have the same section."""
+    """Return the first and last two rings, made equal if both ends have the same section."""
     first, last = rings[[0, 1]].copy(), rings[[-2, -1]].copy()
     if np.abs(first[0, :, :2] - last[1, :, :2]).max() < same:
         last[..., :2] = first[:1, :, :2]

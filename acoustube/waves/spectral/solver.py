@@ -1,22 +1,20 @@
 """Scattering of a lumen over a band, adaptively refined to an error tolerance.
 
-The wave equation is solved exactly in the finite-element sense at a few squared wavenumbers, the
-shifts, where the solutions and their k^2 derivatives span a space in which the whole band is
-then solved: a rational Krylov space [1]_. Errors are estimated, each by the change of S in
-an enriched space:
+The discrete wave equation is solved at a few squared wavenumbers, the shifts. The solutions and
+their k^2 derivatives span a space in which the whole band is then solved, a rational Krylov space
+[1]_. Errors are estimated by the change of S in enriched spaces:
 
-* that of the degree across the tube, and
-* that of the elements along it, by solving for the residual in the functions that the basis lacks
-  (the next two degrees; one more degree along each element) at each shift, and adding these
-  corrections to the reduced space;
-* that of the shifts, by more of them where the last block of each changes S.
+* errors of the degree across the tube, and of the elements along it: at each shift the residual is
+  solved for in the functions that the basis lacks (the next two degrees; one more degree along each
+  element), and these corrections are added to the reduced space;
+* error of the shifts: shifts are added where the last block of each shift changes S.
 
-S is taken from the largest space, with matrices integrated at more points along z, since walls may
-be rough; its error estimate is the sum of all changes.
+S is taken from the largest space. Its error estimate is `ERROR_SAFETY` times the sum of the
+truncation error, extrapolated from these changes, and of the error of the shifts.
 
 With losses S is taken from the span of the lossless fields of the basis, without corrections. Its
-error estimate is the largest of that of the fields without losses, the change of S in a smaller
-span, and, in flat lumens, that in a poorer basis.
+error estimate is the largest of the estimate without losses, `LOSSY_SAFETY` times the change of S
+in a smaller span, and, in flat lumens, the change of S in a poorer basis.
 
 References
 ----------
@@ -58,24 +56,25 @@ from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
-"""Ratio of the estimate to the changes of S, whose own error is not all that is lacking, without
-losses and with them, where changes are known at a few frequencies only."""
+"""Ratios of the error estimate to the changes of S, without losses and with them. The enriched
+spaces have errors too, and with losses the changes are known at a few frequencies only."""
 POORER = 4, 2
-"""Degrees less, across the tube and along the elements, of the poorer basis from which the change
-of S is taken as the error estimate of flat lumens with losses."""
+"""Differences of degree, across the tube and along the elements, between the basis and the poorer
+one for the error estimate of flat lumens with losses."""
 LEAST_ERROR = 3e-6
-"""Error of the integrals over walls that are given by rings, with a safety factor."""
+"""Error that is added for the integrals over walls given by rings, including a safety factor."""
 ERROR_WINDOW = 3
-"""Frequencies on either side whose errors count at one: an error may pass through zero."""
+"""Number of frequencies on either side over which the largest error is taken, because an error may
+pass through zero."""
 FIRST_SHARE = 0.5
-"""Fraction of the tolerance that degree and elements may each lack at the probes, to begin with."""
+"""Initial bound of the errors by degree and by elements, as a fraction of the tolerance."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """Problem to solve: k (n,) in 1/m is that of sound without losses."""
+    """Problem to solve; k is the wavenumber of sound without losses in 1/m, (n,)."""
 
     wall: Wall
     air: Air
@@ -123,15 +122,16 @@ def scatter_spectral(
     tolerance : float
         Largest error of a coefficient.
     reference : tuple of float
-        Heights z in m, in the coordinates of the wall, at which the amplitudes at low z and at
-        high z are given, as if the ends went on straight to there.
+        Reference planes of the ports at low z and at high z: coordinates z in m, in the system of
+        the wall. The ends are continued straight to these planes.
     lossy : bool
         With the losses at the wall and in the air.
     symmetric_only : bool
-        Of a lumen symmetric about x = 0, compute the modes that are so too.
+        For a lumen symmetric about x = 0, compute the symmetric modes only.
     velocity : callable, optional
-        Takes z (n, 1) in m and t (n_points,) and returns how x and y of the wall move there per
-        unit of a parameter; the result then has the derivative of S by it.
+        Motion of the wall: takes z (n, 1) in m and t (n_points,), and returns the displacements of
+        the wall in x and y per unit of a parameter. The result then has the derivative of S with
+        respect to this parameter.
 
     Returns
     -------
@@ -145,8 +145,8 @@ def scatter_spectral(
 
     Notes
     -----
-    Where a resonance is so narrow that the best basis tried does not meet the tolerance, the
-    result's `error` exceeds it. BLAS has one thread meanwhile, in the whole process.
+    At a resonance so narrow that no basis tried meets the tolerance, the result's `error` exceeds
+    it. During the solution BLAS is limited to one thread in the whole process.
     """
     frequency = np.asarray(frequency, float)
     if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
@@ -167,7 +167,7 @@ def scatter_spectral(
 
 
 def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
-    """Put the parts of both symmetries together, in the order of the cut-ons."""
+    """Combine the scattering matrices of both symmetries, in the order of the cut-ons."""
     frequency, reference = task.frequency, task.reference
     names = [name for part in parts for name in part.names]
     zeros = np.concatenate([part.zeros for part in parts])
@@ -198,7 +198,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 
 
 def _part(task: _Task, odd: bool | None) -> _Part:
-    """Return the scattering of the modes of one symmetry."""
+    """Return the scattering matrices of the modes of one symmetry."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
     moving = task.motion is not None
     basis = first_basis(wall, odd, k, lossy=task.lossy, moving=moving)
@@ -217,11 +217,11 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         typical = float(np.quantile(error, ERROR_QUANTILE))
         if task.lossy or typical <= tolerance or number == MAX_SOLUTIONS - 1:
             break
-        # Resonances amplify errors that are small at the probes.
+        # Resonances amplify errors that are small at the test shifts.
         wanted *= 0.5 * tolerance / typical
     if task.lossy:
         s, moved, kz, drift, lacking = _with_losses(task, system, spaces, sizes)
-        # What the basis lacks at the cut-ons, it lacks with losses too.
+        # Errors of the basis without losses, as at cut-ons, are also errors with losses.
         error = np.maximum(error, _estimated(LOSSY_SAFETY * lacking, wall))
         if basis.flat:
             poorer = _change_from_poorer_basis(task, odd, basis, s)
@@ -234,10 +234,10 @@ def _part(task: _Task, odd: bool | None) -> _Part:
 
 
 def _change_from_poorer_basis(task: _Task, odd: bool | None, basis: Basis, s: Complex) -> Array:
-    """Return the largest change of S with losses from that of a poorer basis, (n,).
+    """Return the largest difference of S with losses from that in a poorer basis, (n,).
 
-    Where walls are pressed together, fields with losses differ much from those without, and so do
-    the errors by degree and by elements, which fall slowly there.
+    Where walls are pressed together, fields with losses differ much from those without. So do the
+    errors by degree and by elements, which decrease slowly there.
     """
     poorer = replace(basis, degree=basis.degree - POORER[0])
     order = ELEMENT_DEGREE - POORER[1]
@@ -267,7 +267,7 @@ def _without_losses(
 def _with_losses(
     task: _Task, system: Discretisation, spaces: list[Reduced], sizes: list[int]
 ) -> tuple[Complex, Complex, Complex, Complex, Array]:
-    """Return S, its derivative, the ends' wavenumbers and their derivative, and what is lacking."""
+    """Return S, its derivative, the ends' wavenumbers and their derivative, and the error of S."""
     assert system.layers is not None
     # Without corrections: those of the lossless fields are not those of the fields with losses.
     spaces = [space.first(space.fields.shape[-1]) for space in spaces]
@@ -287,7 +287,7 @@ def _with_losses(
 
 
 def _estimated(error: Array, wall: Wall) -> Array:
-    """Return the estimated error at each frequency from what richer spaces say of it."""
+    """Return the estimated error at each frequency, from the largest changes nearby."""
     least = LEAST_ERROR if len(wall.knots) else 0.0
     return least + maximum_filter1d(error, 2 * ERROR_WINDOW + 1)
 
@@ -295,7 +295,7 @@ def _estimated(error: Array, wall: Wall) -> Array:
 def _at_reference(
     s: Complex, moved: Complex, kz: Complex, drift: Complex, system: Discretisation, task: _Task
 ) -> tuple[Complex, Complex, tuple[str, ...], Array]:
-    """Return S and its derivative at the reference planes, and the names and j' of their modes."""
+    """Return S and its derivative at the reference planes, and the names and j' of the modes."""
     reach = task.k * system.radius
     n = int(np.sum(system.modes.zeros < reach[-1]))
     zeros = system.modes.zeros[:n]
@@ -306,7 +306,7 @@ def _at_reference(
     s, moved = (
         turn[..., None, None] * part[:, :, :n, :, :n] * turn[:, None, None] for part in (s, moved)
     )
-    # The phase between a port and its reference plane changes where the ends move.
+    # The phase between a port and its reference plane changes if the ends move.
     turned = np.stack([1j * drift * d for d in away], axis=1)
     moved = moved + turned[..., None, None] * s + s * turned[:, None, None]
     return s, moved, system.modes.names[:n], zeros

@@ -1,16 +1,16 @@
-"""How far the error of a basis exceeds what the next degrees change.
+"""Truncation error of a basis, relative to the change by the next degrees.
 
-The estimate solves for the residual in the functions of the next degrees alone.
+The error estimate solves for the residual in the functions of the next degrees only.
 
-Across the tube, the field's coefficients fall slowly with the degree beside a narrow gap: degrees
-beyond those change as much again. With energies that fall by a factor q from one step of the
-degree to the next, all that is missing is 1 / (1 - q) times what the first step changes; q is taken
-from the highest degrees of the solution itself.
+Across the tube, the field's coefficients fall slowly with the degree beside a narrow gap, so that
+higher degrees contribute as much again. If the energies fall by a factor q from one step of the
+degree to the next, the whole truncation error is 1 / (1 - q) times the change by the first step; q
+is taken from the highest degrees of the solution itself.
 
-Along the tube that does not tell, for the wall has features of its own there: wrinkles of the
-length of the mesh's elements, of which a line element has two, add coefficients of the degrees 10
-to 13 to a field whose own have fallen long before. Therefore the residual is integrated against
-`MORE_DEGREES` of them, point by point, and solved for with each element's mean section.
+Along the tube this extrapolation fails, because of features of the wall: wrinkles of the length of
+the mesh's elements, two in a line element, add coefficients of degrees 10 to 13 to a field whose
+own coefficients have decayed at lower degrees. The residual is therefore integrated against
+`MORE_DEGREES` further degrees, point by point, and solved for with each element's mean section.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from acoustube.waves.spectral.elimination import inner_modes
 from acoustube.waves.spectral.polynomials import Array, gauss, lobatto
 
 SLOWEST = 0.9
-"""Largest factor q that is believed: slower decay is that of a field which is not resolved."""
+"""Upper bound of the factor q: a slower decay means that the field is not resolved."""
 MORE_DEGREES = 6
-"""Degrees along an element beyond its own in which the residual is sought."""
+"""Number of degrees along an element, beyond its own, in which the residual is solved for."""
 
 
 def excess_across(system: Discretisation, responses: dict[float, list[Response]]) -> float:
-    """Return the ratio of the whole error by the degree across to the change by the next degrees.
+    """Return the ratio of the truncation error across the tube to the change by the next degrees.
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
-        From squared wavenumbers in 1/m2 to responses.
+        Responses by squared wavenumber in 1/m2.
     """
     layout, functions = system.layout, system.functions
     degree = functions.degree - DEGREE_INCREASE
@@ -62,7 +62,7 @@ def missing_along(
     ----------
     system : Discretisation
     responses : dict
-        From squared wavenumbers in 1/m2 to responses, with n loads of the ports' modes.
+        Responses, with n loads of the ports' modes, by squared wavenumber in 1/m2.
     """
     rule, first = system.rule, system.layout.order + 1
     value, slope = lobatto(first - 1 + MORE_DEGREES, rule.point)
@@ -81,7 +81,7 @@ def missing_along(
                 np.tensordot(part[:first, here].T, own[number], 1) for part in (value, slope / h)
             )
             mass, along, across = (part[here] for part in system.sections)
-            # Flow along the tube, and sources less what flows away across it.
+            # Flow along the tube, and sources minus the flow across the tube.
             flow = mass @ rise + along @ field
             source = along.swapaxes(1, 2) @ rise + across @ field - shift * (mass @ field)
             residual = np.tensordot(rule.weight[here] * slope[first:, here], flow, 1)
@@ -98,7 +98,7 @@ def missing_along(
 
 
 def _coefficients(system: Discretisation, fields: Array) -> Array:
-    """Return fields by their functions along and across, (n_elements, order + 1, n, n_fields)."""
+    """Return coefficients in functions along and across, (n_elements, order + 1, n, n_fields)."""
     layout = system.layout
     nothing = np.zeros((len(fields), layout.n_higher, 0))
     own = system.in_polynomials(fields, nothing)[0]

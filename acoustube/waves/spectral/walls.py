@@ -1,8 +1,8 @@
 """Walls of lumens as contours of their sections, with bounding boxes.
 
-A wall is a family of closed contours x(t, z), y(t, z), t from 0 to 2 pi: lines of constant t
-run along the tube, those of constant z around it, anticlockwise seen with z towards the reader. Its
-ends are straight and round, about x = y = 0.
+A wall is a family of closed contours x(t, z), y(t, z), with t from 0 to 2 pi. Lines of constant t
+run along the tube, and lines of constant z around it, anticlockwise seen with z towards the reader.
+Its ends are straight; round ends lie about x = y = 0.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from acoustube.waves.spectral.polynomials import Array, gauss
 
 LEAST_POINTS, MOST_POINTS = 1, 8
-"""Number of Gauss points between two neighbouring points of a contour."""
+"""Smallest and largest number of Gauss points between two neighbouring points of a contour."""
 
 
 class Contours(NamedTuple):
@@ -31,9 +31,9 @@ class Contours(NamedTuple):
     x_t, y_t : ndarray
         Derivatives along the contour, with respect to t.
     x_z, y_z : ndarray
-        Derivatives along the tube, at a t.
+        Derivatives along the tube, at constant t, dimensionless.
     t : ndarray
-        (n_points,).
+        Parameter of the points, (n_points,).
     weight : ndarray
         Quadrature weights over t, (n_points,). For a wall symmetric about x = 0 the points are
         those of one half, and the weights are doubled.
@@ -51,7 +51,7 @@ class Contours(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Wall:
-    """The wall of a lumen between straight round ends.
+    """The wall of a lumen between straight ends.
 
     Attributes
     ----------
@@ -61,21 +61,21 @@ class Wall:
     ends : tuple of float
         Start and end, z in m, of the part that is not straight.
     radius : float
-        Of the ends, or of the circle of equal area, in m.
+        Radius of the ends, or of the circle of equal area, in m.
     breaks : tuple of float
-        Heights z in m where the wall is not smooth along z, besides its ends.
+        Coordinates z in m, other than `ends`, at which the wall is not smooth along z.
     symmetric : bool
         True if symmetric about x = 0.
     reversible : bool
         True if symmetric about the plane z = `middle`.
     middle : float
-        In m.
+        Coordinate z of the middle in m.
     circular : bool
         False if the ends are straight, but not round.
     sealing_gap : float
         Height in m of a gap that is half sealed, with losses; see `layers.SEALING_WIDTH`.
     knots : ndarray
-        Heights z in m between which the wall is smooth.
+        Coordinates z in m between which the wall is smooth.
     unmoved : Wall or None
         The wall of which this one is a small displacement.
     """
@@ -93,9 +93,10 @@ class Wall:
     unmoved: Wall | None = None
 
     def contours(self, z: Array, degree: int) -> Contours:
-        """Return the contours at heights z (n,) in m, as cubic splines through their points.
+        """Return the contours at z (n,) in m, as cubic splines through the points of the lines.
 
-        Their number suffices for integrals of products of two polynomials of a total degree.
+        The number of quadrature points suffices for products of two polynomials of total degree
+        `degree`.
         """
         lines = self.lines(z)
         n = lines[0].shape[1]
@@ -109,10 +110,11 @@ def _gauss_points(n: int, degree: int) -> int:
 
     Notes
     -----
-    Gauss's rule of g points errs by (k h)^2g (g!)^4 / ((2g + 1) (2g)!^3) on a piece of length h,
-    for a wavenumber k, here twice the degree. That has to be small against the least eigenvalue of
-    the Gram matrix of Legendre polynomials over a disc, 3e-6 at degree 10 and 30 times less with
-    each two degrees more, or the matrix is not positive definite.
+    The error of Gauss's rule with g points is (k h)^2g (g!)^4 / ((2g + 1) (2g)!^3) on a piece of
+    length h, for a wavenumber k, here twice the degree. It has to be small compared with the least
+    eigenvalue of the Gram matrix of Legendre polynomials over a disc, because the matrix would
+    otherwise not be positive definite. This eigenvalue is 3e-6 at degree 10, and 30 times smaller
+    with each two degrees more.
     """
     step = 4 * np.pi * degree / n
     allowed = 1e-2 * 3e-6 * 30.0 ** ((10 - degree) / 2)
@@ -125,16 +127,14 @@ def _gauss_points(n: int, degree: int) -> int:
 
 @lru_cache(maxsize=8)
 def _spline(n: int, n_gauss: int, half: bool) -> tuple[Array, Array, Array, Array]:
-    """Return the matrix from n values round a contour to their spline at Gauss's points.
+    """Return the matrices from n values round a contour to their spline at Gauss's points.
 
     Returns
     -------
     value, slope : ndarray
-        For the values and their derivatives by t, (n, n_points).
-    t : ndarray
-        (n_points,).
+        Matrices for the values and for their derivatives with respect to t, (n, n_points).
     t, weight : ndarray
-        (n_points,).
+        Gauss's points and weights, (n_points,).
     """
     n_pieces = n // 2 if half else n
     point, share = gauss(n_gauss, 0.0, 1.0)
@@ -163,9 +163,9 @@ def analytic_wall(
     ends : tuple of float
         Start and end in m of the part that is not straight.
     radius : float
-        Of the ends, in m.
+        Radius of the ends in m.
     n_points : int
-        Around; even, and the first at the bottom if symmetric about x = 0.
+        Number of points around; even, with the first at the bottom if symmetric about x = 0.
     symmetric, reversible : bool
         True if symmetric about x = 0, and about the middle between the ends.
 
